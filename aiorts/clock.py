@@ -1,0 +1,471 @@
+"""The only place that asks what time it is; all times are integers in nanoseconds.
+
+A clock has two faces. `time_ns()` is the time since the epoch, for stamps; it goes where the wall clock goes.
+`monotonic_ns()` never jumps and never goes back; every period and deadline is measured on it. Nothing here keeps a
+wake-up of its own: real timers are `aiorts.kernel.timers`, simulated ones lie in a heap until somebody moves the clock.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+import math
+import threading
+import time
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+from aiorts.errors import BusyError, StateError
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+    from types import TracebackType
+    from typing import Self
+
+__all__ = (
+    "Clock",
+    "Hold",
+    "ScaledClock",
+    "SimulatedClock",
+    "SystemClock",
+    "Timer",
+    "TimerHeap",
+    "current_clock",
+    "to_ns",
+)
+
+NS_PER_S = 1_000_000_000
+
+SETTLED_TURNS = 16
+"""Turns of a foreign loop without any change of a probe after which a deadline counts as dealt with."""
+
+
+def to_ns(seconds: float, what: str = "seconds") -> int:
+    """Nearest nanosecond to `seconds`; whole numbers exactly, more than nothing is at least 1 ns.
+
+    Raises ValueError, naming `what`, for NaN and infinities.
+    """
+    if isinstance(seconds, int):
+        return seconds * NS_PER_S
+    if not math.isfinite(seconds):
+        raise ValueError(f"{what}={seconds!r}: expected a finite number of seconds")
+    nanoseconds = float(seconds) * NS_PER_S
+    if math.isinf(nanoseconds):
+        return int(seconds) * NS_PER_S
+    # A delay rounded down to nothing would let a loop that halves its delays spin for ever.
+    return round(nanoseconds) or int(seconds > 0)
+
+
+class Clock(ABC):
+    """What time it is for one kernel."""
+
+    @property
+    def speed(self) -> float:
+        """Seconds of this clock that pass in one real second."""
+        return 1.0
+
+    @abstractmethod
+    def time_ns(self) -> int:
+        """Nanoseconds since the epoch, for stamps; may jump with the wall clock."""
+
+    @abstractmethod
+    def monotonic_ns(self) -> int:
+        """Nanoseconds since some fixed moment; never jumps, never goes back."""
+
+    def time(self) -> float:
+        """Seconds since the epoch: `time_ns()` as a float."""
+        return self.time_ns() / 1e9
+
+    def real_deadline_ns(self, deadline_ns: int) -> int:
+        """The first moment of `time.monotonic_ns()` at which `monotonic_ns()` has reached `deadline_ns`."""
+        return deadline_ns
+
+
+class SystemClock(Clock):
+    """The machine's clocks: CLOCK_MONOTONIC for periods, the wall clock for stamps.
+
+    `wall` replaces the source of stamps (nanoseconds since the epoch); periods cannot be affected by it.
+    """
+
+    __slots__ = ("_wall",)
+
+    def __init__(self, wall: Callable[[], int] = time.time_ns) -> None:
+        self._wall = wall
+
+    def time_ns(self) -> int:
+        return self._wall()
+
+    def monotonic_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def __repr__(self) -> str:
+        return "SystemClock()"
+
+
+class ScaledClock(Clock):
+    """Real time that passes `speed` times as fast, from the moment of construction.
+
+    Both faces are scaled from CLOCK_MONOTONIC, so stamps and periods stay in step and a jump of the wall clock shows in
+    neither. `start_ns` is the first stamp (default: now). `real` replaces the source, for tests. Raises ValueError
+    unless `speed` is finite and above zero.
+    """
+
+    __slots__ = ("_base", "_denominator", "_epoch", "_numerator", "_real")
+
+    def __init__(
+        self, speed: float, *, start_ns: int | None = None, real: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        if not (math.isfinite(speed) and speed > 0):
+            raise ValueError(f"speed={speed!r}: expected a finite number above 0 (1.0 is real time)")
+        # An integer ratio: floats would lose nanoseconds after some days.
+        self._numerator, self._denominator = float(speed).as_integer_ratio()
+        self._real = real
+        self._base = real()
+        self._epoch = time.time_ns() if start_ns is None else start_ns
+
+    @property
+    def speed(self) -> float:
+        return self._numerator / self._denominator
+
+    def _elapsed_ns(self) -> int:
+        return (self._real() - self._base) * self._numerator // self._denominator
+
+    def time_ns(self) -> int:
+        return self._epoch + self._elapsed_ns()
+
+    def monotonic_ns(self) -> int:
+        return self._base + self._elapsed_ns()
+
+    def real_deadline_ns(self, deadline_ns: int) -> int:
+        # Rounded up, so that the clock has always reached the deadline when its timer fires.
+        return self._base - (self._base - deadline_ns) * self._denominator // self._numerator
+
+    def __repr__(self) -> str:
+        return f"ScaledClock({self.speed:g})"
+
+
+class Timer:
+    """One callback that waits for its deadline. `cancel()` is idempotent and allowed at any time."""
+
+    __slots__ = ("_callback", "_heap", "deadline_ns")
+
+    def __init__(self, deadline_ns: int, callback: Callable[[], object], heap: TimerHeap) -> None:
+        self.deadline_ns = deadline_ns
+        self._callback: Callable[[], object] | None = callback
+        self._heap: TimerHeap | None = heap
+
+    @property
+    def pending(self) -> bool:
+        """Neither fired nor cancelled."""
+        return self._callback is not None
+
+    def cancel(self) -> None:
+        """The callback will not run; without effect when it has."""
+        self._callback = None
+        if (heap := self._heap) is not None:
+            self._heap = None
+            heap.forget_one()
+
+    def __repr__(self) -> str:
+        return f"<Timer at {self.deadline_ns} ns, {'pending' if self.pending else 'done'}>"
+
+
+_Entry = tuple[int, int, int, Timer]
+"""Deadline, rank, number in the order of creation (always different: timers are never compared), timer."""
+
+
+class TimerHeap:
+    """Timers by (deadline, rank, creation): a plain data structure that neither waits nor asks the time.
+
+    Cancelled timers leave when they reach the top, or all at once when they outnumber the others.
+    """
+
+    __slots__ = ("_cancelled", "_entries", "_on_empty", "_sequence")
+
+    def __init__(self, on_empty: Callable[[], None] | None = None) -> None:
+        self._entries: list[_Entry] = []
+        self._sequence = 0
+        self._cancelled = 0
+        self._on_empty = on_empty
+
+    def __len__(self) -> int:
+        """Pending timers."""
+        return len(self._entries) - self._cancelled
+
+    @property
+    def slots(self) -> int:
+        """Entries held, cancelled ones included: never above twice the pending ones plus a few."""
+        return len(self._entries)
+
+    def push(self, deadline_ns: int, callback: Callable[[], object], rank: int = 0) -> Timer:
+        """A new timer. `rank` orders timers of one deadline before their creation does."""
+        timer = Timer(deadline_ns, callback, self)
+        self._sequence = sequence = self._sequence + 1
+        heapq.heappush(self._entries, (deadline_ns, rank, sequence, timer))
+        return timer
+
+    def next_deadline(self) -> int | None:
+        """The earliest deadline that is still pending."""
+        entries = self._entries
+        while entries:
+            if entries[0][3]._heap is not None:
+                return entries[0][0]
+            heapq.heappop(entries)
+            self._cancelled -= 1
+        return None
+
+    def run_due(self, now_ns: int, loop: asyncio.AbstractEventLoop) -> None:
+        """Runs, in order, all timers whose deadline is not after `now_ns`; ones added meanwhile wait for the next call.
+
+        A callback that raises goes to the loop's exception handler and the others run. What stops the loop itself
+        (KeyboardInterrupt) is passed on, and those behind it stay pending.
+        """
+        due = self._pop_due(now_ns)
+        if not due:
+            return
+        entries = iter(due)
+        try:
+            for entry in entries:
+                timer = entry[3]
+                callback, timer._callback = timer._callback, None
+                if callback is not None:
+                    try:
+                        callback()
+                    except Exception as error:  # noqa: BLE001 - reported, as the loop does with its own callbacks
+                        message = f"aiorts: timer callback {callback!r} failed"
+                        loop.call_exception_handler({"message": message, "exception": error})
+        finally:
+            for entry in entries:
+                self._restore(entry)
+
+    def _pop_due(self, now_ns: int) -> list[_Entry]:
+        entries = self._entries
+        due: list[_Entry] = []
+        while entries and entries[0][0] <= now_ns:
+            entry = heapq.heappop(entries)
+            if entry[3]._heap is None:
+                self._cancelled -= 1
+            else:
+                entry[3]._heap = None
+                due.append(entry)
+        return due
+
+    def _restore(self, entry: _Entry) -> None:
+        if entry[3].pending:
+            entry[3]._heap = self
+            heapq.heappush(self._entries, entry)
+
+    def forget_one(self) -> None:
+        """A timer of this heap was cancelled; it says so itself."""
+        self._cancelled += 1
+        if self._cancelled > 8 and self._cancelled * 2 > len(self._entries):
+            self._entries = [entry for entry in self._entries if entry[3]._heap is not None]
+            heapq.heapify(self._entries)
+            self._cancelled = 0
+        if self._on_empty is not None and self._cancelled == len(self._entries):
+            self._on_empty()
+
+
+class Hold:
+    """Keeps a simulated clock where it is until released; a context manager. May be released in any thread."""
+
+    __slots__ = ("_release",)
+
+    def __init__(self, release: Callable[[], None]) -> None:
+        self._release: Callable[[], None] | None = release
+
+    def release(self) -> None:
+        """Lets time pass again, unless somebody else holds it; idempotent."""
+        release, self._release = self._release, None
+        if release is not None:
+            release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+
+class SimulatedClock(Clock):
+    """Time that passes only when it is moved: by a `SimulatedLoop`, or on any other loop by `advance()`.
+
+    `monotonic_ns()` starts at 0 and `time_ns()` at `start_ns`. All timers of one deadline fire together, in the order
+    of their creation; what they made ready finishes; then the next deadline comes, be it the same moment once more.
+    Timers belong to the thread of the loop; `hold()` may be used in any.
+    """
+
+    def __init__(self, start_ns: int = 0) -> None:
+        self._now = 0
+        self._epoch = start_ns
+        self._timers = TimerHeap()
+        self._probes: dict[object, Callable[[], int]] = {}
+        self._holds = 0
+        self._lock = threading.Lock()
+        self._on_release: dict[object, Callable[[], object]] = {}
+        self._driver: Callable[[int], Awaitable[None]] | None = None
+        self._advancing = False
+
+    def time_ns(self) -> int:
+        return self._epoch + self._now
+
+    def monotonic_ns(self) -> int:
+        return self._now
+
+    def set_time_ns(self, epoch_ns: int) -> None:
+        """Sets the wall clock alone, as an operator would: stamps jump, periods and deadlines do not."""
+        self._epoch = epoch_ns - self._now
+
+    def real_deadline_ns(self, deadline_ns: int) -> int:
+        raise StateError(f"{self!r}: a simulated deadline has no real time; wait for it with timers_for(clock).call_at")
+
+    def __repr__(self) -> str:
+        return f"<SimulatedClock at {self._now / 1e9:.9f} s>"
+
+    # -- timers ---------------------------------------------------------------------------------------------------
+
+    def call_at(self, deadline_ns: int, callback: Callable[[], object]) -> Timer:
+        """Runs `callback` when `monotonic_ns()` has come to `deadline_ns`; one in the past, at the next step."""
+        return self._timers.push(deadline_ns, callback)
+
+    def next_deadline(self) -> int | None:
+        """The earliest pending deadline on `monotonic_ns()`."""
+        return self._timers.next_deadline()
+
+    @property
+    def pending(self) -> int:
+        """Pending timers."""
+        return len(self._timers)
+
+    def move_to(self, now_ns: int) -> None:
+        """Sets the time, fires nothing; a moment in the past is ignored. For whoever drives the clock."""
+        self._now = max(now_ns, self._now)
+
+    def fire(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Moves to the earliest deadline and runs all its timers (and those overdue) once. For whoever drives."""
+        deadline = self._timers.next_deadline()
+        if deadline is not None:
+            self.move_to(deadline)
+            self._timers.run_due(self._now, loop)
+
+    # -- moving by hand -------------------------------------------------------------------------------------------
+
+    async def advance(self, seconds: float) -> None:
+        """Lets `seconds` pass: every timer due by then fires, and what it woke finishes before the next deadline.
+
+        Raises ValueError for a negative or non-finite number, BusyError when the clock is being advanced already.
+        """
+        step = to_ns(seconds)
+        if step < 0:
+            raise ValueError(f"seconds={seconds!r}: expected 0 or more, time does not go back")
+        await self.advance_to(self._now + step)
+
+    async def advance_to(self, monotonic_ns: int) -> None:
+        """`advance()` to a moment of `monotonic_ns()`; raises ValueError for one in the past."""
+        if monotonic_ns < self._now:
+            raise ValueError(f"{self!r}: cannot go back to {monotonic_ns} ns")
+        loop = asyncio.get_running_loop()
+        if self._driver is not None:
+            if getattr(loop, "aiorts_clock", None) is not self:
+                raise BusyError(f"{self!r}: moved by its own simulated loop; await advance() there")
+            await self._driver(monotonic_ns)
+            return
+        if self._advancing:
+            raise BusyError(f"{self!r}: is being advanced already; one task at a time moves the clock")
+        self._advancing = True
+        try:
+            await self._settle(loop)
+            while (deadline := self._timers.next_deadline()) is not None and deadline <= monotonic_ns:
+                self.fire(loop)
+                await self._settle(loop)
+            self.move_to(monotonic_ns)
+        finally:
+            self._advancing = False
+
+    async def _settle(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Gives the loop turns until kernel activity has stopped and nobody holds the clock."""
+        quiet, before = 0, self._activity()
+        while quiet < SETTLED_TURNS:
+            if self._holds:
+                await self._released(loop)
+                quiet = 0
+            await asyncio.sleep(0)
+            now = self._activity()
+            quiet = quiet + 1 if now == before else 0
+            before = now
+
+    async def _released(self, loop: asyncio.AbstractEventLoop) -> None:
+        event = asyncio.Event()
+        remove = self.on_release(lambda: loop.call_soon_threadsafe(event.set))
+        try:
+            # Looked at once more: the last hold may have gone before we listened.
+            if self._holds:
+                await event.wait()
+        finally:
+            remove()
+
+    # -- who else matters -----------------------------------------------------------------------------------------
+
+    def _activity(self) -> int:
+        return sum(probe() for probe in self._probes.values())
+
+    def add_probe(self, probe: Callable[[], int]) -> Callable[[], None]:
+        """Registers a counter of activity that `advance()` watches to see the loop settle; returns its remover."""
+        key = object()
+        self._probes[key] = probe
+        return lambda: _discard(self._probes, key)
+
+    @property
+    def held(self) -> bool:
+        """Somebody holds the clock."""
+        return self._holds > 0
+
+    def hold(self) -> Hold:
+        """Stops time until the hold is released (a context manager, counted), while a thread works for instance."""
+        with self._lock:
+            self._holds += 1
+        return Hold(self._release_hold)
+
+    def _release_hold(self) -> None:
+        with self._lock:
+            self._holds -= 1
+            listeners = () if self._holds else tuple(self._on_release.values())
+        for listener in listeners:
+            listener()
+
+    def on_release(self, listener: Callable[[], object]) -> Callable[[], None]:
+        """Calls `listener`, in the thread that releases, whenever the last hold goes; returns its remover."""
+        key = object()
+        with self._lock:
+            self._on_release[key] = listener
+        return lambda: _discard(self._on_release, key)
+
+    def attach(self, driver: Callable[[int], Awaitable[None]]) -> Callable[[], None]:
+        """A loop takes over the clock: `driver(monotonic_ns)` waits for a moment. Returns what gives it back.
+
+        Raises BusyError when a loop has it already.
+        """
+        if self._driver is not None or self._advancing:
+            raise BusyError(f"{self!r}: is moved by another loop; one simulated loop for each clock")
+        self._driver = driver
+
+        def detach() -> None:
+            self._driver = None
+
+        return detach
+
+
+def _discard(table: dict[object, Any], key: object) -> None:
+    table.pop(key, None)
+
+
+def current_clock() -> SimulatedClock | None:
+    """The clock of the simulated loop this code runs on; None on any other loop and outside of loops."""
+    try:
+        loop = asyncio.get_running_loop()
+    except RuntimeError:
+        return None
+    clock = getattr(loop, "aiorts_clock", None)
+    return clock if isinstance(clock, SimulatedClock) else None

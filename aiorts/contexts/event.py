@@ -1,0 +1,110 @@
+"""A context that runs a component because something happened to it: new data, `trigger()`, a failure to be dealt with.
+
+Components with a cause stand on a ready list and run in the order of addition, each at most once in a cycle. One is
+ready again when unread data remains and it took at least one sample; a component that leaves its data alone is not
+asked again before more comes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from aiorts.kernel.context import Context
+from aiorts.kernel.life import Wait
+from aiorts.kernel.ports import InPort
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.member import Member
+    from aiorts.kernel.ports import Port
+
+__all__ = ("EventContext",)
+
+_FOR_EVER = Wait(None)
+
+
+class EventContext(Context):
+    """Runs members that have a cause. Args: see `Context`."""
+
+    kind: ClassVar[str] = "event"
+
+    def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
+        super().__init__(name=name, deadline=deadline, timing=timing)
+        self._ready: list[Member] = []
+
+    def trigger(self, *components: Component) -> None:
+        """Give these members, or all, a cause to run. Triggers before the next cycle coalesce."""
+        self._check("trigger")
+        members = [self._member(component) for component in components] if components else self._members
+        for member in members:
+            self._make_ready(member)
+
+    def _make_ready(self, member: Member) -> None:
+        member.triggered = True
+        if not member.ready:
+            member.ready = True
+            self._member_ready(member)
+
+    def _member_ready(self, member: Member) -> None:
+        self._ready.append(member)
+        if self._driver is not None:
+            self._driver.kick()
+
+    def _member_aborted(self, member: Member) -> None:
+        self._make_ready(member)
+
+    def _port_added(self, member: Member, port: Port[object]) -> None:
+        super()._port_added(member, port)
+        if isinstance(port, InPort):
+            port._wakes += (member.ring,)
+            port._arm()
+
+    def _port_removed(self, member: Member, port: Port[object]) -> None:
+        super()._port_removed(member, port)
+        if isinstance(port, InPort):
+            port._wakes = tuple(wake for wake in port._wakes if wake != member.ring)
+            port._arm()
+
+    def _next_cause(self) -> Wait | None:
+        if self._ready:
+            self._ready = [member for member in self._ready if _has_cause(member)]
+        return None if self._ready else _FOR_EVER
+
+    def _begin_cycle(self) -> Sequence[Member]:
+        ready, self._ready = self._ready, []
+        if len(ready) > 1:
+            ready.sort(key=_order)
+        for member in ready:
+            member.ready = member.triggered = False
+            member.rearm()
+            for port in member.in_ports:
+                port._took = False
+        return ready
+
+    def _end_cycle(self, members: Sequence[Member]) -> None:
+        for member in members:
+            if member.active and _took_and_left(member):
+                self._make_ready(member)
+
+
+def _has_cause(member: Member) -> bool:
+    """Whether it was triggered or has unread data; data that rang may have been read in the cycle it came in."""
+    if member.triggered:
+        return True
+    for port in member.rung:
+        if port.is_new:
+            return True
+    member.ready = False
+    member.rearm()
+    return False
+
+
+def _took_and_left(member: Member) -> bool:
+    """Whether a member read at least one sample and unread data remains."""
+    ports = member.in_ports
+    return any(port._took for port in ports) and any(port.is_new for port in ports)
+
+
+def _order(member: Member) -> int:
+    return member.order

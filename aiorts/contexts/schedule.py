@@ -1,0 +1,101 @@
+"""When the ticks of a rate are due; pure arithmetic on nanoseconds, nothing here waits or asks the time.
+
+Tick n is due at `start + n / rate`, computed with integers from the rate's exact ratio, so that nothing accumulates
+at any length. A cycle that is not done when the next is due is an overrun. The policy "skip" runs the newest tick
+that is due and counts the others as skipped; "catch_up" runs every missed tick at once, as far as they are at most
+one second old.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from aiorts.errors import ConfigurationError
+
+__all__ = ("MAX_RATE", "MIN_RATE", "Schedule", "check_rate")
+
+MIN_RATE: Final = 0.001
+MAX_RATE: Final = 10_000.0
+_CATCH_UP_NS: Final = 1_000_000_000
+_POLICIES: Final = ("skip", "catch_up")
+
+
+def check_rate(rate: object, highest: float = MAX_RATE) -> float:
+    """`rate` as a float; ConfigurationError unless it is a number of Hz from MIN_RATE to `highest`."""
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or not math.isfinite(rate):
+        raise ConfigurationError(f"rate = {rate!r}: expected a number of Hz from {MIN_RATE} to {highest}")
+    if not MIN_RATE <= rate <= highest:
+        raise ConfigurationError(f"rate = {rate!r} Hz: expected {MIN_RATE} to {highest} (max_rate raises the ceiling)")
+    return float(rate)
+
+
+class Schedule:
+    """The ticks of one context.
+
+    Args:
+        rate: Hz. overrun: "skip" or "catch_up". max_rate: the ceiling for `rate`, Hz.
+
+    Raises:
+        ConfigurationError: rate or policy out of range.
+    """
+
+    def __init__(self, rate: object, overrun: str = "skip", max_rate: float = MAX_RATE) -> None:
+        if overrun not in _POLICIES:
+            raise ConfigurationError(f"overrun = {overrun!r}: expected {' or '.join(_POLICIES)}")
+        self.max_rate = max_rate
+        self.overrun = overrun
+        self.rate = check_rate(rate, max_rate)
+        self.due_ns = 0
+        """When the next tick is due."""
+        self.skipped = self.overruns = self.lateness_max_ns = self.lateness_total_ns = 0
+        self._tick = 0
+        self._start_ns = 0
+        self._set_ratio()
+
+    def start(self, now_ns: int) -> None:
+        """Tick 0 is due now."""
+        self._start_ns = self.due_ns = now_ns
+        self._tick = 0
+
+    def begin(self, now_ns: int) -> None:
+        """The tick that is due begins."""
+        late = now_ns - self.due_ns
+        if late > 0:
+            self.lateness_total_ns += late
+            self.lateness_max_ns = max(self.lateness_max_ns, late)
+
+    def end(self, now_ns: int) -> int | None:
+        """The tick is done. None when that was in time, else how many ticks are skipped."""
+        self._tick += 1
+        self.due_ns = self._due(self._tick)
+        if now_ns <= self.due_ns:
+            return None
+        length, divisor = self._period
+        oldest = now_ns if self.overrun == "skip" else now_ns - _CATCH_UP_NS
+        skipped = max(0, (oldest - self._start_ns) * divisor // length - self._tick)
+        self.overruns += 1
+        self.skipped += skipped
+        self._tick += skipped
+        self.due_ns = self._due(self._tick)
+        return skipped
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        """Another rate: the next tick is one new period after the last one, or now when that is over."""
+        last = self._due(self._tick - 1) if self._tick else now_ns
+        self.rate = rate
+        self._set_ratio()
+        length, divisor = self._period
+        # Counted from the last tick on; one that would be due in the past is due now and no overrun.
+        self._start_ns = max(last, now_ns - length // divisor)
+        self._tick = 1
+        self.due_ns = self._due(1)
+
+    def _set_ratio(self) -> None:
+        numerator, denominator = self.rate.as_integer_ratio()
+        self._period = (1_000_000_000 * denominator, numerator)
+
+    def _due(self, tick: int) -> int:
+        length, divisor = self._period
+        # Rounded up, so that `floor((t - start) / period)` gives the tick back.
+        return self._start_ns - (-tick * length // divisor)

@@ -1,0 +1,179 @@
+"""One family of exceptions: each class says whose fault it is, each message says where, what was expected, what to do.
+
+Every class carries a `code` (`E-` and a word). The command line prints `aiorts: E-CODE: where: cause; what to do`,
+and the same text stands in `last_error`. Classes also derive from the built-in exception a caller would expect, so
+`except ValueError` keeps working for code that has never heard of aiorts.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+__all__ = (
+    "AiortsError",
+    "BusyError",
+    "ClosedError",
+    "ComponentError",
+    "ConfigurationError",
+    "ConversionError",
+    "DeclarationError",
+    "HookAbandoned",
+    "HookTimeout",
+    "InvalidNameError",
+    "LimitError",
+    "PluginError",
+    "PortTypeError",
+    "ReadTimeout",
+    "RecordError",
+    "RecordTypeError",
+    "StateError",
+    "SystemFileError",
+    "ThreadError",
+    "TransitionTimeout",
+    "UnknownTypeError",
+    "WireError",
+    "WiringError",
+    "WriteTimeout",
+)
+
+
+class AiortsError(Exception):
+    """Root of everything that aiorts raises of its own accord."""
+
+    code: ClassVar[str] = "E-AIORTS"
+
+
+class DeclarationError(AiortsError, TypeError):
+    """A component class or a record type is written wrongly; raised when it is defined or first loaded."""
+
+    code = "E-DECLARE"
+
+
+class InvalidNameError(AiortsError, ValueError):
+    """A name or path has a character or a form that is not allowed."""
+
+    code = "E-NAME"
+
+
+class RecordError(AiortsError, ValueError):
+    """A value does not fit the field it was given for: names field, expected and got."""
+
+    code = "E-RECORD"
+
+
+class RecordTypeError(RecordError, TypeError):
+    """A value is of the wrong type for the field it was given for."""
+
+
+class UnknownTypeError(AiortsError, LookupError):
+    """No type of that name is registered, or more than one is."""
+
+    code = "E-UNKNOWN-TYPE"
+
+
+class ConversionError(AiortsError, ValueError):
+    """A value cannot be converted to the type asked for without changing it silently."""
+
+    code = "E-CONVERT"
+
+
+class WireError(AiortsError, ValueError):
+    """Bytes are not a valid frame: the sender's fault."""
+
+    code = "E-WIRE"
+
+
+class LimitError(WireError):
+    """A frame is larger than its limits allow."""
+
+    code = "E-TOO-LARGE"
+
+
+class WiringError(AiortsError, ValueError):
+    """Two ports cannot be connected, or not with these options."""
+
+    code = "E-CONNECT"
+
+
+class PortTypeError(AiortsError, TypeError):
+    """A value of the wrong type or shape was written to a port; nothing was sent."""
+
+    code = "E-TYPE"
+
+
+class StateError(AiortsError, RuntimeError):
+    """The request does not fit the state: names both."""
+
+    code = "E-STATE"
+
+
+class ComponentError(AiortsError, RuntimeError):
+    """A component's own hook failed while it did what was asked; the cause is `__cause__`."""
+
+    code = "E-COMPONENT"
+
+
+class ConfigurationError(AiortsError, ValueError):
+    """A parameter does not exist or its value is not allowed; the old value stays."""
+
+    code = "E-CONFIG"
+
+
+class SystemFileError(ConfigurationError):
+    """A system file is wrong: names file and place."""
+
+    code = "E-SYSTEM"
+
+
+class PluginError(AiortsError):
+    """An extension could not be found, loaded or used."""
+
+    code = "E-PLUGIN"
+
+
+class ClosedError(AiortsError, RuntimeError):
+    """The kernel, connector or port was closed or was never bound."""
+
+    code = "E-CLOSED"
+
+
+class BusyError(AiortsError, RuntimeError):
+    """Two tasks use what only one can use at a time."""
+
+    code = "E-BUSY"
+
+
+class ThreadError(AiortsError, RuntimeError):
+    """A call came from a thread that may not make it."""
+
+    code = "E-THREAD"
+
+
+class HookTimeout(AiortsError, TimeoutError):
+    """A hook did not return within its deadline."""
+
+    code = "E-HOOK-TIMEOUT"
+
+
+class HookAbandoned(HookTimeout):
+    """A hook ignored every cancellation; its task was left behind and its component is never run again."""
+
+    code = "E-ABANDONED"
+
+
+class TransitionTimeout(AiortsError, TimeoutError):
+    """A life-cycle request did not take effect within its deadline."""
+
+    code = "E-TRANSITION"
+
+
+class ReadTimeout(AiortsError, TimeoutError):
+    """No sample arrived in time."""
+
+    code = "E-READ-TIMEOUT"
+
+
+class WriteTimeout(AiortsError, TimeoutError):
+    """Readers with `full="block"` had no room in time; the others have the sample."""
+
+    code = "E-WRITE-TIMEOUT"

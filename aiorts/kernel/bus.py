@@ -1,0 +1,225 @@
+"""Typed events for observers: what happened, as frozen values, in the order it happened.
+
+An observer is a plain function called on the kernel's loop. One that raises is logged and goes on being called; one
+that is slow slows only the loop it was given. Nothing is kept: an observer that comes late has missed what was
+before.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.profile import ConnectorProfile, PortProfile
+
+__all__ = (
+    "Bus",
+    "ComponentAdded",
+    "ComponentRemoved",
+    "Connected",
+    "ContextStarted",
+    "ContextStopped",
+    "Disconnected",
+    "Event",
+    "HookAfter",
+    "HookBefore",
+    "HookFailed",
+    "MemberAdded",
+    "MemberRemoved",
+    "Overrun",
+    "ParametersChanged",
+    "PortAdded",
+    "PortRemoved",
+    "RateChanged",
+    "StateChanged",
+)
+
+_LOG = logging.getLogger("aiorts.kernel")
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened. Subscribing to this class means all events but `HookBefore` and `HookAfter`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentAdded(Event):
+    """A component was created and initialised."""
+
+    component: str
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentRemoved(Event):
+    """A component was finalised and is gone."""
+
+    component: str
+
+
+@dataclass(frozen=True, slots=True)
+class PortAdded(Event):
+    """A port is there: at creation or at run time."""
+
+    component: str
+    port: PortProfile
+
+
+@dataclass(frozen=True, slots=True)
+class PortRemoved(Event):
+    """A port was taken away at run time; its connectors are gone."""
+
+    component: str
+    port: PortProfile
+
+
+@dataclass(frozen=True, slots=True)
+class Connected(Event):
+    """A connector exists."""
+
+    connector: ConnectorProfile
+
+
+@dataclass(frozen=True, slots=True)
+class Disconnected(Event):
+    """A connector is gone."""
+
+    connector: ConnectorProfile
+
+
+@dataclass(frozen=True, slots=True)
+class ContextStarted(Event):
+    """An execution context runs."""
+
+    context: str
+
+
+@dataclass(frozen=True, slots=True)
+class ContextStopped(Event):
+    """An execution context has ended; `error` says why if nobody asked for it."""
+
+    context: str
+    error: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MemberAdded(Event):
+    """A component was attached to a context."""
+
+    context: str
+    component: str
+
+
+@dataclass(frozen=True, slots=True)
+class MemberRemoved(Event):
+    """A component was detached from a context."""
+
+    context: str
+    component: str
+
+
+@dataclass(frozen=True, slots=True)
+class StateChanged(Event):
+    """A component's life-cycle state in a context changed."""
+
+    component: str
+    context: str
+    old: LifeCycleState
+    new: LifeCycleState
+
+
+@dataclass(frozen=True, slots=True)
+class HookFailed(Event):
+    """A hook raised, timed out or returned a value; the exception has its traceback."""
+
+    component: str
+    context: str
+    hook: str
+    error: BaseException
+
+
+@dataclass(frozen=True, slots=True)
+class HookBefore(Event):
+    """A hook is about to run; only sent to those who subscribe to this very class."""
+
+    component: str
+    context: str
+    hook: str
+
+
+@dataclass(frozen=True, slots=True)
+class HookAfter(Event):
+    """A hook has run; `error` is what it raised. Only sent to those who subscribe to this very class."""
+
+    component: str
+    context: str
+    hook: str
+    error: BaseException | None
+
+
+@dataclass(frozen=True, slots=True)
+class RateChanged(Event):
+    """A context has another rate, in Hz."""
+
+    context: str
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Overrun(Event):
+    """A cycle was not done when the next was due: `skipped` ticks were left out."""
+
+    context: str
+    skipped: int
+    late_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersChanged(Event):
+    """Parameters have other values since this moment."""
+
+    component: str
+    values: tuple[tuple[str, Any], ...]
+
+
+E = TypeVar("E", bound=Event)
+_QUIET = (HookBefore, HookAfter)
+
+
+class Bus:
+    """Who wants to hear of what."""
+
+    def __init__(self) -> None:
+        self._observers: list[tuple[type[Event], Callable[[Any], object]]] = []
+        self.hooks_wanted = False
+        """Whether anybody asked for HookBefore or HookAfter: they cost nothing otherwise."""
+
+    def subscribe(self, kind: type[E], observer: Callable[[E], object]) -> Callable[[], None]:
+        """Call `observer` with each event of `kind` (or a class derived from it) until the returned function is
+        called."""
+        entry = (kind, observer)
+        self._observers.append(entry)
+        self._recount()
+
+        def unsubscribe() -> None:
+            if entry in self._observers:
+                self._observers.remove(entry)
+                self._recount()
+
+        return unsubscribe
+
+    def publish(self, event: Event) -> None:
+        """Tell everybody who wants to know."""
+        quiet = isinstance(event, _QUIET)
+        for kind, observer in tuple(self._observers):
+            if isinstance(event, kind) and not (quiet and kind is Event):
+                try:
+                    observer(event)
+                except Exception:  # noqa: BLE001 - an observer's fault must not become the kernel's
+                    _LOG.exception("observer %r failed at %r", observer, event)
+
+    def _recount(self) -> None:
+        self.hooks_wanted = any(kind in _QUIET for kind, _ in self._observers)

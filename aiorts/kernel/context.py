@@ -1,0 +1,500 @@
+"""What every execution context is: members in order, requests, the cycle, statistics.
+
+A context is a logical thread. It decides when a cycle runs and for whom (`_next_cause`, `_begin_cycle`,
+`_end_cycle`); what happens in a cycle is the same for all (`life.py`), and so is what contains a hook
+(`bulkhead.py`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import traceback
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+from aiorts.errors import ClosedError, StateError, TransitionTimeout
+from aiorts.kernel.bulkhead import StopBudget, TaskDriver
+from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
+from aiorts.kernel.life import Action, Life, Steps, Wait
+from aiorts.kernel.member import Member
+from aiorts.kernel.ports import InPort
+from aiorts.model.lifecycle import Event as Transition
+from aiorts.model.lifecycle import LifeCycleState
+from aiorts.model.names import check_name
+from aiorts.model.profile import ContextProfile, ContextStatistics, HookStatistics
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.ports import Port
+
+__all__ = ("Context", "Driver")
+
+_LOG = logging.getLogger("aiorts.kernel")
+
+
+class Driver(Protocol):
+    """What carries out the steps of a context's life."""
+
+    ended: asyncio.Future[None]
+    hooks_run: int
+
+    @property
+    def current(self) -> Member | None: ...
+
+    def kick(self) -> None: ...
+
+    def hurry(self, budget: StopBudget) -> None: ...
+
+
+class Context:
+    """Base of all execution contexts. Given to `Kernel.start`; ends with `stop` or with its kernel.
+
+    Args:
+        name: unique in its kernel; the kernel gives one ("periodic0") where there is none.
+        deadline: seconds that a hook may take; None is unlimited. A hook over it is cancelled and its component goes
+            to error.
+        timing: take the execution time of every hook for `statistics`.
+    """
+
+    kind: ClassVar[str] = ""
+
+    def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
+        self.name = check_name(name, "context") if name else ""
+        self.deadline = deadline
+        self.timing = timing
+        self.ticks = 0
+        self._kernel: Kernel | None = None
+        self._driver: Driver | None = None
+        self._members: list[Member] = []
+        self._actions: deque[Action] = deque()
+        self._life = Life(self)
+        self._stopping = False
+        self._updating = False
+        self._order = 0
+        self._began: asyncio.Future[None] | None = None
+
+    # -- what tools see --------------------------------------------------------------------------------------------
+
+    @property
+    def running(self) -> bool:
+        """Whether the context runs: started and not stopped."""
+        return self._driver is not None
+
+    @property
+    def rate(self) -> float | None:
+        """Hz, for contexts that have a rate."""
+        return None
+
+    @property
+    def members(self) -> tuple[Component, ...]:
+        """The components in this context, in order of execution."""
+        return tuple(member.component for member in self._members)
+
+    @property
+    def statistics(self) -> ContextStatistics:
+        """What this context has done so far."""
+        return ContextStatistics(cycles=self.ticks, hooks=self._hook_statistics())
+
+    def _hook_statistics(self) -> MappingProxyType[str, HookStatistics]:
+        return MappingProxyType(
+            {
+                f"{member.component.name}.{hook}": HookStatistics(times.count, times.total_ns, times.max_ns)
+                for member in self._members
+                for hook, times in member.times.items()
+            }
+        )
+
+    @property
+    def profile(self) -> ContextProfile:
+        """What this context is, frozen."""
+        members = tuple(member.component.name for member in self._members)
+        return ContextProfile(self.name, self.kind, self.rate, self.running, members)
+
+    def state(self, component: Component) -> LifeCycleState:
+        """The life-cycle state of a member; StateError when the component is not one."""
+        return self._member(component).state
+
+    def __repr__(self) -> str:
+        members = ", ".join(f"{m.component.name}: {m.state}" for m in self._members)
+        rate = "" if self.rate is None else f" {self.rate} Hz"
+        return (
+            f"<{type(self).__name__} {self.name or '?'}{rate} {'running' if self.running else 'stopped'} [{members}]>"
+        )
+
+    # -- requests --------------------------------------------------------------------------------------------------
+
+    async def activate(self, *components: Component, timeout: float | None = 5.0) -> None:
+        """Activate these members, or every inactive one. Takes effect between two cycles, at once when none is running.
+
+        Awaited from a hook of this context it is queued and returns at once.
+
+        Raises:
+            StateError: a component named is not inactive, or not a member.
+            ComponentError: `on_activated` raised; the cause is chained.
+            TransitionTimeout: it did not begin within `timeout` seconds and was withdrawn, or did not end.
+        """
+        await self._request(Transition.ACTIVATE, LifeCycleState.INACTIVE, components, timeout)
+
+    async def deactivate(self, *components: Component, timeout: float | None = 5.0) -> None:
+        """Deactivate these members, or every active one, as `activate`."""
+        await self._request(Transition.DEACTIVATE, LifeCycleState.ACTIVE, components, timeout)
+
+    async def reset(self, *components: Component, timeout: float | None = 5.0) -> None:
+        """Take these members, or all that are, out of error into inactive, as `activate`."""
+        await self._request(Transition.RESET, LifeCycleState.ERROR, components, timeout)
+
+    async def add(self, *components: Component, timeout: float | None = 5.0) -> None:
+        """Add components at the end of the order, between two cycles.
+
+        Raises:
+            StateError: one is a member already, or cannot run here.
+        """
+        kernel = self._check("add")
+        for component in components:
+            kernel._check_mine(component)
+            self._check_can_add(component)
+        members = [self._new_member(component) for component in components]
+        await self._ask(
+            [(f"add {m.component.name}", partial(self._life.add, m)) for m in members],
+            timeout,
+        )
+
+    async def remove(self, *components: Component, timeout: float | None = 5.0) -> None:
+        """Remove components between two cycles: they are deactivated and shut down first.
+
+        Raises:
+            StateError: one is not a member.
+        """
+        self._check("remove")
+        members = [self._member(component) for component in components]
+        await self._ask([(f"remove {m.component.name}", partial(self._life.remove, m)) for m in members], timeout)
+
+    async def stop(self) -> None:
+        """End this context: members are deactivated and shut down in reverse order, hooks get 2 s and then grace steps.
+
+        Awaited from a hook of this context it is queued and returns at once.
+        """
+        if self._driver is None:
+            return
+        kernel = self._check("stop")
+        await self._stop(StopBudget(kernel.loop))
+
+    # -- for the kinds of context ----------------------------------------------------------------------------------
+
+    def _next_cause(self) -> Wait | None:
+        """None when a cycle is due, else what to wait for."""
+        raise NotImplementedError
+
+    def _begin_cycle(self) -> Sequence[Member]:
+        """A cycle begins now: who takes part in it."""
+        return tuple(self._members)
+
+    def _end_cycle(self, members: Sequence[Member]) -> None:
+        """The cycle is over."""
+
+    def _life_began(self) -> None:
+        """Every `on_startup` has run."""
+        kernel = self._require_kernel()
+        self._publish(ContextStarted(self.name))
+        kernel._on_loop(self._tell_began)
+
+    def _tell_began(self) -> None:
+        if self._began is not None and not self._began.done():
+            self._began.set_result(None)
+
+    def _member_ready(self, member: Member) -> None:
+        """A member has a cause to run; only event contexts care."""
+
+    def _member_aborted(self, member: Member) -> None:
+        """A member is in error now."""
+
+    def _set_rate_now(self, rate: float) -> None:
+        raise StateError(f"{self.name}: a context of kind {self.kind} has no rate")
+
+    def _check_can_add(self, component: Component) -> None:
+        """Raise StateError when the component cannot run here."""
+        if any(member.component is component for member in self._members):
+            raise StateError(f"{component.name}: is in {self.name} already")
+        for other in component.contexts:
+            if other.kind == "thread" or self.kind == "thread":
+                raise StateError(
+                    f"{component.name}: is in {other.name}; a component of a thread context can be in no other"
+                )
+
+    def _make_driver(self, kernel: Kernel) -> Driver:
+        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later)
+
+    # -- members ---------------------------------------------------------------------------------------------------
+
+    def _new_member(self, component: Component) -> Member:
+        self._order += 1
+        return Member(component, self, self._order)
+
+    def _attach(self, member: Member) -> None:
+        component = member.component
+        self._members.append(member)
+        component._members.append(member)
+        if len(component._members) > 1 and component._lock is None:
+            component._lock = asyncio.Lock()
+        self._updating = any(m.updates for m in self._members)
+        for port in component.ports.values():
+            self._port_added(member, port)
+        self._set_ports_open(member)
+
+    def _detach(self, member: Member) -> None:
+        member.left = True
+        component = member.component
+        if member in self._members:
+            self._members.remove(member)
+        if member in component._members:
+            component._members.remove(member)
+        self._updating = any(m.updates for m in self._members)
+        for port in component.ports.values():
+            self._port_removed(member, port)
+        self._set_ports_open(member)
+
+    def _port_added(self, member: Member, port: Port[object]) -> None:
+        """A member has another port; it is open when the component is."""
+        if isinstance(port, InPort):
+            port._open = _is_open(member.component)
+            member.in_ports.append(port)
+
+    def _port_removed(self, member: Member, port: Port[object]) -> None:
+        """A member lost a port, or the port lost its member."""
+        if port in member.in_ports:
+            member.in_ports.remove(port)
+
+    def _set_ports_open(self, member: Member) -> None:
+        """In-ports take samples while the component is active somewhere, or is in no context at all."""
+        is_open = _is_open(member.component)
+        for port in member.component.ports.values():
+            if isinstance(port, InPort) and port._open is not is_open:
+                port._set_open(is_open)
+
+    def _member_finished(self, member: Member) -> None:
+        self._submit(Action(lambda: self._life.finish(member)))
+
+    def _member_ended(self, member: Member) -> None:
+        kernel = self._require_kernel()
+        kernel._on_loop(lambda: kernel._source_finished(member.component))
+
+    def _member(self, component: Component) -> Member:
+        for member in self._members:
+            if member.component is component:
+                return member
+        raise StateError(f"{component.name}: is not in {self.name or 'this context'}")
+
+    # -- asking ----------------------------------------------------------------------------------------------------
+
+    async def _request(
+        self, event: Transition, state: LifeCycleState, components: tuple[Component, ...], timeout: float | None
+    ) -> None:
+        self._check(event.value)
+        if components:
+            members = [self._member(component) for component in components]
+        else:
+            members = [member for member in self._members if member.state is state]
+        await self._ask(
+            [(f"{event} {m.component.name}", partial(self._life.request, m, event)) for m in members],
+            timeout,
+        )
+
+    async def _ask(
+        self,
+        wishes: Sequence[tuple[str, Callable[[Callable[[BaseException | None], None]], Steps]]],
+        timeout: float | None,
+    ) -> None:
+        """Submit what is wished for and wait until it is done; from a hook of this context only submit it."""
+        kernel = self._check("request")
+        if self._inside():
+            for what, steps in wishes:
+                done = _Logged(self, what)
+                self._submit(Action(partial(steps, done), done))
+            return
+        asked = [_Asked(what, steps, kernel) for what, steps in wishes]
+        for one in asked:
+            self._submit(Action(one.steps, one.done))
+        if not asked:
+            return
+        try:
+            await asyncio.wait([one.future for one in asked], timeout=timeout)
+        finally:
+            for one in asked:
+                one.withdraw()
+        for one in asked:
+            one.result(self.name, timeout)
+
+    def _inside(self) -> bool:
+        task = asyncio.current_task()
+        return task is not None and getattr(task, "_aiorts_driver", None) is self._driver
+
+    def _submit(self, action: Action) -> None:
+        self._actions.append(action)
+        if self._driver is not None:
+            self._driver.kick()
+
+    async def _between_cycles(self, change: Callable[[], None]) -> None:
+        """Run `change` between two cycles."""
+
+        def steps(done: Callable[[BaseException | None], None]) -> Steps:
+            change()
+            done(None)
+            yield from ()
+
+        await self._ask([("change parameters", steps)], None)
+
+    # -- starting and stopping -------------------------------------------------------------------------------------
+
+    async def _start(self, kernel: Kernel, components: Sequence[Component], *, activate: bool) -> None:
+        """Start with these members; `activate` has them active before the first cycle."""
+        self._kernel = kernel
+        self._stopping = False
+        self._actions.clear()
+        for component in components:
+            self._check_can_add(component)
+            self._attach(self._new_member(component))
+        asked = [
+            _Asked(
+                f"activate {m.component.name}",
+                partial(self._life.request, m, Transition.ACTIVATE),
+                kernel,
+            )
+            for m in (self._members if activate else ())
+        ]
+        self._actions.extend(Action(one.steps, one.done) for one in asked)
+        self._began = kernel.loop.create_future()
+        self._driver = self._make_driver(kernel)
+        await asyncio.wait([self._began, self._driver.ended], return_when=asyncio.FIRST_COMPLETED)
+        if asked:
+            await asyncio.wait([one.future for one in asked])
+        for one in asked:
+            one.result(self.name, None)
+
+    async def _stop(self, budget: StopBudget) -> None:
+        driver = self._driver
+        if driver is None:
+            return
+        self._stopping = True
+        driver.hurry(budget)
+        driver.kick()
+        if not self._inside():
+            await asyncio.shield(driver.ended)
+
+    def _life_ended(self, error: BaseException | None) -> None:
+        """The last step was carried out, or the kernel's own code failed."""
+        kernel = self._require_kernel()
+        self._driver = None
+        for member in tuple(reversed(self._members)):
+            self._detach(member)
+        while self._actions:
+            action = self._actions.popleft()
+            if action.done is not None:
+                action.done(ClosedError(f"{self.name}: the context has stopped"))
+        self._tell_began()
+        kernel._context_ended(self)
+        self._publish(ContextStopped(self.name, None if error is None else f"{type(error).__name__}: {error}"))
+        if error is not None and not isinstance(error, asyncio.CancelledError | GeneratorExit):
+            _LOG.error("context %s ended by a fault of aiorts itself; please report it", self.name, exc_info=error)
+
+    def _activity(self) -> int:
+        """A number that changes while something happens here."""
+        return self.ticks + (0 if self._driver is None else self._driver.hooks_run)
+
+    # -- for the drivers -------------------------------------------------------------------------------------------
+
+    def _now_ns(self) -> int:
+        return self._require_kernel().clock.monotonic_ns()
+
+    def _hooks_wanted(self) -> bool:
+        return self._require_kernel().bus.hooks_wanted
+
+    def _publish(self, event: Event) -> None:
+        kernel = self._require_kernel()
+        kernel._on_loop(lambda: kernel.bus.publish(event))
+
+    def _host_gone(self) -> bool:
+        return self._require_kernel()._host_gone()
+
+    def _interrupted(self, error: KeyboardInterrupt) -> None:
+        self._require_kernel()._interrupted(error)
+
+    def _log_failure(self, member: Member, hook: str, error: BaseException) -> None:
+        """One line through the component's own log, so that repeats are folded; the traceback with it."""
+        text = "".join(traceback.format_exception_only(error)).strip()
+        member.component.log.error("%s failed: %s", hook, text, exc_info=error)
+
+    def _check(self, what: str) -> Kernel:
+        kernel = self._kernel
+        if kernel is None or self._driver is None:
+            raise StateError(
+                f"{self.name or type(self).__name__}: cannot {what}: the context does not run; kernel.start it"
+            )
+        kernel.check_thread(f"{self.name}.{what}")
+        return kernel
+
+    def _require_kernel(self) -> Kernel:
+        if self._kernel is None:
+            raise StateError(f"{self.name or type(self).__name__}: was never started")
+        return self._kernel
+
+
+def _is_open(component: Component) -> bool:
+    members = component._members
+    return not members or any(member.state is LifeCycleState.ACTIVE for member in members)
+
+
+class _Asked:
+    """One request of somebody who waits for it."""
+
+    def __init__(
+        self,
+        what: str,
+        wish: Callable[[Callable[[BaseException | None], None]], Steps],
+        kernel: Kernel,
+    ) -> None:
+        self.what = what
+        self._wish = wish
+        self._kernel = kernel
+        self._withdrawn = False
+        self._begun = False
+        self.future: asyncio.Future[BaseException | None] = kernel.loop.create_future()
+
+    def steps(self) -> Steps:
+        """The steps, unless the one who asked has gone."""
+        if not self._withdrawn:
+            self._begun = True
+            yield from self._wish(self.done)
+
+    def done(self, error: BaseException | None) -> None:
+        """From whatever thread."""
+        self._kernel._on_loop(lambda: None if self.future.done() else self.future.set_result(error))
+
+    def withdraw(self) -> None:
+        """It is not waited for any more; what has not begun will not begin."""
+        self._withdrawn = True
+
+    def result(self, context: str, timeout: float | None) -> None:
+        """Raise what became of it."""
+        if not self.future.done():
+            how = "it has begun and may still end" if self._begun else "it was withdrawn"
+            raise TransitionTimeout(f"{context}: {self.what} did not take effect within {timeout} s; {how}")
+        error = self.future.result()
+        if error is not None:
+            raise error
+
+
+class _Logged:
+    """Who is told of a request that nobody waits for."""
+
+    def __init__(self, context: Context, what: str) -> None:
+        self._context = context
+        self._what = what
+
+    def __call__(self, error: BaseException | None) -> None:
+        if error is not None:
+            _LOG.warning("%s: queued request to %s failed: %s", self._context.name, self._what, error)

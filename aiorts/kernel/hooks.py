@@ -1,0 +1,63 @@
+"""What a component class declares as hooks, read and checked once when the class is made.
+
+A hook is a coroutine function or a plain function, has no argument beyond `self` (`on_error` and `on_aborting` get
+the error), and returns nothing. Anything else is refused here, with class and hook named, not when it first runs.
+"""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from aiorts.errors import DeclarationError
+from aiorts.model.lifecycle import HOOKS
+
+__all__ = ("TAKES_ERROR", "HookKind", "hook_kinds", "is_plain")
+
+TAKES_ERROR = frozenset({"on_error", "on_aborting"})
+
+
+class HookKind:
+    """How a hook is run."""
+
+    ABSENT = 0
+    PLAIN = 1
+    ASYNC = 2
+
+
+def hook_kinds(cls: type[Any], base: type[Any] | None) -> dict[str, int]:
+    """The kind of every hook of `cls`; absent where it is `base`'s own.
+
+    Raises:
+        DeclarationError: a hook is not a function, takes other arguments, or is a generator.
+    """
+    return {hook: _kind(cls, base, hook) for hook in HOOKS}
+
+
+def is_plain(kinds: dict[str, int]) -> list[str]:
+    """The hooks that are coroutine functions, which a thread cannot run."""
+    return [hook for hook, kind in kinds.items() if kind == HookKind.ASYNC]
+
+
+def _kind(cls: type[Any], base: type[Any] | None, hook: str) -> int:
+    function = inspect.getattr_static(cls, hook, None)
+    if base is None or function is inspect.getattr_static(base, hook):
+        return HookKind.ABSENT
+    where = f"{cls.__qualname__}.{hook}"
+    if not inspect.isfunction(function):
+        raise DeclarationError(f"{where}: expected a method, got {type(function).__name__} {function!r}")
+    if inspect.isasyncgenfunction(function) or inspect.isgeneratorfunction(function):
+        raise DeclarationError(f"{where}: is a generator (it contains `yield`); a hook returns nothing")
+    expected = ("self", "error") if hook in TAKES_ERROR else ("self",)
+    _check_signature(where, function, expected)
+    return HookKind.ASYNC if inspect.iscoroutinefunction(function) else HookKind.PLAIN
+
+
+def _check_signature(where: str, function: Any, expected: tuple[str, ...]) -> None:
+    signature = inspect.signature(function)
+    try:
+        signature.bind(*expected)
+    except TypeError as error:
+        raise DeclarationError(
+            f"{where}{signature}: expected ({', '.join(expected)}), since it is called that way: {error}"
+        ) from None

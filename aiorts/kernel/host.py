@@ -1,0 +1,97 @@
+"""What a port needs of the component and the kernel it belongs to, and nothing else of them.
+
+A component has one host from its construction on; the kernel fills in the rest when the component is added.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from aiorts.errors import ClosedError, ThreadError
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports import Port, Turns
+
+__all__ = ("Cancellable", "KernelSide", "PortHost")
+
+
+class Cancellable(Protocol):
+    """Something that happens later unless it is cancelled."""
+
+    def cancel(self) -> None: ...
+
+
+class KernelSide(Protocol):
+    """What the kernel gives to a component's host."""
+
+    debug: bool
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop: ...
+
+    def time_ns(self) -> int: ...
+
+    def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable: ...
+
+    def on_loop_thread(self) -> bool: ...
+
+
+class PortHost:
+    """The owner of ports: a name, a share of uninterrupted turns, and the way to the kernel's loop and clock."""
+
+    __slots__ = ("alive", "kernel", "name", "ports", "stopping", "thread_id", "threaded", "turns")
+
+    def __init__(self, name: str, turns: Turns) -> None:
+        self.name = name
+        self.turns = turns
+        self.ports: dict[str, Port[Any]] = {}
+        self.kernel: KernelSide | None = None
+        self.alive = True
+        self.threaded = False
+        """Whether the component runs in a thread of its own."""
+        self.stopping = False
+        """Whether that thread is asked to end: what blocks there gives up."""
+        self.thread_id: int | None = None
+        """The thread of a ThreadContext that this component runs in; None means the kernel's loop."""
+
+    @property
+    def debug(self) -> bool:
+        """Whether every port call is checked (the test kit's debug mode)."""
+        return self.kernel is not None and self.kernel.debug
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The kernel's loop."""
+        return self._kernel().loop
+
+    def on_loop_thread(self) -> bool:
+        """Whether this is the thread of the kernel's loop."""
+        return self.kernel is None or self.kernel.on_loop_thread()
+
+    def time_ns(self) -> int:
+        """The kernel clock's time, nanoseconds since the epoch."""
+        return self._kernel().time_ns()
+
+    def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable:
+        """Call back on the kernel's clock."""
+        return self._kernel().call_later(seconds, callback)
+
+    def check_port_thread(self, path: str) -> None:
+        """Raise ThreadError unless this is the thread that the component runs in."""
+        allowed = self.thread_id
+        if allowed is None and self.on_loop_thread():
+            return
+        if allowed is not None and allowed == threading.get_ident():
+            return
+        raise ThreadError(
+            f"{path}: used from thread {threading.current_thread().name!r}; "
+            "a port is used in the thread of its component's context only"
+        )
+
+    def _kernel(self) -> KernelSide:
+        if self.kernel is None:
+            raise ClosedError(f"{self.name}: not added to a kernel yet; await kernel.add(...) first")
+        return self.kernel

@@ -1,0 +1,345 @@
+"""The reading end of a stream: one bounded queue for each connector, read in the order of arrival.
+
+`read` and `read_nowait` write the common case out in full: one connector, no lock. With several connectors the port
+keeps one token, the connector, for each unread sample, so that reading in order costs the same at any number of them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+
+from anyio import WouldBlock
+
+from aiorts.errors import BusyError, ClosedError, ReadTimeout, StateError
+from aiorts.kernel.port import UNLOCKED, UNSUSPENDED, Port, give_turn
+from aiorts.model.policy import Stamp
+
+if TYPE_CHECKING:
+    from aiorts.kernel.connector import Connector
+    from aiorts.kernel.host import PortHost
+
+__all__ = ("InPort",)
+
+T = TypeVar("T")
+
+
+class InPort(Port[T]):
+    """The reading end of a stream: one bounded queue for each connector, read in the order of arrival.
+
+    One task waits on an in-port at a time. Args: see `Port`.
+    """
+
+    __slots__ = ("_armed", "_last", "_newest", "_open", "_source", "_tokens", "_took", "_waiter", "_wakes")
+
+    direction: ClassVar[str] = "in"
+
+    def __init__(
+        self,
+        type: type[T],  # noqa: A002 - the word users expect
+        *,
+        unit: str | None = None,
+        shape: tuple[int, ...] | None = None,
+        doc: str = "",
+        name: str | None = None,
+        max_connectors: int | None = None,
+    ) -> None:
+        super().__init__(type, unit=unit, shape=shape, doc=doc, name=name, max_connectors=max_connectors)
+        self._open = True
+        self._last: T | None = None
+        self._took = False
+        self._tokens: deque[Connector] | None = None
+        self._newest: Connector | None = None
+        self._source: Connector | None = None
+        self._waiter: asyncio.Future[None] | None = None
+        self._wakes: tuple[Callable[[InPort[Any]], None], ...] = ()
+        self._armed = False
+
+    def bind(self, host: PortHost, name: str) -> InPort[T]:
+        """A live port of `host` made after this declaration."""
+        port = InPort(self.type, unit=self.unit, shape=self.shape, doc=self.doc, max_connectors=self.max_connectors)
+        port._attach(host, name)
+        return port
+
+    # -- reading ---------------------------------------------------------------------------------------------------
+
+    def read_nowait(self) -> T:
+        """The oldest unread sample.
+
+        Raises:
+            WouldBlock: there is none.
+        """
+        if queue := self._fast:
+            sample = self._last = queue.popleft()
+            self._took = True
+            return sample
+        return self._read_general()
+
+    async def read(self) -> T:
+        """The oldest unread sample, waiting for one. A cancelled read takes nothing.
+
+        Raises:
+            BusyError: another task waits on this port.
+            ClosedError: the port was removed.
+        """
+        turns = self._turns
+        if turns.left:
+            turns.left -= 1
+        else:
+            turns.left = UNSUSPENDED
+            await give_turn()
+        while True:
+            if queue := self._fast:
+                sample = self._last = queue.popleft()
+                self._took = True
+                return sample
+            if self._unread():
+                return self._read_general()
+            await self._wait()
+
+    @property
+    def latest(self) -> T | None:
+        """The newest unread sample, dropping older ones; asked again it is the same; None before the first."""
+        queue = self._fast
+        if queue is not None and len(queue) == 1:
+            sample = self._last = queue.popleft()
+            self._took = True
+            return sample
+        if queue is not None and not queue:
+            return self._last
+        return self._latest_general()
+
+    def peek(self) -> T | None:
+        """The oldest unread sample, which stays unread; None when there is none."""
+        with self._guard():
+            connector = self._next()
+            return None if connector is None else cast("T", connector._queue[0])
+
+    def drain(self) -> list[T]:
+        """Every unread sample, oldest first."""
+        samples = []
+        while self._unread():
+            samples.append(self.read_nowait())
+        return samples
+
+    @property
+    def is_new(self) -> bool:
+        """Whether there is an unread sample; with a pull connector, whether the writer has one."""
+        return self._unread()
+
+    @property
+    def last_source(self) -> Connector | None:
+        """The connector that the sample read last came through; None before the first."""
+        if self._tokens is None and self._last is not None and len(self._connectors) == 1:
+            return self._connectors[0]
+        return self._source
+
+    def read_blocking(self, timeout: float | None = None) -> T:
+        """`read` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds (None: for ever).
+
+        Raises:
+            ReadTimeout: no sample arrived in time.
+            ClosedError: the port was removed or its context is stopping.
+        """
+        host = self._bound()
+        if host.on_loop_thread():
+            raise StateError(f"{self.path}: read_blocking would block the event loop; await read() here")
+        lock = self._lock
+        if lock is None:
+            raise StateError(f"{self.path}: read_blocking is for components of a ThreadContext")
+        with lock:
+            if not lock.wait_for(lambda: self._unread() or self._gone(), timeout):
+                raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
+            if not self._unread():
+                self._raise_if_gone()
+            return self._read_general()
+
+    async def __aiter__(self) -> AsyncIterator[T]:
+        while True:
+            try:
+                sample = await self.read()
+            except ClosedError:
+                return
+            yield sample
+
+    # -- the general path ------------------------------------------------------------------------------------------
+
+    def _guard(self) -> Any:
+        return self._lock or UNLOCKED
+
+    def _unread(self) -> bool:
+        if (queue := self._fast) is not None:
+            return bool(queue)
+        return any(connector._queue for connector in self._connectors)
+
+    def _next(self) -> Connector | None:
+        """The connector whose sample is the oldest unread one; the caller holds the lock."""
+        tokens = self._tokens
+        if tokens is None:
+            connectors = self._connectors
+            return connectors[0] if connectors and connectors[0]._queue else None
+        while tokens:
+            if tokens[0]._queue:
+                return tokens[0]
+            tokens.popleft()
+        return None
+
+    def _read_general(self) -> T:
+        self._bound()
+        with self._guard():
+            connector = self._next()
+            if connector is None:
+                raise WouldBlock(f"{self.path}: no unread sample")
+            if self._tokens is not None:
+                self._tokens.popleft()
+            sample = cast("T", connector.take())
+            self._remember(sample, connector)
+            return sample
+
+    def _latest_general(self) -> T | None:
+        self._bound()
+        with self._guard():
+            connector = self._newest if self._tokens is not None else self._next()
+            if connector is None or not connector._queue:
+                # The newest arrival was taken or dropped already: the last one in line is the newest that is left.
+                connector = next((token for token in reversed(self._tokens or ()) if token._queue), None)
+            if connector is None:
+                return self._last
+            sample = cast("T", connector.take_newest())
+            for other in self._connectors:
+                if other is not connector:
+                    other.discard("superseded")
+            self._settle_tokens()
+            self._remember(sample, connector)
+            return sample
+
+    def _remember(self, sample: T, connector: Connector) -> None:
+        self._last = sample
+        self._source = connector
+        self._took = True
+
+    def _settle_tokens(self) -> None:
+        """Rebuild the order of arrival after samples left the queues other than one by one from the front."""
+        if self._tokens is None:
+            return
+        left = {id(connector): len(connector._queue) for connector in self._connectors}
+        kept: deque[Connector] = deque()
+        for token in reversed(self._tokens):
+            if left.get(id(token), 0) > 0:
+                left[id(token)] -= 1
+                kept.appendleft(token)
+        self._tokens = kept
+
+    async def _wait(self) -> None:
+        self._raise_if_gone()
+        if self._waiter is not None:
+            raise BusyError(f"{self.path}: another task waits on this port; one at a time")
+        waiter = self._bound().loop.create_future()
+        with self._guard():
+            # A writer in another thread may have been here since we looked.
+            if self._unread():
+                return
+            self._waiter = waiter
+            self._armed = True
+        try:
+            await waiter
+        finally:
+            if self._waiter is waiter:
+                self._waiter = None
+                self._arm()
+
+    def _gone(self) -> bool:
+        host = self._bound()
+        return host.stopping or not host.alive or host.ports.get(self.name) is not self
+
+    def _raise_if_gone(self) -> None:
+        if self._gone():
+            raise ClosedError(f"{self.path}: the port is closed")
+
+    # -- called by connectors, contexts and the kernel -----------------------------------------------------------------
+
+    def _arrived(self, connector: Connector, counted: bool) -> None:
+        """A sample of `connector` is in its queue; the writer holds the lock."""
+        if self._tokens is not None:
+            self._newest = connector
+            if not counted:
+                self._tokens.append(connector)
+        if self._lock is not None:
+            self._lock.notify_all()
+        if self._armed and (self._waiter is not None or not connector._quiet):
+            self._notify_across() if self._lock is not None else self._notify()
+
+    def _notify_across(self) -> None:
+        host = self._bound()
+        if host.on_loop_thread():
+            self._notify()
+        else:
+            # One wake-up for all that is written until the reader runs: it arms the port again.
+            self._armed = False
+            host.loop.call_soon_threadsafe(self._notify)
+
+    def _notify(self) -> None:
+        """Wake who waits for data. Armed again by whoever reads on."""
+        self._armed = False
+        waiter = self._waiter
+        if waiter is not None:
+            self._waiter = None
+            if not waiter.done():
+                waiter.set_result(None)
+        for wake in self._wakes:
+            wake(self)
+
+    def _arm(self) -> None:
+        self._armed = self._waiter is not None or bool(self._wakes)
+
+    def _make_locked(self) -> None:
+        """From now on more than one thread uses this port's queues."""
+        if self._lock is None:
+            self._lock = threading.Condition()
+            self._refresh()
+            for connector in self._connectors:
+                connector.out._refresh()
+
+    def _room_made(self) -> None:
+        if self._lock is not None:
+            self._lock.notify_all()
+
+    def _set_open(self, is_open: bool) -> None:
+        """Open with empty buffers, or close and drop what is unread as inactive."""
+        with self._guard():
+            self._open = is_open
+            self._last = None if is_open else self._last
+            for connector in self._connectors:
+                connector.suspend()
+            if self._tokens is not None:
+                self._tokens.clear()
+        self._refresh()
+        for connector in self._connectors:
+            connector.out._refresh()
+
+    def _wake_waiter(self) -> None:
+        """Let a waiting read find out that the port is gone."""
+        if self._lock is not None:
+            with self._lock:
+                self._lock.notify_all()
+        waiter, self._waiter = self._waiter, None
+        if waiter is not None and not waiter.done():
+            waiter.set_result(None)
+
+    def _refresh(self) -> None:
+        """Decide whether the fast path is on, and whether arrivals must be kept in order."""
+        connectors = self._connectors
+        if len(connectors) > 1 and self._tokens is None:
+            self._tokens = deque(connector for connector in connectors for _ in connector._queue)
+        elif len(connectors) <= 1 and self._tokens is not None:
+            self._tokens = None
+        self._fast = None
+        if len(connectors) != 1 or self._lock is not None or self._host is None or self._host.debug:
+            return
+        only = connectors[0]
+        if only._waiting or only._stamp is Stamp.READ:
+            return
+        self._fast = only._queue

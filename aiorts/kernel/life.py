@@ -1,0 +1,283 @@
+"""What an execution context does next, as a generator of steps; it never waits and never runs user code itself.
+
+A driver (a task in `bulkhead.py`, a thread in `contexts/thread.py`) carries the steps out and sends back what a hook
+raised. One cycle has three passes (OMG RTC 1.1, 5.2.2.4): transitions, `on_execute` or `on_error` of every member,
+`on_state_update` of every active one. Requests and failures are actions; they run between cycles, in the order they
+came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from aiorts.errors import ComponentError, StateError
+from aiorts.kernel.bus import HookFailed, MemberAdded, MemberRemoved, StateChanged
+from aiorts.model.lifecycle import ADVICE, ON_FAILURE, TRANSITIONS, Event, Failure, LifeCycleState, transition
+
+if TYPE_CHECKING:
+    from aiorts.kernel.context import Context
+    from aiorts.kernel.member import Member
+
+__all__ = ("TURN", "Action", "Batch", "Call", "Life", "Step", "Steps", "Turn", "Wait")
+
+
+@dataclass(slots=True)
+class Call:
+    """Run one hook and send back what it raised, or None."""
+
+    member: Member
+    hook: str
+    args: tuple[Any, ...] = ()
+
+
+@dataclass(slots=True)
+class Batch:
+    """Run these hooks in order; failures go to `Life.failed`."""
+
+    hooks: Iterator[tuple[Member, str]]
+
+
+@dataclass(slots=True)
+class Wait:
+    """Wait until the deadline on the kernel's clock (None: for ever) or until somebody wants something."""
+
+    deadline_ns: int | None = None
+
+
+class Turn:
+    """Let everything else run once."""
+
+
+TURN = Turn()
+Step: TypeAlias = Call | Batch | Wait | Turn
+Done: TypeAlias = Callable[[BaseException | None], None]
+Steps: TypeAlias = Generator[Step, "BaseException | None", None]
+
+
+@dataclass(slots=True)
+class Action:
+    """Something to be done between two cycles; `done` is told the outcome, or why it will never happen."""
+
+    steps: Callable[[], Steps]
+    done: Done | None = None
+
+
+class Life:
+    """The life of one context from its start to its end."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
+    def steps(self) -> Steps:
+        """Everything from the first `on_startup` to the last `on_shutdown`."""
+        context = self._context
+        for member in context._members:
+            yield from self.start(member)
+        context._life_began()
+        worked = False
+        while not context._stopping:
+            if context._actions:
+                yield from context._actions.popleft().steps()
+                continue
+            wait = context._next_cause()
+            if wait is not None:
+                worked = False
+                yield wait
+            elif worked:
+                worked = False
+                yield TURN
+            else:
+                yield from self._cycle()
+                worked = True
+        yield from self._end()
+
+    # -- cycles ----------------------------------------------------------------------------------------------------
+
+    def _cycle(self) -> Steps:
+        context = self._context
+        members = context._begin_cycle()
+        context.ticks += 1
+        yield Batch(_first_pass(members))
+        if context._updating:
+            yield Batch(_second_pass(members))
+        context._end_cycle(members)
+
+    # -- transitions -----------------------------------------------------------------------------------------------
+
+    def start(self, member: Member) -> Steps:
+        """Run `on_startup` of a member of a starting or running context."""
+        member.started = True
+        error = yield Call(member, "on_startup")
+        if error is not None:
+            self.failed(member, "on_startup", error)
+
+    def request(self, member: Member, event: Event, done: Done) -> Steps:
+        """A transition that somebody asked for; `done` is told how it went."""
+        way = transition(member.state, event)
+        if member.left:
+            done(StateError(f"{member.component.name}: is no longer in {self._context.name}"))
+        elif way is None or (member.failure is not None and member.state is not LifeCycleState.ERROR):
+            done(StateError(self._refusal(member, event)))
+        elif event is Event.ACTIVATE:
+            done(_because(member, "on_activated", (yield from self._activate(member))))
+        elif event is Event.DEACTIVATE:
+            yield from self._deactivate(member)
+            done(None)
+        else:
+            done(_because(member, "on_reset", (yield from self._reset(member))))
+
+    def _refusal(self, member: Member, event: Event) -> str:
+        advice = ADVICE.get((member.state, event), "it is about to go to error; reset it first")
+        return f"{member.component.name} in {self._context.name}: cannot {event} from {member.state}: {advice}"
+
+    def _activate(self, member: Member) -> Generator[Step, BaseException | None, BaseException | None]:
+        member.finishing = False
+        error = yield Call(member, "on_activated")
+        if error is not None:
+            self._record(member, "on_activated", error)
+            yield from self._abort(member, LifeCycleState.ACTIVE)
+            return error
+        self._enter(member, LifeCycleState.ACTIVE)
+        self._context._set_ports_open(member)
+        return None
+
+    def _deactivate(self, member: Member) -> Steps:
+        self._enter(member, LifeCycleState.INACTIVE)
+        self._context._set_ports_open(member)
+        error = yield Call(member, "on_deactivated")
+        if error is not None:
+            self._record(member, "on_deactivated", error)
+
+    def _reset(self, member: Member) -> Generator[Step, BaseException | None, BaseException | None]:
+        error = yield Call(member, "on_reset")
+        if error is not None:
+            self._record(member, "on_reset", error)
+            return error
+        member.failure = None
+        self._enter(member, LifeCycleState.INACTIVE)
+        return None
+
+    def fail(self, member: Member) -> Steps:
+        """The transition into error after a failure."""
+        if not member.left and member.state is not LifeCycleState.ERROR:
+            yield from self._abort(member, member.state)
+
+    def _abort(self, member: Member, left: LifeCycleState) -> Steps:
+        """Into error, running the hooks on the way out of `left`."""
+        hooks = TRANSITIONS[left, Event.FAIL].hooks
+        self._enter(member, LifeCycleState.ERROR)
+        self._context._set_ports_open(member)
+        for hook in hooks:
+            assert member.failure is not None  # noqa: S101 - set by whoever reported the failure
+            error = yield Call(member, hook, (member.failure,) if hook == "on_aborting" else ())
+            if error is not None:
+                self._record(member, hook, error)
+        self._context._member_aborted(member)
+
+    def finish(self, member: Member) -> Steps:
+        """The end of a source that said it is done."""
+        if member.active:
+            yield from self._deactivate(member)
+        self._context._member_ended(member)
+
+    # -- members that come and go, and the end ---------------------------------------------------------------------
+
+    def add(self, member: Member, done: Done) -> Steps:
+        """A component joins the running context."""
+        self._context._attach(member)
+        self._context._publish(MemberAdded(self._context.name, member.component.name))
+        yield from self.start(member)
+        done(None)
+
+    def remove(self, member: Member, done: Done) -> Steps:
+        """A component leaves the running context."""
+        if not member.left:
+            yield from self._leave(member)
+            self._context._detach(member)
+            self._context._publish(MemberRemoved(self._context.name, member.component.name))
+        done(None)
+
+    def change_rate(self, rate: float, done: Done) -> Steps:
+        """The context gets another rate."""
+        self._context._set_rate_now(rate)
+        for member in tuple(self._context._members):
+            error = yield Call(member, "on_rate_changed")
+            if error is not None:
+                self.failed(member, "on_rate_changed", error)
+        done(None)
+
+    def _end(self) -> Steps:
+        for member in reversed(self._context._members):
+            yield from self._leave(member)
+
+    def _leave(self, member: Member) -> Steps:
+        if member.failure is not None and member.state is not LifeCycleState.ERROR:
+            yield from self._abort(member, member.state)
+        if member.state is LifeCycleState.ACTIVE:
+            yield from self._deactivate(member)
+        if member.started:
+            member.started = False
+            error = yield Call(member, "on_shutdown")
+            if error is not None:
+                self._record(member, "on_shutdown", error)
+
+    # -- what a failure leads to -----------------------------------------------------------------------------------
+
+    def failed(self, member: Member, hook: str, error: BaseException) -> None:
+        """A hook raised: record it and do what the table says."""
+        self._record(member, hook, error)
+        if ON_FAILURE[hook] is Failure.ABORT and member.state is not LifeCycleState.ERROR:
+            self._context._submit(Action(lambda: self.fail(member)))
+
+    def _record(self, member: Member, hook: str, error: BaseException) -> None:
+        """Keep the error. What fails while a failure is dealt with is chained to that failure, not to each other."""
+        component = member.component
+        if member.failure is not None:
+            _chain(error, member.failure)
+        elif ON_FAILURE[hook] is not Failure.RECORD:
+            member.failure = error
+        component._last_error = error
+        self._context._publish(HookFailed(component.name, self._context.name, hook, error))
+        self._context._log_failure(member, hook, error)
+
+    def _enter(self, member: Member, state: LifeCycleState) -> None:
+        old, member.state = member.state, state
+        if old is not state:
+            self._context._publish(StateChanged(member.component.name, self._context.name, old, state))
+
+
+def _first_pass(members: Iterable[Member]) -> Iterator[tuple[Member, str]]:
+    for member in members:
+        if member.state is LifeCycleState.ACTIVE:
+            if member.failure is None and not member.left:
+                yield member, "on_execute"
+        elif member.state is LifeCycleState.ERROR and not member.left:
+            yield member, "on_error"
+
+
+def _second_pass(members: Iterable[Member]) -> Iterator[tuple[Member, str]]:
+    for member in members:
+        if member.updates and member.active and not member.left:
+            yield member, "on_state_update"
+
+
+def _chain(error: BaseException, cause: BaseException) -> None:
+    """Make `cause` the cause of `error` unless it has one, or the two would form a ring."""
+    link: BaseException | None = cause
+    while link is not None:
+        if link is error:
+            return
+        link = link.__cause__
+    if error.__cause__ is None:
+        error.__cause__ = cause
+
+
+def _because(member: Member, hook: str, error: BaseException | None) -> BaseException | None:
+    """What the one who asked is told."""
+    if error is None:
+        return None
+    told = ComponentError(f"{member.component.name}: {hook} raised {type(error).__name__}: {error}; it is in error")
+    told.__cause__ = error
+    return told

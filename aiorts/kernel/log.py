@@ -1,0 +1,254 @@
+"""What `self.log` of a component is: this file counts and thins out lines, standard `logging` does the rest.
+
+Every record carries `kernel`, `component`, `hook`, `tick` and `repeated` as attributes. A line with the same level and
+template as one of the last second is counted instead of emitted, and the count comes with the next line, so nothing is
+lost in silence: calls = lines + repeated + dropped, once `flush()` was called. Output over 200 kB in a second is
+dropped and counted too, so a component that logs in a tight loop harms nobody. Importing this configures no logging.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+    from typing import TypeAlias
+
+    _ExcInfo: TypeAlias = (
+        bool
+        | BaseException
+        | tuple[type[BaseException], BaseException, TracebackType | None]
+        | tuple[None, None, None]
+        | None
+    )
+    _Key: TypeAlias = tuple[int, str]
+
+__all__ = ("BYTES_PER_SECOND", "ComponentLog", "LOGGER_NAME", "LogFields")
+
+LOGGER_NAME: Final = "aiorts.component"
+BYTES_PER_SECOND: Final = 200_000
+_SECOND_NS: Final = 1_000_000_000
+# What a formatter adds to a line (time, level, names), and what one frame of a traceback takes.
+_LINE_BYTES: Final = 100
+_FRAME_BYTES: Final = 150
+_STACK_BYTES: Final = 4_000
+_MAX_KEYS: Final = 256
+_MAX_CAUSES: Final = 20
+_TEMPLATE_SHOWN: Final = 200
+
+
+class LogFields(NamedTuple):
+    """Where a component stands at the moment a line is logged."""
+
+    kernel: str
+    component: str
+    hook: str = ""
+    """Empty outside of hooks."""
+    tick: int = 0
+    """Number of the cycle of its execution context."""
+
+
+class _Folded:
+    """One template of the last second: when a line was emitted and how many were not since."""
+
+    __slots__ = ("count", "emitted_ns")
+
+    def __init__(self, emitted_ns: int) -> None:
+        self.emitted_ns = emitted_ns
+        self.count = 0
+
+
+class ComponentLog:
+    """A component's logger, with the methods and keyword arguments of `logging.LoggerAdapter`.
+
+    `fields` is asked for each line that is emitted, never for others. `now_ns` is the kernel clock's monotonic time in
+    nanoseconds. Safe to use from several threads.
+    """
+
+    __slots__ = ("_dropped", "_fields", "_keys", "_lock", "_now_ns", "_second_ns", "_spent", "logger")
+
+    def __init__(
+        self, fields: Callable[[], LogFields], now_ns: Callable[[], int], *, logger: logging.Logger | None = None
+    ) -> None:
+        self.logger = logging.getLogger(LOGGER_NAME) if logger is None else logger
+        self._fields = fields
+        self._now_ns = now_ns
+        self._lock = threading.Lock()
+        self._keys: dict[_Key, _Folded] = {}  # ordered by the time of emission
+        self._second_ns = now_ns()
+        self._spent = 0
+        self._dropped = 0
+
+    def __repr__(self) -> str:
+        return f"<ComponentLog {self._fields().component} on {self.logger.name!r}>"
+
+    def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - the name that logging.LoggerAdapter gives it
+        """True when a line of this level would go anywhere."""
+        return self.logger.isEnabledFor(level)
+
+    def debug(self, msg: object, *args: object, **options: Any) -> None:
+        """A line for who looks for a fault; options are those of `logging.Logger.debug`."""
+        if self.logger.isEnabledFor(logging.DEBUG):
+            self._log(logging.DEBUG, msg, args, **options)
+
+    def info(self, msg: object, *args: object, **options: Any) -> None:
+        """A line that says all is well."""
+        if self.logger.isEnabledFor(logging.INFO):
+            self._log(logging.INFO, msg, args, **options)
+
+    def warning(self, msg: object, *args: object, **options: Any) -> None:
+        """A line that says something may go wrong."""
+        if self.logger.isEnabledFor(logging.WARNING):
+            self._log(logging.WARNING, msg, args, **options)
+
+    def error(self, msg: object, *args: object, **options: Any) -> None:
+        """A line that says something went wrong."""
+        if self.logger.isEnabledFor(logging.ERROR):
+            self._log(logging.ERROR, msg, args, **options)
+
+    def exception(self, msg: object, *args: object, exc_info: _ExcInfo = True, **options: Any) -> None:
+        """An error with the traceback of the exception being handled."""
+        if self.logger.isEnabledFor(logging.ERROR):
+            self._log(logging.ERROR, msg, args, exc_info=exc_info, **options)
+
+    def critical(self, msg: object, *args: object, **options: Any) -> None:
+        """A line that says it cannot go on."""
+        if self.logger.isEnabledFor(logging.CRITICAL):
+            self._log(logging.CRITICAL, msg, args, **options)
+
+    def log(self, level: int, msg: object, *args: object, **options: Any) -> None:
+        """A line of any level."""
+        if self.logger.isEnabledFor(level):
+            self._log(level, msg, args, **options)
+
+    def flush(self) -> None:
+        """Emit what was counted and not yet told; the kernel calls it when it closes."""
+        with self._lock:
+            pending = [(key, folded.count) for key, folded in self._keys.items() if folded.count]
+            self._keys.clear()
+            dropped, self._dropped = self._dropped, 0
+        for (level, template), count in pending:
+            self._emit_count(level, template, count)
+        if dropped:
+            self._emit_dropped(dropped)
+
+    def _log(
+        self,
+        level: int,
+        msg: object,
+        args: tuple[object, ...],
+        *,
+        exc_info: _ExcInfo = None,
+        stack_info: bool = False,
+        stacklevel: int = 1,
+        extra: Mapping[str, object] | None = None,
+    ) -> None:
+        now = self._now_ns()
+        key = (level, msg if isinstance(msg, str) else str(msg))
+        with self._lock:
+            folded = self._keys.get(key)
+            if folded is not None and now - folded.emitted_ns < _SECOND_NS:
+                folded.count += 1
+                return
+            repeated = self._keys.pop(key).count if folded is not None else 0
+            old = self._forget_old(now)
+            self._keys[key] = _Folded(now)
+        for (old_level, template), count in old:
+            if self._afford(now, _LINE_BYTES + min(len(template), _TEMPLATE_SHOWN), count):
+                self._emit_count(old_level, template, count)
+        size = _line_bytes(key[1], args) + _attached_bytes(exc_info, stack_info)
+        if self._afford(now, size, 1 + repeated):
+            text = f"{key[1]}{_times(repeated)}" if repeated else msg
+            self.logger.log(
+                level,
+                text,
+                *args,
+                exc_info=exc_info,
+                stack_info=stack_info,
+                stacklevel=stacklevel + 2,
+                extra=self._attributes(repeated, extra),
+            )
+
+    def _forget_old(self, now: int) -> list[tuple[_Key, int]]:
+        """Take out the templates that fell silent, and the oldest when there are too many; return what they counted."""
+        counted = []
+        while self._keys:
+            key, folded = next(iter(self._keys.items()))
+            if now - folded.emitted_ns < _SECOND_NS and len(self._keys) < _MAX_KEYS:
+                break
+            del self._keys[key]
+            if folded.count:
+                counted.append((key, folded.count))
+        return counted
+
+    def _afford(self, now: int, size: int, lines: int) -> bool:
+        """Charge the line to this second's budget; when it does not fit, count it as dropped."""
+        with self._lock:
+            told = 0
+            if now - self._second_ns >= _SECOND_NS:
+                self._second_ns, self._spent = now, 0
+                told, self._dropped = self._dropped, 0
+            fits = self._spent + size <= BYTES_PER_SECOND
+            if fits:
+                self._spent += size
+            else:
+                self._dropped += lines
+        if told:
+            self._emit_dropped(told)
+        return fits
+
+    def _emit_count(self, level: int, template: str, count: int) -> None:
+        text = f"{template[:_TEMPLATE_SHOWN]}{_times(count)}"
+        self.logger.log(level, "%s", text, extra=self._attributes(count, None))
+
+    def _emit_dropped(self, count: int) -> None:
+        line = "1 line" if count == 1 else f"{count} lines"
+        text = f"log output over {BYTES_PER_SECOND // 1000} kB/s: {line} dropped"
+        self.logger.warning(text, extra={**self._attributes(0, None), "dropped": count})
+
+    def _attributes(self, repeated: int, extra: Mapping[str, object] | None) -> dict[str, object]:
+        attributes: dict[str, object] = {} if extra is None else dict(extra)
+        attributes.update(self._fields()._asdict())
+        attributes["repeated"] = repeated
+        return attributes
+
+
+def _times(count: int) -> str:
+    return f" (repeated {count} times)" if count > 1 else " (repeated 1 time)"
+
+
+def _line_bytes(template: str, args: tuple[object, ...]) -> int:
+    try:
+        text = template % (args[0] if len(args) == 1 and isinstance(args[0], Mapping) else args) if args else template
+    except (TypeError, ValueError, KeyError):
+        text = template  # the handler reports the bad template, as it does for every logger
+    return _LINE_BYTES + (len(text) if text.isascii() else len(text.encode("utf-8", "replace")))
+
+
+def _attached_bytes(exc_info: _ExcInfo, stack_info: bool) -> int:
+    size = _STACK_BYTES if stack_info else 0
+    if not exc_info:
+        return size
+    if isinstance(exc_info, BaseException):
+        return size + _chain_bytes(exc_info)
+    return size + _chain_bytes(exc_info[1] if isinstance(exc_info, tuple) else sys.exception())
+
+
+def _chain_bytes(error: BaseException | None) -> int:
+    """About what the tracebacks of an exception and its causes take; renders none of them."""
+    size = 0
+    for _ in range(_MAX_CAUSES):
+        if error is None:
+            break
+        trace = error.__traceback__
+        while trace is not None and size < BYTES_PER_SECOND:
+            size += _FRAME_BYTES
+            trace = trace.tb_next
+        size += _LINE_BYTES + sum(len(argument) for argument in error.args if isinstance(argument, str | bytes))
+        error = error.__cause__ or error.__context__
+    return size

@@ -1,0 +1,116 @@
+"""A member: one component in one execution context, with its life-cycle state and everything that hangs on the pair."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from aiorts.kernel.hooks import HookKind
+from aiorts.kernel.ports import InPort
+from aiorts.model.lifecycle import LifeCycleState
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.context import Context
+
+__all__ = ("HookTimes", "Member")
+
+
+class HookTimes:
+    """How often a hook ran and how long it took, in nanoseconds."""
+
+    __slots__ = ("count", "max_ns", "total_ns")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.total_ns = 0
+        self.max_ns = 0
+
+    def add(self, elapsed_ns: int) -> None:
+        """One more run."""
+        self.count += 1
+        self.total_ns += elapsed_ns
+        self.max_ns = max(self.max_ns, elapsed_ns)
+
+
+class Member:
+    """One component in one context."""
+
+    __slots__ = (
+        "abandoned",
+        "component",
+        "context",
+        "execute",
+        "failure",
+        "finishing",
+        "hook",
+        "hooks",
+        "in_ports",
+        "left",
+        "order",
+        "ready",
+        "removing",
+        "rung",
+        "started",
+        "state",
+        "times",
+        "triggered",
+        "updates",
+    )
+
+    def __init__(self, component: Component, context: Context, order: int) -> None:
+        self.component = component
+        self.context = context
+        self.order = order
+        """Position in the order of addition."""
+        self.state = LifeCycleState.INACTIVE
+        self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {
+            hook: (kind, getattr(component, hook)) for hook, kind in component._hook_kinds.items()
+        }
+        self.execute = self.hooks["on_execute"]
+        self.updates = self.hooks["on_state_update"][0] != HookKind.ABSENT
+        self.hook = ""
+        """The hook that runs now."""
+        self.failure: BaseException | None = None
+        """What it is in error for, or about to be."""
+        self.abandoned = False
+        self.finishing = False
+        self.removing = False
+        self.left = False
+        self.started = False
+        self.ready = False
+        self.in_ports: list[InPort[Any]] = []
+        self.rung: list[InPort[Any]] = []
+        self.triggered = False
+        self.times: dict[str, HookTimes] = {}
+
+    @property
+    def active(self) -> bool:
+        """Whether it is executed: active and not about to go to error."""
+        return self.state is LifeCycleState.ACTIVE and self.failure is None and not self.abandoned
+
+    def ring(self, port: InPort[Any]) -> None:
+        """A sample came in: this member has a cause to run."""
+        self.rung.append(port)
+        if not self.ready:
+            self.ready = True
+            self.context._member_ready(self)
+
+    def rearm(self) -> None:
+        """Let the next sample ring again."""
+        for port in self.rung:
+            port._arm()
+        self.rung.clear()
+
+    def finish(self) -> None:
+        """Deactivate after this cycle."""
+        if not self.finishing:
+            self.finishing = True
+            self.context._member_finished(self)
+
+    def timed(self, hook: str) -> HookTimes:
+        """The times of a hook, from the first run on."""
+        times = self.times.get(hook)
+        if times is None:
+            times = self.times[hook] = HookTimes()
+        return times

@@ -1,0 +1,264 @@
+"""The writing end of a stream.
+
+`write` and `write_nowait` write the common case out in full: one connector, one reader, open, room. A Python call
+costs 25-40 ns, so a chain port -> connector -> buffer does not fit the budget. `_refresh` decides whether that path
+is on; nothing on it asks again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from anyio import WouldBlock
+
+from aiorts.errors import ClosedError, DeclarationError, PortTypeError, RecordError, StateError, WriteTimeout
+from aiorts.kernel.port import UNSUSPENDED, Port, give_turn
+from aiorts.model.policy import Push
+
+if TYPE_CHECKING:
+    from aiorts.kernel.connector import Connector, Waiting
+    from aiorts.kernel.host import PortHost
+    from aiorts.kernel.in_port import InPort
+
+__all__ = ("OutPort",)
+
+T = TypeVar("T")
+
+
+class OutPort(Port[T]):
+    """The writing end of a stream.
+
+    Args:
+        type, unit, shape, doc, name, max_connectors: see `Port`.
+        stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is what the writer said.
+    """
+
+    __slots__ = ("_class", "_only", "_reader", "_room", "stamp")
+
+    direction: ClassVar[str] = "out"
+
+    def __init__(
+        self,
+        type: type[T],  # noqa: A002
+        *,
+        unit: str | None = None,
+        shape: tuple[int, ...] | None = None,
+        doc: str = "",
+        name: str | None = None,
+        max_connectors: int | None = None,
+        stamp: str | None = None,
+    ) -> None:
+        super().__init__(type, unit=unit, shape=shape, doc=doc, name=name, max_connectors=max_connectors)
+        if stamp not in (None, "write"):
+            raise DeclarationError(f'{name or "out-port"}: stamp is "write" or None, got {stamp!r}')
+        self.stamp = stamp
+        self._class: Any = self.type
+        self._only: Connector | None = None
+        self._reader: InPort[Any] | None = None
+        self._room = 0
+
+    def bind(self, host: PortHost, name: str) -> OutPort[T]:
+        """A live port of `host` made after this declaration."""
+        port = OutPort(
+            self.type,
+            unit=self.unit,
+            shape=self.shape,
+            doc=self.doc,
+            max_connectors=self.max_connectors,
+            stamp=self.stamp,
+        )
+        port._attach(host, name)
+        return port
+
+    def write_nowait(self, sample: T) -> bool:
+        """Send `sample` to every reader, without waiting.
+
+        Returns:
+            False when a connector with full = reject had no room (its statistics say which one), else True.
+
+        Raises:
+            WouldBlock: a reader with full = block has no room; nobody got the sample.
+            PortTypeError: the sample is not of the port's type or shape; nothing was sent.
+        """
+        queue = self._fast
+        if queue is not None and sample.__class__ is self._class:
+            buffered = len(queue)
+            if buffered < self._room:
+                queue.append(sample)
+                self._only._written += 1  # type: ignore[union-attr] # _refresh set both
+                reader = self._reader
+                if reader._armed:  # type: ignore[union-attr]
+                    reader._notify()  # type: ignore[union-attr]
+                return True
+        return self._write_general(sample)
+
+    async def write(self, sample: T) -> bool:
+        """Send `sample` to every reader, waiting for those with full = block.
+
+        Readers with room have the sample at once; the others are waited for together, each to its timeout. A
+        cancelled write wrote nothing to the connectors it was still waiting for.
+
+        Returns:
+            False when a connector with full = reject had no room, else True.
+
+        Raises:
+            WriteTimeout: names the connectors that had no room in time.
+            PortTypeError: the sample is not of the port's type or shape; nothing was sent.
+        """
+        turns = self._turns
+        if turns.left:
+            turns.left -= 1
+        else:
+            turns.left = UNSUSPENDED
+            await give_turn()
+        queue = self._fast
+        if queue is not None and sample.__class__ is self._class:
+            buffered = len(queue)
+            if buffered < self._room:
+                queue.append(sample)
+                self._only._written += 1  # type: ignore[union-attr] # _refresh set both
+                reader = self._reader
+                if reader._armed:  # type: ignore[union-attr]
+                    reader._notify()  # type: ignore[union-attr]
+                return True
+        return await self._write_waiting(sample)
+
+    def write_blocking(self, sample: T, timeout: float | None = None) -> bool:
+        """`write` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds or each
+        connector's own.
+
+        Raises:
+            WriteTimeout: names the connectors that had no room in time.
+        """
+        host = self._bound()
+        if host.on_loop_thread():
+            raise StateError(f"{self.path}: write_blocking would block the event loop; await write() here")
+        sample = self._checked(sample)
+        done, late = True, []
+        for connector in self._connectors:
+            limit = connector.profile.timeout if timeout is None else timeout
+            if not _wait_in_thread(connector, limit, lambda: host.stopping):
+                connector.refuse("timeout")
+                late.append(connector)
+            else:
+                done &= connector.offer(sample)
+        _raise_late(self.path, late)
+        return done
+
+    # -- the general path ------------------------------------------------------------------------------------------
+
+    def _write_general(self, sample: T) -> bool:
+        sample = self._checked(sample)
+        connectors = self._connectors
+        for connector in connectors:
+            if connector.must_wait():
+                raise WouldBlock(f"{self.path}: {connector.in_.path} has no room ({connector.profile.length} unread)")
+        done = True
+        for connector in connectors:
+            done &= connector.offer(sample)
+        return done
+
+    async def _write_waiting(self, sample: T) -> bool:
+        sample = self._checked(sample)
+        done = True
+        entries: list[tuple[Connector, Waiting]] = []
+        for connector in self._connectors:
+            if connector.must_wait():
+                entry = connector.wait_for_room(sample)
+                if entry is not None:
+                    entries.append((connector, entry))
+            else:
+                done &= connector.offer(sample)
+        if entries:
+            await self._wait_for(entries)
+        return done
+
+    async def _wait_for(self, entries: list[tuple[Connector, Waiting]]) -> None:
+        """Wait until each entry was moved or its time is over; whatever happens, no entry is left behind."""
+        host = self._bound()
+        late: list[Connector] = []
+
+        def expire(connector: Connector, entry: Waiting) -> None:
+            if connector.give_up(entry):
+                connector.refuse("timeout")
+                late.append(connector)
+            if not entry.future.done():
+                entry.future.set_result(None)
+
+        timers = [
+            host.call_later(connector.profile.timeout, partial(expire, connector, entry))
+            for connector, entry in entries
+            if connector.profile.timeout is not None
+        ]
+        try:
+            for _, entry in entries:
+                await entry.future
+        finally:
+            for timer in timers:
+                timer.cancel()
+            for connector, entry in entries:
+                connector.give_up(entry)
+        _raise_late(self.path, late)
+
+    def _checked(self, sample: T) -> T:
+        """The sample as it will travel: of the port's type and shape, stamped, immutable."""
+        host = self._bound()
+        port_type = self._type
+        if not isinstance(sample, self.type):
+            raise PortTypeError(
+                f"{self.path}: expected a {self.type.__name__}, got {sample.__class__.__name__} ({_short(sample)}); "
+                "nothing was sent"
+            )
+        if self.shape is not None:
+            try:
+                port_type.check_shape(sample)
+            except RecordError as error:
+                raise PortTypeError(f"{self.path}: {error}; nothing was sent") from error
+        if host.debug:
+            sample = port_type.copy(sample)
+        elif port_type.mutable or sample.__class__ is not self.type:
+            sample = port_type.snapshot(sample)
+        return port_type.stamped(sample, host.time_ns()) if self.stamp is not None else sample
+
+    def _refresh(self) -> None:
+        """Decide whether the fast path is on."""
+        self._fast = None
+        host = self._host
+        if host is None or len(self._connectors) != 1 or self.stamp is not None or self.shape is not None:
+            return
+        only = self._connectors[0]
+        if self._type.mutable or host.debug or not only.direct or only.in_._tokens is not None:
+            return
+        self._only = only
+        self._reader = only.in_
+        self._room = 1 if only._push is Push.NEW else only._length
+        self._fast = only._queue
+
+
+def _wait_in_thread(connector: Connector, limit: float | None, stopping: Callable[[], bool]) -> bool:
+    """Block this thread until `connector` has room; False when `limit` seconds are over.
+
+    Raises:
+        ClosedError: the thread's context stops.
+    """
+    lock = connector.in_._lock
+    if lock is None:
+        return True
+    with lock:
+        room = lock.wait_for(lambda: not connector.must_wait() or stopping(), limit)
+    if stopping():
+        raise ClosedError(f"{connector.out.path}: its context stops")
+    return room
+
+
+def _raise_late(path: str, late: list[Connector]) -> None:
+    if late:
+        names = ", ".join(f"{connector.in_.path} ({connector.profile.timeout} s)" for connector in late)
+        raise WriteTimeout(f"{path}: no room in time at {names}; the other readers have the sample")
+
+
+def _short(sample: object) -> str:
+    text = repr(sample)
+    return text if len(text) <= 60 else text[:57] + "..."

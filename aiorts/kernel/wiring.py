@@ -1,0 +1,141 @@
+"""Connecting ports: every check that says no stands here, before anything is changed.
+
+Either all connectors of one `connect` come into being or none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from aiorts.errors import WiringError
+from aiorts.kernel.connector import Connector, PeriodicConnector
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.model.options import connector_profile
+from aiorts.model.policy import Dataflow, Stamp, Subscription
+from aiorts.model.profile import ConnectorProfile
+
+if TYPE_CHECKING:
+    from aiorts.kernel.kernel import Kernel
+
+__all__ = ("plan", "unwire", "wire")
+
+
+def plan(
+    kernel: Kernel, ports: Sequence[Port[Any]], options: Mapping[str, Any], allow_duplicate: bool
+) -> list[tuple[OutPort[Any], InPort[Any], ConnectorProfile]]:
+    """What to connect, fully checked: each out-port with each in-port.
+
+    Raises:
+        WiringError: says which ports do not go together and why.
+    """
+    outs = [port for port in ports if isinstance(port, OutPort)]
+    ins = [port for port in ports if isinstance(port, InPort)]
+    where = " -> ".join(getattr(port, "path", repr(port)) for port in ports)
+    if len(outs) + len(ins) != len(ports) or not outs or not ins:
+        raise WiringError(f"{where or 'connect()'}: expected at least one out-port and one in-port")
+    for port in ports:
+        _check_alive(kernel, port)
+    paths = tuple(port.path for port in ports)
+    base, limits = connector_profile(where, options, "", paths)
+    allow = bool(limits.get("allow_duplicate", allow_duplicate))
+    pairs = [(out, in_) for out in outs for in_ in ins]
+    for out, in_ in pairs:
+        _check_pair(out, in_)
+        if not allow and any(connector.in_ is in_ for connector in out.connectors):
+            raise WiringError(
+                f"{out.path} -> {in_.path}: connected already; allow_duplicate=True makes a second connector"
+            )
+    _check_stamp(base, pairs)
+    for port, more in [*((out, len(ins)) for out in outs), *((in_, len(outs)) for in_ in ins)]:
+        _check_limit(port, more, limits)
+    return [(out, in_, base) for out, in_ in pairs]
+
+
+def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> Connector:
+    """Make the connector and put it in force."""
+    loop, clock = kernel.loop, kernel.clock
+    connector: Connector
+    if profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH:
+        connector = PeriodicConnector(
+            profile, out, in_, loop, clock.time_ns, timers=kernel._timers, clock_now_ns=clock.monotonic_ns
+        )
+    else:
+        connector = Connector(profile, out, in_, loop, clock.time_ns)
+    if out._host is not None and in_._host is not None and (out._host.threaded or in_._host.threaded):
+        in_._make_locked()
+    with in_._guard():
+        in_._connectors += (connector,)
+        in_._refresh()
+    out._connectors += (connector,)
+    for other in in_._connectors:
+        other.out._refresh()
+    return connector
+
+
+def unwire(connector: Connector) -> None:
+    """Take the connector out of force: what is queued in it is dropped, writers that wait go on."""
+    out, in_ = connector.out, connector.in_
+    out._connectors = tuple(other for other in out._connectors if other is not connector)
+    with in_._guard():
+        connector.close()
+        in_._connectors = tuple(other for other in in_._connectors if other is not connector)
+        if in_._tokens is not None:
+            in_._settle_tokens()
+        in_._refresh()
+    out._refresh()
+    for other in in_._connectors:
+        other.out._refresh()
+
+
+def _check_alive(kernel: Kernel, port: Port[Any]) -> None:
+    host = port._host
+    if host is None or host.kernel is not kernel:
+        whose = "is a declaration" if host is None else "belongs to another kernel, or to none yet"
+        raise WiringError(
+            f"{port.path or port!r}: {whose}; connect the ports of components that were added to this kernel"
+        )
+    if host.ports.get(port.name) is not port:
+        raise WiringError(f"{port.path}: this port was removed")
+
+
+def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:
+    where = f"{out.path} -> {in_.path}"
+    if not issubclass(out.type, in_.type):
+        raise WiringError(
+            f"{where}: types differ: {out.path} sends {out.type.__name__}, {in_.path} takes {in_.type.__name__}; "
+            "put a FlexiFilter between them"
+        )
+    if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
+        raise WiringError(f"{where}: units differ: {out.unit!r} and {in_.unit!r}; put a FlexiFilter between them")
+    if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
+        raise WiringError(f"{where}: shapes differ: {out.shape} and {in_.shape}")
+
+
+def _shapes_agree(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    return len(one) == len(other) and all(a == b or -1 in (a, b) for a, b in zip(one, other, strict=True))
+
+
+def _check_stamp(profile: ConnectorProfile, pairs: Sequence[tuple[OutPort[Any], InPort[Any]]]) -> None:
+    from aiorts.types import has_tm
+
+    if profile.stamp is None:
+        return
+    for out, in_ in pairs:
+        if not has_tm(out.type):
+            raise WiringError(
+                f"{out.path} -> {in_.path}: stamp = {Stamp(profile.stamp)}: "
+                f"{out.type.__name__} has no field tm to put it in"
+            )
+
+
+def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:
+    fan = limits.get("fan_out" if isinstance(port, OutPort) else "fan_in")
+    limit = limits.get("connection_limit")
+    candidates = [fan, limit if limit is not None and limit >= 0 else None, port.max_connectors]
+    allowed = [candidate for candidate in candidates if candidate is not None]
+    if allowed and len(port.connectors) + more > min(allowed):
+        raise WiringError(
+            f"{port.path}: takes {min(allowed)} connectors at the most, has {len(port.connectors)}, "
+            f"{more} more asked for"
+        )

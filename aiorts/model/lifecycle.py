@@ -1,0 +1,111 @@
+"""Everything about which life-cycle state follows which stands in this file; it never runs a hook, waits or logs.
+
+The machine exists once for each pair of component and execution context (OMG RTC 1.1, section 5.2.2). `TRANSITIONS`
+is the whole truth: what may be asked for in which state, which hooks run on the way, in which order, and where the pair
+then is. `ON_FAILURE` says what a hook that raises leads to. Two decisions differ from a literal reading of the
+OMG text and are taken from what OpenRTM-aist settled on: leaving *active* through a failure runs `on_deactivated`
+before `on_aborting`, and an `on_activated` that raises goes the same way (it may have acquired half of its
+resources).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+__all__ = ("HOOKS", "ON_FAILURE", "TRANSITIONS", "Event", "Failure", "LifeCycleState", "Transition", "transition")
+
+
+class LifeCycleState(StrEnum):
+    """Where a component is in one execution context."""
+
+    INACTIVE = "inactive"
+    ACTIVE = "active"
+    ERROR = "error"
+
+
+class Event(StrEnum):
+    """What may happen to a component in one execution context."""
+
+    ACTIVATE = "activate"
+    DEACTIVATE = "deactivate"
+    RESET = "reset"
+    FAIL = "fail"
+
+
+class Failure(StrEnum):
+    """What a hook that raises leads to."""
+
+    REFUSE = "refuse"
+    """The component is not created; the caller gets the error."""
+    ABORT = "abort"
+    """The component goes to error."""
+    STAY = "stay"
+    """The component stays in error; the causes are chained."""
+    RECORD = "record"
+    """The transition completes; the cause stays in `last_error` and is published."""
+
+
+HOOKS = (
+    "on_initialize",
+    "on_finalize",
+    "on_startup",
+    "on_shutdown",
+    "on_activated",
+    "on_deactivated",
+    "on_execute",
+    "on_state_update",
+    "on_rate_changed",
+    "on_aborting",
+    "on_error",
+    "on_reset",
+)
+
+ON_FAILURE: dict[str, Failure] = {
+    "on_initialize": Failure.REFUSE,
+    "on_finalize": Failure.RECORD,
+    "on_startup": Failure.ABORT,
+    "on_shutdown": Failure.RECORD,
+    "on_activated": Failure.ABORT,
+    "on_deactivated": Failure.RECORD,
+    "on_execute": Failure.ABORT,
+    "on_state_update": Failure.ABORT,
+    "on_rate_changed": Failure.ABORT,
+    "on_aborting": Failure.STAY,
+    "on_error": Failure.STAY,
+    "on_reset": Failure.STAY,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """One way out of a state: the hooks to run, in order, and the state that follows."""
+
+    hooks: tuple[str, ...]
+    target: LifeCycleState
+
+
+_I, _A, _E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR
+
+TRANSITIONS: dict[tuple[LifeCycleState, Event], Transition] = {
+    (_I, Event.ACTIVATE): Transition(("on_activated",), _A),
+    (_I, Event.FAIL): Transition(("on_aborting",), _E),
+    (_A, Event.DEACTIVATE): Transition(("on_deactivated",), _I),
+    (_A, Event.FAIL): Transition(("on_deactivated", "on_aborting"), _E),
+    (_E, Event.RESET): Transition(("on_reset",), _I),
+    (_E, Event.FAIL): Transition((), _E),
+}
+
+ADVICE: dict[tuple[LifeCycleState, Event], str] = {
+    (_I, Event.DEACTIVATE): "it is inactive already",
+    (_I, Event.RESET): "only a component in error is reset",
+    (_A, Event.ACTIVATE): "it is active already",
+    (_A, Event.RESET): "only a component in error is reset; deactivate it instead",
+    (_E, Event.ACTIVATE): "reset it first",
+    (_E, Event.DEACTIVATE): "it is in error and does not run; reset it instead",
+}
+
+
+def transition(state: LifeCycleState, event: Event) -> Transition | None:
+    """The way that `event` leads out of `state`, or None where it is refused (`ADVICE` says why)."""
+    return TRANSITIONS.get((state, event))

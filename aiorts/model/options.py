@@ -1,0 +1,222 @@
+"""From what a user writes at `connect` (or OpenRTM's keys) to the options in force; it connects nothing.
+
+aiorts' own keys are those of `Kernel.connect`. OpenRTM's keys, with or without the prefix `dataport.`, are aliases;
+the side-specific ones win: `inport.buffer.*` is the reader's buffer, `outport.buffer.*` the backlog. A key with a dot
+that is unknown is kept and reported; one without is a typing mistake and refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any, Final, TypeVar
+
+from aiorts.errors import WiringError
+from aiorts.model.buffer import EmptyPolicy, FullPolicy
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, default_push
+from aiorts.model.profile import ConnectorProfile
+
+__all__ = ("DEFAULT_LENGTH", "MAX_LENGTH", "PORT_KEYS", "connector_profile", "is_yes")
+
+DEFAULT_LENGTH: Final = 8
+MAX_LENGTH: Final = 1_000_000
+MAX_RATE: Final = 1_000_000.0
+
+E = TypeVar("E", bound=StrEnum)
+
+_ALIASES: Final[tuple[tuple[str, str], ...]] = (
+    # OpenRTM key, ours. Later rows win over earlier ones.
+    ("dataflow_type", "dataflow"),
+    ("subscription_type", "subscription"),
+    ("io_mode", "subscription"),
+    ("publisher.push_policy", "push"),
+    ("publisher.skip_count", "skip"),
+    ("publisher.push_rate", "push_rate"),
+    ("push_rate", "push_rate"),
+    ("buffer.length", "length"),
+    ("buffer.length", "out_length"),
+    ("buffer.write.full_policy", "full"),
+    ("buffer.write.timeout", "timeout"),
+    ("buffer.read.empty_policy", "empty"),
+    ("outport.buffer.length", "out_length"),
+    ("outport.buffer.write.full_policy", "full"),
+    ("outport.buffer.write.timeout", "timeout"),
+    ("inport.buffer.length", "length"),
+    ("inport.buffer.write.full_policy", "full"),
+    ("inport.buffer.write.timeout", "timeout"),
+    ("inport.buffer.read.empty_policy", "empty"),
+    ("timestamp_policy", "stamp"),
+    ("fan_in", "fan_in"),
+    ("fan_out", "fan_out"),
+    ("connection_limit", "connection_limit"),
+    ("allow_dup_connection", "allow_duplicate"),
+)
+_VALUES: Final[dict[str, dict[str, str]]] = {
+    "full": {"do_nothing": "reject"},
+    "subscription": {"block": "flush", "nonblock": "new"},
+    "stamp": {"on_send": "send", "on_received": "received", "on_read": "read", "on_write": "send", "none": ""},
+}
+"""OpenRTM's word for a value where it is not ours. `on_write` and `on_send` are one moment here: nothing lies between
+them."""
+
+PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate")
+"""Options that are about the ports, not about the connector."""
+
+_OWN: Final = (
+    "dataflow",
+    "subscription",
+    "push",
+    "push_rate",
+    "skip",
+    "length",
+    "out_length",
+    "full",
+    "empty",
+    "timeout",
+    "stamp",
+    "name",
+    *PORT_KEYS,
+)
+
+
+def connector_profile(
+    where: str, options: Mapping[str, Any], name: str, ports: tuple[str, ...]
+) -> tuple[ConnectorProfile, dict[str, Any]]:
+    """The options in force, and those of `PORT_KEYS` that were given.
+
+    Raises:
+        WiringError: names the option, what is allowed and what was given.
+    """
+    own, extra = _translate(where, options)
+    get = _Reader(where, own)
+    dataflow = get.choice("dataflow", Dataflow, Dataflow.PUSH)
+    subscription = get.choice("subscription", Subscription, Subscription.FLUSH)
+    push = get.choice("push", Push, default_push(subscription))
+    rate = get.number("push_rate", 0.001, MAX_RATE, None)
+    if subscription is Subscription.PERIODIC and rate is None:
+        raise WiringError(f"{where}: subscription periodic needs a push_rate in Hz")
+    # Flush hands every sample over as it is written: a push policy is kept and reported, and chooses nothing.
+    chooses = Push.ALL if subscription is Subscription.FLUSH else push
+    length = get.integer("length", 1, MAX_LENGTH, 1 if chooses is Push.NEW else DEFAULT_LENGTH)
+    profile = ConnectorProfile(
+        name=str(own["name"]) if own.get("name") else name,
+        ports=ports,
+        dataflow=dataflow,
+        subscription=subscription,
+        push=push,
+        push_rate=rate,
+        skip=get.integer("skip", 0, MAX_LENGTH, 0),
+        length=length,
+        out_length=get.integer("out_length", 1, MAX_LENGTH, DEFAULT_LENGTH),
+        full=get.choice("full", FullPolicy, FullPolicy.OVERWRITE),
+        empty=get.choice("empty", EmptyPolicy, None) if own.get("empty") else None,
+        timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
+        stamp=get.choice("stamp", Stamp, None) if own.get("stamp") else None,
+        extra=MappingProxyType(extra),
+    )
+    limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}
+    for key in ("fan_in", "fan_out"):
+        if key in limits:
+            limits[key] = get.integer(key, 1, MAX_LENGTH, 100)
+    if "connection_limit" in limits:
+        limits["connection_limit"] = get.integer("connection_limit", -1, MAX_LENGTH, -1)
+    if "allow_duplicate" in limits:
+        limits["allow_duplicate"] = is_yes(where, "allow_duplicate", limits["allow_duplicate"])
+    return profile, limits
+
+
+def is_yes(where: str, key: str, value: object) -> bool:
+    """A truth value, also as OpenRTM writes it."""
+    known = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
+    if isinstance(value, bool):
+        return value
+    answer = known.get(str(value).strip().lower())
+    if answer is None:
+        raise WiringError(f"{where}: {key} = {value!r}: expected true or false")
+    return answer
+
+
+def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    plain = {key.removeprefix("dataport."): value for key, value in options.items()}
+    own: dict[str, Any] = {}
+    used: set[str] = set()
+    for alias, key in _ALIASES:
+        if alias in plain:
+            used.add(alias)
+            own[key] = plain[alias]
+    for key in plain:
+        if key in _OWN:
+            used.add(key)
+            own[key] = plain[key]
+    extra: dict[str, str] = {}
+    for given, value in options.items():
+        key = given.removeprefix("dataport.")
+        if key in used:
+            continue
+        if "." not in given and key not in _KNOWN_KEPT:
+            near = get_close_matches(key, _OWN, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(_OWN)}"
+            raise WiringError(f"{where}: unknown option {given!r}{hint}")
+        extra[given] = str(value)
+    for key, words in _VALUES.items():
+        value = own.get(key)
+        if isinstance(value, str):
+            own[key] = words.get(value, value)
+    return own, extra
+
+
+_KNOWN_KEPT: Final = frozenset(
+    {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "sync_readwrite"}
+)
+
+
+class _Reader:
+    """Takes options out of a mapping, checked."""
+
+    def __init__(self, where: str, own: Mapping[str, Any]) -> None:
+        self._where = where
+        self._own = own
+
+    def choice(self, key: str, kind: type[E], default: Any) -> Any:
+        value = self._own.get(key)
+        if value is None:
+            return default
+        try:
+            return kind(value)
+        except ValueError:
+            words = [member.value for member in kind]
+            near = get_close_matches(str(value), words, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise WiringError(f"{self._where}: {key} = {value!r}: expected {', '.join(words)}{hint}") from None
+
+    def integer(self, key: str, low: int, high: int, default: int) -> int:
+        value = self._own.get(key)
+        if value is None:
+            return default
+        number = self._parsed(key, value, int, f"a whole number from {low} to {high}")
+        if not low <= number <= high:
+            raise WiringError(f"{self._where}: {key} = {value!r}: expected a whole number from {low} to {high}")
+        return int(number)
+
+    def number(
+        self, key: str, low: float, high: float, default: float | None, *, may_be_none: bool = False
+    ) -> float | None:
+        value = self._own.get(key, default)
+        if value is None:
+            return None if may_be_none or key not in self._own else default
+        expected = f"a number from {low:g} to {high:g}"
+        number = float(self._parsed(key, value, float, expected))
+        if not (math.isfinite(number) and low <= number <= high):
+            raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}")
+        return number
+
+    def _parsed(self, key: str, value: Any, kind: Callable[[Any], Any], expected: str) -> Any:
+        try:
+            if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
+                raise ValueError
+            return kind(value)
+        except (TypeError, ValueError):
+            raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}") from None

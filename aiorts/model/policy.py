@@ -1,0 +1,79 @@
+"""This file decides which samples a subscription sends; it never sends, waits or keeps time.
+
+Two moments exist. When a sample is written (`admits`): flush and new. When a period is over (`choose`): periodic.
+Both are functions of counts alone, so that any transport, thread or simulation applies the same rule.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, StrEnum
+
+__all__ = ("Choice", "Dataflow", "Push", "Stamp", "Subscription", "admits", "choose", "default_push")
+
+
+class Dataflow(StrEnum):
+    """Who initiates a transfer."""
+
+    PUSH = "push"
+    PULL = "pull"
+
+
+class Subscription(StrEnum):
+    """When an out-port sends."""
+
+    FLUSH = "flush"
+    NEW = "new"
+    PERIODIC = "periodic"
+
+
+class Push(StrEnum):
+    """Which samples of the backlog are sent."""
+
+    ALL = "all"
+    FIFO = "fifo"
+    SKIP = "skip"
+    NEW = "new"
+
+
+class Stamp(StrEnum):
+    """When a connector writes its clock into the sample's `tm`."""
+
+    SEND = "send"
+    RECEIVED = "received"
+    READ = "read"
+
+
+class Choice(Enum):
+    """What becomes of one sample of a backlog when a period is over."""
+
+    SEND = "send"
+    SKIP = "skipped"
+    SUPERSEDE = "superseded"
+
+
+def default_push(subscription: Subscription) -> Push:
+    """The push policy in force when none is given."""
+    return Push.ALL if subscription is Subscription.FLUSH else Push.NEW
+
+
+def admits(push: Push, skip: int, number: int) -> bool:
+    """Whether the `number`-th sample since the connection (from 1) is sent when it is written; `skip` leaves out n of
+    n + 1."""
+    return push is not Push.SKIP or number % (skip + 1) == 0
+
+
+def choose(push: Push, skip: int, first: int, backlog: int) -> tuple[Choice, ...]:
+    """What becomes of the oldest samples of a backlog when a period is over.
+
+    `first` is the number since the connection (from 1) of the oldest of the `backlog` samples. The answer has one
+    choice for each sample that leaves the backlog, oldest first; what it does not reach stays.
+    """
+    if push is Push.ALL:
+        return (Choice.SEND,) * backlog
+    if push is Push.FIFO:
+        return (Choice.SEND,) * min(backlog, 1)
+    if push is Push.SKIP:
+        return tuple(
+            Choice.SEND if admits(push, skip, number) else Choice.SKIP for number in range(first, first + backlog)
+        )
+    return (Choice.SUPERSEDE,) * (backlog - 1) + (Choice.SEND,) * min(backlog, 1)

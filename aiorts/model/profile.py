@@ -1,0 +1,129 @@
+"""Frozen descriptions and counters of what exists: nobody can edit the kernel through a report.
+
+Every class here is plain data (`dataclasses.asdict` gives something JSON can carry), and says what *is*, never what
+to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from aiorts.model.buffer import EmptyPolicy, FullPolicy
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+
+__all__ = (
+    "ComponentProfile",
+    "ConnectorProfile",
+    "ConnectorStatistics",
+    "ContextProfile",
+    "ContextStatistics",
+    "HookStatistics",
+    "PortProfile",
+)
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectorProfile:
+    """The options that both ends of a connector agreed on."""
+
+    name: str
+    ports: tuple[str, ...] = ()
+    dataflow: Dataflow = Dataflow.PUSH
+    subscription: Subscription = Subscription.FLUSH
+    push: Push = Push.ALL
+    push_rate: float | None = None
+    """Hz; only with subscription periodic."""
+    skip: int = 0
+    length: int = 8
+    """Samples that the reader's buffer holds."""
+    out_length: int = 8
+    """Samples that the backlog of a periodic connector holds."""
+    full: FullPolicy = FullPolicy.OVERWRITE
+    empty: EmptyPolicy | None = None
+    """OpenRTM's empty policy where one was given: kept, and used by generic components only."""
+    timeout: float | None = 1.0
+    """Seconds that an awaited write waits with full = block; None waits for ever."""
+    stamp: Stamp | None = None
+    extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
+    """Options that aiorts keeps and reports but does not act on."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectorStatistics:
+    """The ledger of a connector at one moment: written = delivered + sum(dropped.values()) + buffered."""
+
+    written: int
+    delivered: int
+    buffered: int
+    dropped: Mapping[str, int]
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the ledger balances; it always does."""
+        return self.written == self.delivered + sum(self.dropped.values()) + self.buffered
+
+
+@dataclass(frozen=True, slots=True)
+class PortProfile:
+    """What a port is: direction "in" or "out", type name, unit, shape, connectors by name."""
+
+    name: str
+    direction: str
+    type: str
+    unit: str | None = None
+    shape: tuple[int, ...] | None = None
+    doc: str = ""
+    connectors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentProfile:
+    """What a component is: its type, ports, parameters in force, and its state in each context."""
+
+    name: str
+    type: str
+    ports: tuple[PortProfile, ...]
+    params: Mapping[str, Any]
+    states: Mapping[str, str]
+    last_error: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HookStatistics:
+    """How often a hook ran and how long it took, in nanoseconds."""
+
+    count: int
+    total_ns: int
+    max_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ContextStatistics:
+    """What an execution context has done so far; times in nanoseconds."""
+
+    cycles: int
+    """Cycles that were run."""
+    skipped: int = 0
+    """Ticks that were left out because an earlier cycle ran over."""
+    overruns: int = 0
+    """Cycles that were not done when the next was due."""
+    lateness_max_ns: int = 0
+    lateness_total_ns: int = 0
+    hooks: Mapping[str, HookStatistics] = field(default_factory=lambda: _NOTHING)
+    """By "component.hook", where execution times are taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContextProfile:
+    """What an execution context is: its kind, rate in Hz if it has one, and the members in order of execution."""
+
+    name: str
+    kind: str
+    rate: float | None
+    running: bool
+    members: tuple[str, ...]

@@ -1,0 +1,254 @@
+"""What a parameter's value may be and what text becomes: this file converts exactly or refuses, it never rounds.
+
+    bool    true false yes no on off 1 0 as text, in any case; no number
+    int     decimal, 0x, 0o or 0b as text; no float, not even 2.0
+    float   any number; a whole number only when a float holds it exactly
+    str     text
+    Path    text or a path, not empty
+    Enum    a member, its name, or its value
+    tuple   a list or tuple; as text "1, 2", "[1, 2]" or a JSON list (whose texts may hold commas)
+    X|None  None, or "none" as text where X is not text; all else as X
+
+ValueError and TypeError carry a message for the reader of a parameter's error ("must be a float").
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import operator
+import types
+import typing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = ("convert_value", "infer_type", "leaf_types", "leaves", "shown", "type_text")
+
+_SHOWN_LENGTH: Final = 80
+_TRUTH: Final = {
+    **dict.fromkeys(("true", "yes", "on", "1"), True),
+    **dict.fromkeys(("false", "no", "off", "0"), False),
+}
+
+
+def shown(value: object) -> str:
+    """The value as it stands in a message: never longer than a line."""
+    text = str(value) if isinstance(value, Path) else repr(value)
+    return text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
+
+
+def type_text(kind: Any) -> str:
+    """A parameter's type as one writes it."""
+    inner, optional = _without_none(kind)
+    if optional:
+        return f"{type_text(inner)} | None"
+    if typing.get_origin(kind) is tuple:
+        parts = ("..." if part is Ellipsis else type_text(part) for part in typing.get_args(kind))
+        return f"tuple[{', '.join(parts)}]"
+    return str(getattr(kind, "__name__", kind))
+
+
+def infer_type(default: object) -> Any:
+    """The type a default stands for; raises TypeError when it says too little (None, an empty tuple)."""
+    if isinstance(default, enum.Enum):
+        return type(default)
+    if isinstance(default, Path):
+        return Path
+    for kind in (bool, int, float, str):
+        if isinstance(default, kind):
+            return kind
+    if isinstance(default, tuple | list):
+        return _infer_tuple(default)
+    raise TypeError(f"default {shown(default)}: give type=, it cannot be told from the default")
+
+
+def _infer_tuple(default: tuple[object, ...] | list[object]) -> Any:
+    if len(default) == 0:
+        raise TypeError(f"default {default!r}: give type= (such as tuple[float, ...]), () says nothing of its elements")
+    kinds = [infer_type(item) for item in default]
+    if set(kinds) == {int, float}:
+        kinds = [float]
+    if len(set(kinds)) == 1:
+        return types.GenericAlias(tuple, (kinds[0], Ellipsis))
+    return types.GenericAlias(tuple, tuple(kinds))
+
+
+def leaf_types(kind: Any) -> tuple[Any, ...]:
+    """The scalar types inside a parameter's type; raises TypeError for one that no parameter can have."""
+    inner, optional = _without_none(kind)
+    if optional:
+        return leaf_types(inner)
+    if typing.get_origin(kind) is tuple:
+        arguments = typing.get_args(kind)
+        if not arguments or arguments == (Ellipsis,):
+            raise TypeError(f"type {kind!r}: say what the elements are, such as tuple[float, ...]")
+        return tuple(leaf for part in arguments if part is not Ellipsis for leaf in leaf_types(part))
+    if kind in _SCALARS or (isinstance(kind, type) and issubclass(kind, enum.Enum)):
+        return (kind,)
+    raise TypeError(
+        f"type {type_text(kind)}: a parameter is bool, int, float, str, Path, an Enum, a tuple[...] of them or | None"
+    )
+
+
+def leaves(value: object) -> Iterator[object]:
+    """The scalars inside a converted value."""
+    if isinstance(value, tuple):
+        for item in value:
+            yield from leaves(item)
+    else:
+        yield value
+
+
+def convert_value(value: object, kind: Any) -> Any:
+    """The value as `kind`; raises ValueError or TypeError with a message that says what it must be."""
+    inner, optional = _without_none(kind)
+    if optional:
+        if value is None or (inner is not str and isinstance(value, str) and value.strip().lower() == "none"):
+            return None
+        return convert_value(value, inner)
+    if typing.get_origin(kind) is tuple:
+        return _to_tuple(value, kind)
+    convert = _SCALARS.get(kind)
+    return _to_enum(value, kind) if convert is None else convert(_plain(value))
+
+
+def _without_none(kind: Any) -> tuple[Any, bool]:
+    """X of `X | None` and True; the type itself and False otherwise."""
+    if typing.get_origin(kind) not in (typing.Union, types.UnionType):
+        return kind, False
+    others = [part for part in typing.get_args(kind) if part is not types.NoneType]
+    if len(others) != 1 or len(typing.get_args(kind)) != 2:
+        raise TypeError(f"type {kind!r}: of unions only X | None can be a parameter's type")
+    return others[0], True
+
+
+def _plain(value: object) -> object:
+    """A number of an array package as Python's own, without importing that package."""
+    item: Callable[[], object] | None = getattr(value, "item", None)
+    return item() if item is not None and getattr(value, "shape", None) == () else value
+
+
+def _to_bool(value: object) -> bool:
+    if isinstance(value, str):
+        value = _TRUTH.get(value.strip().lower(), value)
+    if isinstance(value, bool):
+        return value
+    raise TypeError("must be true or false")
+
+
+def _to_int(value: object) -> int:
+    if isinstance(value, str):
+        return _int_from_text(value)
+    if isinstance(value, bool | float) or not hasattr(value, "__index__"):
+        raise TypeError(f"must be an int, got {_kind(value)}")
+    return operator.index(typing.cast("typing.SupportsIndex", value))
+
+
+def _int_from_text(text: str) -> int:
+    for base in (10, 0):
+        try:
+            return int(text, base)
+        except ValueError:
+            continue
+    raise ValueError("must be an int")
+
+
+def _to_float(value: object) -> float:
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            raise ValueError("must be a float") from None
+    if isinstance(value, float):
+        return float(value)
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"must be a float, got {_kind(value)}")
+    whole = operator.index(typing.cast("typing.SupportsIndex", value))
+    try:
+        result = float(whole)
+    except OverflowError:
+        raise ValueError("must be a float, the number is too large for one") from None
+    if result != whole:
+        raise ValueError(f"must be a float, and none holds this whole number exactly (nearest {result!r})")
+    return result
+
+
+def _to_str(value: object) -> str:
+    if isinstance(value, str) and not isinstance(value, enum.Enum):
+        return str(value)
+    raise TypeError(f"must be text, got {_kind(value)}")
+
+
+def _to_path(value: object) -> Path:
+    if isinstance(value, Path):
+        return value
+    if not isinstance(value, str) and not hasattr(value, "__fspath__"):
+        raise TypeError(f"must be a path, got {_kind(value)}")
+    if value == "" or "\0" in str(value):
+        raise ValueError("must be a path: not empty, without NUL")
+    return Path(typing.cast("str", value))
+
+
+def _to_enum(value: object, kind: type[enum.Enum]) -> enum.Enum:
+    if isinstance(value, kind):
+        return value
+    if isinstance(value, str) and value in kind.__members__:
+        return kind.__members__[value]
+    for member in kind:
+        if type(member.value) is type(value) and member.value == value:
+            return member
+    raise ValueError(f"must be one of {', '.join(kind.__members__)}")
+
+
+def _to_tuple(value: object, kind: Any) -> tuple[Any, ...]:
+    items = _items(value)
+    parts = typing.get_args(kind)
+    if len(parts) == 2 and parts[1] is Ellipsis:
+        parts = (parts[0],) * len(items)
+    if len(items) != len(parts):
+        raise ValueError(f"must have {len(parts)} elements, got {len(items)}")
+    converted = []
+    for index, (item, part) in enumerate(zip(items, parts, strict=True)):
+        try:
+            converted.append(convert_value(item, part))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"element {index} ({shown(item)}) {error}") from None
+    return tuple(converted)
+
+
+def _items(value: object) -> list[object]:
+    to_list: Callable[[], object] | None = getattr(value, "tolist", None)
+    if to_list is not None and getattr(value, "shape", ()) != ():
+        value = to_list()
+    if isinstance(value, list | tuple):
+        return list(value)
+    if not isinstance(value, str):
+        raise TypeError(f"must be a list or tuple, got {_kind(value)}")
+    text = value.strip()
+    if text.startswith("["):
+        try:
+            return list(json.loads(text))
+        except RecursionError:
+            raise ValueError("must be a list, this one is nested too deeply") from None
+        except ValueError:
+            pass  # not JSON: read as a list of bare words below
+    if text[:1] + text[-1:] in ("[]", "()"):
+        text = text[1:-1]
+    items: list[object] = [part.strip() for part in text.split(",")]
+    return items[:-1] if items[-1] == "" else items
+
+
+def _kind(value: object) -> str:
+    return type(value).__name__
+
+
+_SCALARS: Final[dict[Any, Callable[[object], Any]]] = {
+    bool: _to_bool,
+    int: _to_int,
+    float: _to_float,
+    str: _to_str,
+    Path: _to_path,
+}

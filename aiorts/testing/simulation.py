@@ -1,0 +1,406 @@
+"""An asyncio loop whose time jumps: when nothing is ready, the next timer is now.
+
+The rule of a jump, in this order: callbacks that are ready run; while a thread, a connected socket or a hold is waited
+for, time stands still; then the kernel timers of the earliest deadline fire, all together in the order of their
+creation; what they made ready runs; then the loop's own timers (`asyncio.sleep`, time-outs) of that moment fire. When
+nothing is left that could ever happen, StateError says who is waiting for what, instead of hanging.
+
+    async def main(clock: SimulatedClock) -> float:
+        await asyncio.sleep(3600)
+        return clock.time()
+
+    assert simulate(main) == 3600.0
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import heapq
+import logging
+import math
+import selectors
+import socket
+import sys
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple, Unpack
+
+from aiorts.clock import Hold, SimulatedClock, current_clock, to_ns
+from aiorts.errors import BusyError, StateError
+
+if TYPE_CHECKING:
+    from collections import deque
+    from collections.abc import Awaitable, Callable, Mapping
+    from concurrent.futures import Executor
+    from contextvars import Context
+
+__all__ = ("SimulatedLoop", "current_clock", "simulate")
+
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
+
+_log = logging.getLogger(__name__)
+
+_SAY_SO_AFTER_S = 5.0
+"""Real seconds of standing still after which the log says what time is waiting for."""
+
+_NEVER_S = 1e15
+"""Delays of thirty million years and more, infinity included, are not waited for."""
+
+_POLL_EVERY = 256
+"""Turns between looks at the loop's own wake-up socket while there is nothing else to poll."""
+
+
+def simulate(
+    main: Callable[[SimulatedClock], Awaitable[T]] | Coroutine[Any, Any, T], *, clock: SimulatedClock | None = None
+) -> T:
+    """Runs `main` to its end on a new `SimulatedLoop` and returns its result; `asyncio.run` in virtual time.
+
+    `main` is a coroutine, or a function that is given the clock and returns something to await. Tasks left over are
+    cancelled, asynchronous generators and the default executor shut down, the event loop policy is never touched.
+    Raises StateError when called from a running loop, or when nothing will ever happen again.
+    """
+    clock = SimulatedClock() if clock is None else clock
+    coroutine = main if isinstance(main, Coroutine) else _call(main, clock)
+    if _inside_a_loop():
+        coroutine.close()
+        raise StateError("simulate(): a loop is running in this thread; await the code, or call simulate from outside")
+    with asyncio.Runner(loop_factory=lambda: SimulatedLoop(clock)) as runner:
+        return runner.run(coroutine)
+
+
+def _inside_a_loop() -> bool:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return False
+    return True
+
+
+async def _call(main: Callable[[SimulatedClock], Awaitable[T]], clock: SimulatedClock) -> T:
+    return await main(clock)
+
+
+class _OwnTimer(asyncio.TimerHandle):
+    """A loop timer; `_scheduled` says that it lies in the loop's heap."""
+
+    if TYPE_CHECKING:
+        _scheduled: bool
+
+
+class SimulatedLoop(asyncio.SelectorEventLoop):
+    """A selector event loop in virtual time; `loop.time()` is `aiorts_clock.monotonic_ns() / 1e9`.
+
+    Delays are rounded once to whole nanoseconds and kept as integers, so that sums of them are exact. Threads started
+    by `run_in_executor`, `asyncio.to_thread` and `anyio.to_thread` and child processes stop time while they run; a
+    thread of your own does with `clock.hold()`. So does every registered reader or writer, listening sockets excepted.
+    """
+
+    if TYPE_CHECKING:
+        _ready: deque[asyncio.Handle]
+
+        def _check_closed(self) -> None: ...
+
+    def __init__(self, clock: SimulatedClock | None = None) -> None:
+        self.aiorts_clock = SimulatedClock() if clock is None else clock
+        self._timers: list[tuple[int, int, _OwnTimer]] = []
+        self._timers_made = 0
+        self._timers_cancelled = 0
+        self._anyio = _AnyioThreads(self)
+        super().__init__(_JumpingSelector(self))
+        try:
+            self._detach = self.aiorts_clock.attach(self._sleep_until)
+        except BusyError:
+            super().close()
+            raise
+        self._remove_listener = self.aiorts_clock.on_release(self._wake)
+
+    def close(self) -> None:
+        if not self.is_closed():
+            self._remove_listener()
+            self._detach()
+        super().close()
+
+    # -- time -----------------------------------------------------------------------------------------------------
+
+    def time(self) -> float:
+        return self.aiorts_clock._now / 1e9
+
+    def call_later(
+        self, delay: float, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.TimerHandle:
+        if delay >= _NEVER_S:
+            return self._call_at_ns(None, callback, args, context)
+        return self._call_at_ns(self.aiorts_clock._now + to_ns(delay, "delay"), callback, args, context)
+
+    def call_at(
+        self, when: float, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
+    ) -> asyncio.TimerHandle:
+        if when >= _NEVER_S:
+            return self._call_at_ns(None, callback, args, context)
+        deadline = to_ns(when, "when")
+        # Whoever asked for `when` must find loop.time() >= when, or would ask again and again.
+        step = 1
+        while deadline / 1e9 < when:
+            deadline += step
+            step *= 2  # far in the future a float is many nanoseconds wide
+        return self._call_at_ns(deadline, callback, args, context)
+
+    def _call_at_ns(
+        self,
+        deadline_ns: int | None,
+        callback: Callable[[Unpack[Ts]], object],
+        args: tuple[*Ts],
+        context: Context | None,
+    ) -> asyncio.TimerHandle:
+        """`deadline_ns` None: never."""
+        self._check_closed()
+        when = math.inf if deadline_ns is None else deadline_ns / 1e9
+        handle = _OwnTimer(when, callback, args, self, context)
+        if deadline_ns is not None:
+            self._timers_made += 1
+            heapq.heappush(self._timers, (deadline_ns, self._timers_made, handle))
+            handle._scheduled = True
+        return handle
+
+    def _timer_handle_cancelled(self, handle: _OwnTimer) -> None:
+        if not handle._scheduled:
+            return
+        self._timers_cancelled += 1
+        if self._timers_cancelled > 64 and self._timers_cancelled * 2 > len(self._timers):
+            self._timers = [entry for entry in self._timers if not entry[2].cancelled()]
+            heapq.heapify(self._timers)
+            self._timers_cancelled = 0
+
+    async def _sleep_until(self, monotonic_ns: int) -> None:
+        # Twice: the second time everything that the timers of that moment made ready has run.
+        for _ in range(2):
+            future = self.create_future()
+            handle = self._call_at_ns(monotonic_ns, _wake_future, (future,), None)
+            try:
+                await future
+            finally:
+                handle.cancel()
+
+    def _next_own(self) -> int | None:
+        timers = self._timers
+        while timers:
+            if not timers[0][2].cancelled():
+                return timers[0][0]
+            heapq.heappop(timers)[2]._scheduled = False
+            self._timers_cancelled -= 1
+        return None
+
+    def _jump(self) -> bool:
+        """To the next moment at which something happens; False when there is none."""
+        clock = self.aiorts_clock
+        kernel, own = clock.next_deadline(), self._next_own()
+        if kernel is not None and (own is None or kernel <= max(own, clock._now)):
+            clock.fire(self)
+        elif own is not None:
+            clock.move_to(own)
+            self._fire_own(clock._now)
+        else:
+            return False
+        return True
+
+    def _fire_own(self, now_ns: int) -> None:
+        timers = self._timers
+        while timers and timers[0][0] <= now_ns:
+            handle = heapq.heappop(timers)[2]
+            handle._scheduled = False
+            if handle.cancelled():
+                self._timers_cancelled -= 1
+            else:
+                self._ready.append(handle)
+
+    # -- what stops time ------------------------------------------------------------------------------------------
+
+    def _standing_still(self) -> bool:
+        return self.aiorts_clock.held or self._anyio.busy()
+
+    def _wake(self) -> None:
+        if not self.is_closed():
+            self.call_soon_threadsafe(_nothing)
+
+    def run_in_executor(
+        self, executor: Executor | None, func: Callable[[Unpack[Ts]], T], *args: *Ts
+    ) -> asyncio.Future[T]:
+        future = super().run_in_executor(executor, func, *args)
+        hold = self.aiorts_clock.hold()
+        future.add_done_callback(lambda _: hold.release())
+        return future
+
+    async def subprocess_exec(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
+        with contextlib.ExitStack() as stack:
+            hold = stack.enter_context(self.aiorts_clock.hold())
+            made = await super().subprocess_exec(_until_exit(protocol_factory, hold), *args, **options)
+            stack.pop_all()
+        return made
+
+    async def subprocess_shell(self, protocol_factory: Callable[[], Any], *args: Any, **options: Any) -> Any:
+        with contextlib.ExitStack() as stack:
+            hold = stack.enter_context(self.aiorts_clock.hold())
+            made = await super().subprocess_shell(_until_exit(protocol_factory, hold), *args, **options)
+            stack.pop_all()
+        return made
+
+    async def shutdown_default_executor(self, *args: Any, **options: Any) -> None:
+        with self.aiorts_clock.hold():
+            await super().shutdown_default_executor(*args, **options)
+
+    def _deadlock(self) -> StateError:
+        waiting = sorted(_where(task) for task in asyncio.all_tasks(self))
+        more = f" and {len(waiting) - 8} more" if len(waiting) > 8 else ""
+        return StateError(
+            f"simulated loop at {self.time():.9f} s: nothing will ever happen: no timer, no thread, no socket is left"
+            f" and these tasks still wait: {'; '.join(waiting[:8]) or 'none'}{more}. A thread of your own that is to"
+            " wake the loop must hold the clock: with clock.hold(): ..."
+        )
+
+
+def _until_exit(protocol_factory: Callable[[], Any], hold: Hold) -> Callable[[], Any]:
+    """The same factory, with protocols that let go of `hold` when their process has exited."""
+
+    def factory() -> Any:
+        protocol = protocol_factory()
+        exited = protocol.process_exited
+
+        def process_exited() -> None:
+            hold.release()
+            exited()
+
+        protocol.process_exited = process_exited
+        return protocol
+
+    return factory
+
+
+def _nothing() -> None:
+    """Wakes a loop."""
+
+
+def _wake_future(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
+
+
+def _where(task: asyncio.Task[Any]) -> str:
+    """The chain of coroutines that a task is suspended in, each with file and line."""
+    steps = []
+    step: Any = task.get_coro()
+    while (frame := getattr(step, "cr_frame", None)) is not None:
+        code = frame.f_code
+        if code is not _call.__code__:
+            steps.append(f"{code.co_qualname} ({code.co_filename.rpartition('/')[2]}:{frame.f_lineno})")
+        step = step.cr_await
+    return " > ".join(steps) or task.get_name()
+
+
+class _JumpingSelector(selectors.BaseSelector):
+    """The default selector, except that waiting becomes jumping."""
+
+    def __init__(self, loop: SimulatedLoop) -> None:
+        self._loop = loop
+        self._real = selectors.DefaultSelector()
+        self._turns = 0
+        self._awaited = 0
+        self._passive: set[int] = set()
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        key = self._real.register(fileobj, events, data)
+        # The first to come is the loop's own wake-up socket.
+        if len(self._real.get_map()) == 1 or _listens(key.fd):
+            self._passive.add(key.fd)
+        else:
+            self._awaited += 1
+        return key
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        key = self._real.unregister(fileobj)
+        if key.fd in self._passive:
+            self._passive.discard(key.fd)
+        else:
+            self._awaited -= 1
+        return key
+
+    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._real.modify(fileobj, events, data)
+
+    def get_map(self) -> Mapping[Any, selectors.SelectorKey]:
+        return self._real.get_map()
+
+    def close(self) -> None:
+        self._real.close()
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        self._turns += 1
+        if self._awaited or len(self._passive) > 1 or self._turns % _POLL_EVERY == 0:
+            events = self._real.select(0)
+            if events:
+                return events
+        if timeout == 0:
+            return []
+        loop = self._loop
+        if self._awaited or loop._standing_still():
+            return self._wait()
+        # Looked at after the holds: what a thread handed over before it let go comes before the jump.
+        if loop._ready or loop._jump():
+            return []
+        if len(self._passive) > 1:
+            return self._wait()
+        raise loop._deadlock()
+
+    def _wait(self) -> list[tuple[selectors.SelectorKey, int]]:
+        events = self._real.select(_SAY_SO_AFTER_S)
+        if not events:
+            descriptors = sorted(key.fd for key in self._real.get_map().values() if key.fd not in self._passive)
+            _log.warning(
+                "simulated time stands still at %.9f s: waiting for %s",
+                self._loop.time(),
+                f"descriptors {descriptors}" if descriptors else "a thread, a hold or a client",
+            )
+        return events
+
+
+def _listens(fd: int) -> bool:
+    """A listening socket waits for strangers: nobody can say that one is on the way."""
+    option = getattr(socket, "SO_ACCEPTCONN", None)
+    if option is None:
+        return False
+    try:
+        view = socket.socket(fileno=fd)
+    except OSError:
+        return False
+    try:
+        return bool(view.getsockopt(socket.SOL_SOCKET, option))
+    finally:
+        view.detach()
+
+
+class _AnyioThreads:
+    """Whether a worker thread of anyio is busy; anyio starts them itself and offers no public way to ask."""
+
+    def __init__(self, loop: SimulatedLoop) -> None:
+        self._loop = loop
+        self._workers: Any = None
+        self._idle: Any = None
+        self._variables: Mapping[Any, Any] | None = None
+
+    def busy(self) -> bool:
+        variables = self._variables
+        if variables is None:
+            variables = self._find()
+        return len(variables.get(self._workers, ())) > len(variables.get(self._idle, ()))
+
+    def _find(self) -> Mapping[Any, Any]:
+        backend = sys.modules.get("anyio._backends._asyncio")
+        if backend is None:
+            return {}
+        try:
+            self._workers, self._idle = backend._threadpool_workers, backend._threadpool_idle_workers
+            self._variables = sys.modules["anyio.lowlevel"]._run_vars.get(self._loop)
+        except AttributeError:
+            self._variables = {}
+            _log.warning("this version of anyio hides its threads: anyio.to_thread does not stop simulated time")
+        return {} if self._variables is None else self._variables

@@ -1,0 +1,235 @@
+"""The 25 basic records of OpenRTM: a time stamp `tm` (nanoseconds since the epoch) and `data`."""
+
+from __future__ import annotations
+
+# Annotations are read at run time.
+from aiorts.types.record import record
+from aiorts.types.spelling import EMPTY, Array, Seq, char, f32, f64, i16, i32, u8, u16, u32, wchar, wstr
+
+__all__ = (
+    "TimedState",
+    "TimedShort",
+    "TimedShortSeq",
+    "TimedLong",
+    "TimedLongSeq",
+    "TimedUShort",
+    "TimedUShortSeq",
+    "TimedULong",
+    "TimedULongSeq",
+    "TimedFloat",
+    "TimedFloatSeq",
+    "TimedDouble",
+    "TimedDoubleSeq",
+    "TimedChar",
+    "TimedCharSeq",
+    "TimedWChar",
+    "TimedWCharSeq",
+    "TimedBoolean",
+    "TimedBooleanSeq",
+    "TimedOctet",
+    "TimedOctetSeq",
+    "TimedString",
+    "TimedStringSeq",
+    "TimedWString",
+    "TimedWStringSeq",
+)
+
+
+@record
+class TimedState:
+    """A state number, 16 bits signed."""
+
+    tm: int = 0
+    data: i16 = 0
+
+
+@record
+class TimedShort:
+    """An integer of 16 bits, signed."""
+
+    tm: int = 0
+    data: i16 = 0
+
+
+@record
+class TimedShortSeq:
+    """A read-only numpy array of i16 numbers."""
+
+    tm: int = 0
+    data: Array[i16] = EMPTY
+
+
+@record
+class TimedLong:
+    """An integer of 32 bits, signed."""
+
+    tm: int = 0
+    data: i32 = 0
+
+
+@record
+class TimedLongSeq:
+    """A read-only numpy array of i32 numbers."""
+
+    tm: int = 0
+    data: Array[i32] = EMPTY
+
+
+@record
+class TimedUShort:
+    """An integer of 16 bits, unsigned."""
+
+    tm: int = 0
+    data: u16 = 0
+
+
+@record
+class TimedUShortSeq:
+    """A read-only numpy array of u16 numbers."""
+
+    tm: int = 0
+    data: Array[u16] = EMPTY
+
+
+@record
+class TimedULong:
+    """An integer of 32 bits, unsigned."""
+
+    tm: int = 0
+    data: u32 = 0
+
+
+@record
+class TimedULongSeq:
+    """A read-only numpy array of u32 numbers."""
+
+    tm: int = 0
+    data: Array[u32] = EMPTY
+
+
+@record
+class TimedFloat:
+    """A 32-bit float: the nearest one to what was given."""
+
+    tm: int = 0
+    data: f32 = 0.0
+
+
+@record
+class TimedFloatSeq:
+    """A read-only numpy array of f32 numbers."""
+
+    tm: int = 0
+    data: Array[f32] = EMPTY
+
+
+@record
+class TimedDouble:
+    """A 64-bit float."""
+
+    tm: int = 0
+    data: f64 = 0.0
+
+
+@record
+class TimedDoubleSeq:
+    """A read-only numpy array of f64 numbers."""
+
+    tm: int = 0
+    data: Array[f64] = EMPTY
+
+
+@record
+class TimedChar:
+    """One character of 8 bits (Latin-1)."""
+
+    tm: int = 0
+    data: char = "\0"
+
+
+@record
+class TimedCharSeq:
+    """A tuple of 8-bit characters."""
+
+    tm: int = 0
+    data: Seq[char] = EMPTY
+
+
+@record
+class TimedWChar:
+    """One character, any of Unicode."""
+
+    tm: int = 0
+    data: wchar = "\0"
+
+
+@record
+class TimedWCharSeq:
+    """A tuple of characters."""
+
+    tm: int = 0
+    data: Seq[wchar] = EMPTY
+
+
+@record
+class TimedBoolean:
+    """True or False."""
+
+    tm: int = 0
+    data: bool = False
+
+
+@record
+class TimedBooleanSeq:
+    """A read-only numpy array of truth values."""
+
+    tm: int = 0
+    data: Array[bool] = EMPTY
+
+
+@record
+class TimedOctet:
+    """One octet, 0..255."""
+
+    tm: int = 0
+    data: u8 = 0
+
+
+@record
+class TimedOctetSeq:
+    """A read-only numpy array of octets; `bytes` are taken without a copy."""
+
+    tm: int = 0
+    data: Array[u8] = EMPTY
+
+
+@record
+class TimedString:
+    """Text."""
+
+    tm: int = 0
+    data: str = ""
+
+
+@record
+class TimedStringSeq:
+    """A tuple of texts."""
+
+    tm: int = 0
+    data: Seq[str] = EMPTY
+
+
+@record
+class TimedWString:
+    """Text; the same as TimedString, kept because OpenRTM has two kinds."""
+
+    tm: int = 0
+    data: wstr = ""
+
+
+@record
+class TimedWStringSeq:
+    """A tuple of texts."""
+
+    tm: int = 0
+    data: Seq[wstr] = EMPTY

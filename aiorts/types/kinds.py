@@ -1,0 +1,306 @@
+"""What one field may hold, and the only check it ever gets: `kind.check(value, where)` returns the value to keep or raises.
+
+A kind is shared by all fields of its sort and knows no field name; `where` ("TimedLong.data") is used in messages only.
+`exact` is the class whose instances need no check at all, which is what the constructors test first.
+"""
+
+from __future__ import annotations
+
+import operator
+import struct
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from aiorts.errors import RecordError, RecordTypeError
+
+if TYPE_CHECKING:
+    from enum import Enum
+
+__all__ = ("BoolKind", "BytesKind", "EnumKind", "FloatKind", "IntKind", "Kind", "StampKind", "TextKind", "SCALARS", "shown")
+
+NS_PER_SEC = 1_000_000_000
+STAMP_LIMIT = 2**32 * NS_PER_SEC
+STRING_LIMIT = 120
+
+
+class Unchecked:
+    """No value is of this class: as `Kind.exact` it sends every value through `check`."""
+
+
+def shown(value: object) -> str:
+    """A value as messages quote it: short, with its type where the text alone would mislead; foreign code is not run."""
+    cls = type(value)
+    if cls in (int, float, str, bytes):
+        text = repr(value if cls is not str and cls is not bytes else value[:STRING_LIMIT])  # type: ignore[index]
+        return text if len(text) <= STRING_LIMIT else text[:STRING_LIMIT] + "..."
+    if cls.__name__ == "ndarray":
+        return f"an array of {getattr(value, 'dtype', '?')} with shape {getattr(value, 'shape', '?')}"
+    if cls in (list, tuple, dict, set, frozenset, bytearray):
+        return f"a {cls.__name__} of {len(value)}"  # type: ignore[arg-type]
+    if value is None:
+        return "None"
+    if cls.__module__ in ("builtins", "numpy", "decimal", "fractions", "datetime"):
+        return f"{str(value)[:STRING_LIMIT]} ({cls.__name__})"
+    return f"an instance of {cls.__qualname__}"
+
+
+def wrong_type(where: str, expected: str, value: object) -> RecordTypeError:
+    return RecordTypeError(f"{where}: expected {expected}, got {shown(value)}")
+
+
+def wrong_value(where: str, expected: str, value: object) -> RecordError:
+    return RecordError(f"{where}: expected {expected}, got {shown(value)}")
+
+
+def is_bool(value: object) -> bool:
+    return isinstance(value, bool) or _numpy_kind(value) == "b"
+
+
+def _numpy_kind(value: object) -> str:
+    """The dtype kind of a numpy scalar, without importing numpy; "" for everything else."""
+    if type(value).__module__ == "numpy" and getattr(value, "shape", None) == ():
+        return "" if type(value).__name__ == "ndarray" else str(getattr(getattr(value, "dtype", None), "kind", ""))
+    return ""
+
+
+class Kind:
+    """Base of all kinds."""
+
+    spelling: str = ""
+    exact: type = Unchecked
+    mutable: ClassVar[bool] = False
+    element: str | None = None
+
+    def check(self, value: Any, where: str) -> Any:
+        """The value to keep; RecordError naming `where`, expected and got if it does not fit."""
+        raise NotImplementedError
+
+    def zero(self) -> Any:
+        """What a field holds that nobody gave."""
+        raise NotImplementedError
+
+    def same(self, left: Any, right: Any) -> bool:
+        """Whether two kept values are equal; NaN equals NaN, so that a record equals its own copy."""
+        return bool(left == right)
+
+    def hashed(self, value: Any) -> Any:
+        """What stands for a kept value in a record's hash; TypeError if it cannot be hashed."""
+        return value
+
+    def __repr__(self) -> str:
+        return self.spelling
+
+
+class IntKind(Kind):
+    """An integer of a fixed width. A bool is refused: written into a number it is a slip far more often than a wish."""
+
+    def __init__(self, spelling: str, low: int, high: int) -> None:
+        self.spelling, self.low, self.high = spelling, low, high
+        self.element = spelling
+        self.expected = f"an integer {low}..{high}"
+
+    def check(self, value: Any, where: str) -> int:
+        if type(value) is not int:
+            value = self._integer(value, where)
+        if not self.low <= value <= self.high:
+            raise wrong_value(where, self.expected, value)
+        return int(value)
+
+    def _integer(self, value: Any, where: str) -> int:
+        if is_bool(value):
+            raise RecordTypeError(f"{where}: expected {self.expected}, got {shown(value)}; write int(...) if that is meant")
+        if not hasattr(value, "__array__") or _numpy_kind(value) in ("i", "u"):
+            try:
+                return int(operator.index(value))
+            except TypeError:
+                pass
+        raise wrong_type(where, self.expected, value)
+
+    def zero(self) -> int:
+        return 0
+
+
+class FloatKind(Kind):
+    """A float of 64 or 32 bits; the latter holds the nearest float32 as a Python float."""
+
+    def __init__(self, spelling: str, single: bool) -> None:
+        self.spelling, self.single = spelling, single
+        self.element = spelling
+        self.exact = Unchecked if single else float
+
+    def check(self, value: Any, where: str) -> float:
+        if type(value) is not float:
+            value = self._floating(value, where)
+        return self._nearest(value, where) if self.single else value
+
+    def _floating(self, value: Any, where: str) -> float:
+        if isinstance(value, float):
+            return float(value)
+        numpy_kind = _numpy_kind(value)
+        if is_bool(value) or isinstance(value, complex) or (hasattr(value, "__array__") and not numpy_kind):
+            raise wrong_type(where, "a number", value)
+        if numpy_kind == "f":
+            return self._exact(value, where)
+        try:
+            return self._exact(int(operator.index(value)), where)
+        except TypeError:
+            raise wrong_type(where, "a number", value) from None
+
+    @staticmethod
+    def _exact(value: Any, where: str) -> float:
+        try:
+            number = float(value)
+        except OverflowError:
+            number = float("inf")
+        if number != value and value == value:
+            raise wrong_value(where, "a number that a float holds exactly (integers up to 2**53 always are)", value)
+        return number
+
+    @staticmethod
+    def _nearest(value: float, where: str) -> float:
+        try:
+            return _float32.unpack(_float32.pack(value))[0]  # type: ignore[no-any-return]
+        except OverflowError:
+            raise wrong_value(where, "a number that fits a 32-bit float (up to 3.4028235e38)", value) from None
+
+    def zero(self) -> float:
+        return 0.0
+
+    def same(self, left: float, right: float) -> bool:
+        return left == right or (left != left and right != right)
+
+    def hashed(self, value: float) -> Any:
+        return value if value == value else "NaN"
+
+
+_float32 = struct.Struct("<f")
+
+
+class BoolKind(Kind):
+    """True or False, nothing that merely counts as either."""
+
+    spelling = "bool"
+    element = "bool"
+    exact = bool
+
+    def check(self, value: Any, where: str) -> bool:
+        if not is_bool(value):
+            raise wrong_type(where, "True or False", value)
+        return bool(value)
+
+    def zero(self) -> bool:
+        return False
+
+
+class TextKind(Kind):
+    """Text that UTF-8 can carry; with a limit, one character of at most that code."""
+
+    def __init__(self, spelling: str, limit: int | None = None) -> None:
+        self.spelling, self.limit = spelling, limit
+        self.expected = {None: "text", 0xFF: "one 8-bit character"}.get(limit, "one character")
+
+    def check(self, value: Any, where: str) -> str:
+        if not isinstance(value, str):
+            raise wrong_type(where, self.expected, value)
+        if type(value) is not str:
+            value = str.__str__(value)
+        if self.limit is not None and (len(value) != 1 or ord(value) > self.limit):
+            raise wrong_value(where, self.expected, value)
+        if not value.isascii():
+            self._encodable(value, where)
+        return str(value)
+
+    @staticmethod
+    def _encodable(value: str, where: str) -> None:
+        try:
+            value.encode()
+        except UnicodeEncodeError as error:
+            raise wrong_value(f"{where}[{error.start}]", "text without lone surrogates", value[error.start]) from None
+
+    def zero(self) -> str:
+        return "" if self.limit is None else "\0"
+
+
+class BytesKind(Kind):
+    """Octets as `bytes`; what can change (bytearray, memoryview) is copied."""
+
+    spelling = "bytes"
+    exact = bytes
+
+    def check(self, value: Any, where: str) -> bytes:
+        if isinstance(value, (bytes, bytearray, memoryview)):
+            return bytes(value)
+        raise wrong_type(where, "bytes", value)
+
+    def zero(self) -> bytes:
+        return b""
+
+
+class StampKind(Kind):
+    """Nanoseconds since the epoch, 0 <= tm < 2**32 s; a Time is taken as its nanoseconds."""
+
+    spelling = "stamp"
+    expected = "nanoseconds since the epoch, 0 <= tm < 2**32 s"
+
+    def check(self, value: Any, where: str) -> int:
+        if type(value) is not int:
+            value = self._nanoseconds(value, where)
+        if not 0 <= value < STAMP_LIMIT:
+            raise wrong_value(where, self.expected, value)
+        return int(value)
+
+    def _nanoseconds(self, value: Any, where: str) -> int:
+        ns = getattr(value, "ns", None)
+        if type(ns) is int:
+            return ns
+        if isinstance(value, float) or is_bool(value) or not hasattr(value, "__index__"):
+            raise RecordTypeError(
+                f"{where}: expected {self.expected}, got {shown(value)}; for seconds write Time.from_seconds(...) or round(s * 1e9)"
+            )
+        return IntKind("stamp", 0, STAMP_LIMIT - 1).check(value, where)
+
+    def zero(self) -> int:
+        return 0
+
+
+class EnumKind(Kind):
+    """A member of an enumeration, or its value."""
+
+    def __init__(self, enumeration: type[Enum]) -> None:
+        self.enumeration = enumeration
+        self.spelling = enumeration.__name__
+        self.exact = enumeration
+        self.expected = " | ".join(list(enumeration.__members__)[:8])
+
+    def check(self, value: Any, where: str) -> Enum:
+        if isinstance(value, self.enumeration):
+            return value
+        if is_bool(value) or isinstance(value, float):
+            raise wrong_type(where, self.expected, value)
+        try:
+            return self.enumeration(value)
+        except (ValueError, TypeError):
+            raise wrong_value(where, self.expected, value) from None
+
+    def zero(self) -> Enum:
+        return next(iter(self.enumeration))
+
+
+def _integers() -> dict[str, Kind]:
+    kinds: dict[str, Kind] = {}
+    for bits in (8, 16, 32, 64):
+        kinds[f"i{bits}"] = IntKind(f"i{bits}", -(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        kinds[f"u{bits}"] = IntKind(f"u{bits}", 0, 2**bits - 1)
+    return kinds
+
+
+SCALARS: dict[str, Kind] = {
+    **_integers(),
+    "f64": FloatKind("f64", single=False),
+    "f32": FloatKind("f32", single=True),
+    "bool": BoolKind(),
+    "char": TextKind("char", 0xFF),
+    "wchar": TextKind("wchar", 0x10FFFF),
+    "str": TextKind("str"),
+    "bytes": BytesKind(),
+    "stamp": StampKind(),
+}

@@ -1,0 +1,284 @@
+"""Records to and from plain data that JSON can carry, without losing a bit of value.
+
+Non-finite floats are "NaN", "Infinity", "-Infinity"; octets base64 text; enumerations their member's name; `tm` an integer;
+arrays lists. An array of any shape and a map's values carry their type, because the record does not declare it.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from aiorts.errors import RecordError
+from aiorts.types.arrays import DTYPES, ArrayKind, NDArrayKind, element_name
+from aiorts.types.kinds import SCALARS, BytesKind, EnumKind, FloatKind, Kind, shown, wrong_type, wrong_value
+from aiorts.types.nested import RecordKind
+from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
+from aiorts.types.samples import PLAIN_TYPES, original
+from aiorts.types.structure import describe, kind_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from enum import Enum
+
+T = TypeVar("T")
+Plain = Any
+
+__all__ = ("from_plain", "to_plain")
+
+_NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
+
+
+def to_plain(record: Any) -> Plain:
+    """A record (or a bool, int, float, str, bytes) as dict, list and scalars that `json.dumps(..., allow_nan=False)` accepts."""
+    cls = type(record)
+    if cls in PLAIN_TYPES:
+        return _put(kind_of(cls, cls.__name__), record)
+    return {field.name: _put(field.kind, getattr(record, field.name)) for field in describe(original(cls)).fields}
+
+
+def from_plain(cls: type[T], plain: Plain) -> T:
+    """The record that `to_plain` wrote. RecordError names the field that is missing, unknown or wrong."""
+    if cls in PLAIN_TYPES:
+        return cast("T", _take(kind_of(cls, cls.__name__), plain, cls.__name__))
+    return cast("T", _take_record(cls, plain, cls.__qualname__))
+
+
+def _take_record(cls: type, plain: Plain, where: str) -> Any:
+    structure = describe(cls)
+    names = [field.name for field in structure.fields]
+    if not isinstance(plain, dict):
+        raise wrong_type(where, f"a mapping with {', '.join(names)}", plain)
+    unknown = [str(name) for name in plain if name not in names]
+    missing = [name for name in names if name not in plain]
+    if unknown or missing:
+        parts = (f"unknown field {', '.join(unknown)[:200]}" if unknown else "", f"missing field {', '.join(missing)}" if missing else "")
+        raise RecordError(f"{where}: {'; '.join(filter(None, parts))}; expected {', '.join(names)}")
+    values = {field.name: _take(field.kind, plain[field.name], f"{where}.{field.name}") for field in structure.fields}
+    return build(cls, values)
+
+
+def build(cls: type, values: dict[str, Any]) -> Any:
+    """An instance of a record type or dataclass, lists where a mutable dataclass declares lists."""
+    structure = describe(cls)
+    if not structure.checked:
+        for field in structure.fields:
+            if isinstance(field.kind, TupleKind) and field.kind.restore is list:
+                values[field.name] = list(values[field.name])
+            if isinstance(field.kind, MapKind):
+                values[field.name] = dict(values[field.name])
+    init = {field.name for field in _init_fields(cls)}
+    instance = cls(**{name: value for name, value in values.items() if name in init})
+    for name, value in values.items():
+        if name not in init:
+            object.__setattr__(instance, name, value)
+    return instance
+
+
+def _init_fields(cls: type) -> list[Any]:
+    import dataclasses
+
+    return [field for field in dataclasses.fields(cls) if field.init]
+
+
+def _put(kind: Kind, value: Any) -> Plain:
+    for base, put in _PUT:
+        if isinstance(kind, base):
+            return put(kind, value)
+    return value
+
+
+def _take(kind: Kind, plain: Plain, where: str) -> Any:
+    for base, take in _TAKE:
+        if isinstance(kind, base):
+            return take(kind, plain, where)
+    return kind.check(plain, where)
+
+
+def _put_float(kind: Kind, value: float) -> Plain:
+    if math.isfinite(value):
+        return value
+    return "NaN" if value != value else "Infinity" if value > 0 else "-Infinity"
+
+
+def _take_float(kind: Kind, plain: Plain, where: str) -> Any:
+    if isinstance(plain, str):
+        if plain not in _NON_FINITE:
+            raise wrong_value(where, 'a number, "NaN", "Infinity" or "-Infinity"', plain)
+        return _NON_FINITE[plain]
+    return kind.check(plain, where)
+
+
+def _put_bytes(kind: Kind, value: bytes) -> Plain:
+    return base64.b64encode(value).decode("ascii")
+
+
+def _take_bytes(kind: Kind, plain: Plain, where: str) -> bytes:
+    if not isinstance(plain, str):
+        raise wrong_type(where, "base64 text", plain)
+    try:
+        return base64.b64decode(plain.encode(), validate=True)
+    except (binascii.Error, UnicodeEncodeError) as error:
+        raise RecordError(f"{where}: expected base64 text, got {shown(plain)}: {error}") from None
+
+
+def _put_enum(kind: Kind, value: Enum) -> Plain:
+    return value.name
+
+
+def _take_enum(kind: Any, plain: Plain, where: str) -> Any:
+    if isinstance(plain, str) and plain in kind.enumeration.__members__:
+        return kind.enumeration[plain]
+    raise wrong_value(where, kind.expected, plain)
+
+
+def _put_array(kind: Kind, value: Any) -> Plain:
+    if kind.element == "u8" and not isinstance(kind, NDArrayKind):
+        return base64.b64encode(value.tobytes()).decode("ascii")
+    items = value.tolist()
+    return [_put_float(kind, item) for item in items] if value.dtype.kind == "f" else items
+
+
+def _take_array(kind: Kind, plain: Plain, where: str) -> Any:
+    if kind.element == "u8":
+        return kind.check(_take_bytes(kind, plain, where), where)
+    if not isinstance(plain, list):
+        raise wrong_type(where, "a list", plain)
+    if isinstance(SCALARS.get(kind.element or ""), FloatKind):
+        plain = [_take_float(SCALARS[kind.element or ""], item, f"{where}[{index}]") for index, item in enumerate(plain)]
+    return kind.check(plain, where)
+
+
+def _put_ndarray(kind: Kind, value: Any) -> Plain:
+    """Type, shape and octets (little-endian), because nested lists forget the first two and NaN payloads."""
+    little = value.astype(value.dtype.newbyteorder("<"), copy=False)
+    return {
+        "dtype": element_name(value.dtype),
+        "shape": list(value.shape),
+        "data": base64.b64encode(little.tobytes()).decode("ascii"),
+    }
+
+
+def _take_ndarray(kind: Kind, plain: Plain, where: str) -> Any:
+    if not isinstance(plain, dict) or set(plain) != {"dtype", "shape", "data"}:
+        raise wrong_type(where, "a mapping with dtype, shape, data", plain)
+    return kind.check(array_of(plain["dtype"], plain["shape"], _take_bytes(kind, plain["data"], f"{where}.data"), where), where)
+
+
+def array_of(element: Any, shape: Any, data: bytes, where: str) -> Any:
+    """An array that shares the memory of `data`. RecordError, before anything is allocated, if type, shape and length disagree."""
+    import numpy as np
+
+    from aiorts.types.arrays import MAX_DIMENSIONS
+
+    code = DTYPES.get(element) if isinstance(element, str) else None
+    if code is None:
+        raise RecordError(f"{where}: expected element type {', '.join(DTYPES)}, got {shown(element)}")
+    if not isinstance(shape, (list, tuple)) or len(shape) > MAX_DIMENSIONS:
+        raise RecordError(f"{where}: expected a shape of at most {MAX_DIMENSIONS} lengths, got {shown(shape)}")
+    if not all(type(length) is int and 0 <= length < 2**63 for length in shape):
+        raise RecordError(f"{where}: expected a shape of lengths that are not negative, got {list(shape)}")
+    expected = math.prod(shape) * int(code[1:])
+    if expected != len(data) or (not expected and any(length > 2**32 for length in shape)):
+        raise RecordError(f"{where}: expected {expected} octets for {element} of shape {list(shape)}, got {len(data)}")
+    if code == "b1" and data.strip(b"\x00\x01"):
+        _only_truth_values(data, where)
+    little = np.frombuffer(data, dtype=f"<{code}" if code[1:] != "1" else code) if data else np.empty(0, dtype=code)
+    return little.reshape(shape)
+
+
+def _only_truth_values(data: bytes, where: str) -> None:
+    if data.translate(None, b"\x00\x01"):
+        raise RecordError(f"{where}: expected truth values as octets 0 and 1, got others")
+
+
+def _put_rows(kind: Any, value: Any) -> Plain:
+    return [to_plain(record) for record in value]
+
+
+def _take_rows(kind: Any, plain: Plain, where: str) -> Any:
+    if not isinstance(plain, list):
+        raise wrong_type(where, "a list", plain)
+    return kind.check([_take_record(kind.cls, item, f"{where}[{index}]") for index, item in enumerate(plain)], where)
+
+
+def _put_tuple(kind: Any, value: Any) -> Plain:
+    return [_put(kind.item, item) for item in value]
+
+
+def _take_tuple(kind: Any, plain: Plain, where: str) -> Any:
+    if not isinstance(plain, list):
+        raise wrong_type(where, "a list", plain)
+    return tuple(_take(kind.item, item, f"{where}[{index}]") for index, item in enumerate(plain))
+
+
+def _put_fixed(kind: Any, value: Any) -> Plain:
+    return [_put(item_kind, item) for item_kind, item in zip(kind.items, value, strict=True)]
+
+
+def _take_fixed(kind: Any, plain: Plain, where: str) -> Any:
+    if not isinstance(plain, list) or len(plain) != len(kind.items):
+        raise wrong_type(where, f"a list of {len(kind.items)}", plain)
+    pairs = zip(kind.items, plain, strict=True)
+    return tuple(_take(item_kind, item, f"{where}[{index}]") for index, (item_kind, item) in enumerate(pairs))
+
+
+def _put_map(kind: Kind, value: Any) -> Plain:
+    return {name: _put_entry(entry) for name, entry in value.items()}
+
+
+def _put_entry(entry: Any) -> Plain:
+    """Scalars JSON tells apart stay as they are; all else says what it is."""
+    if type(entry) is bytes:
+        return {"bytes": _put_bytes(SCALARS["bytes"], entry)}
+    if type(entry) is float and not math.isfinite(entry):
+        return {"float": _put_float(SCALARS["f64"], entry)}
+    return _put_ndarray(NDArrayKind(), entry) if hasattr(entry, "dtype") else entry
+
+
+def _take_map(kind: Kind, plain: Plain, where: str) -> Any:
+    if not isinstance(plain, dict):
+        raise wrong_type(where, "a mapping", plain)
+    return kind.check({name: _take_entry(entry, f"{where}[{shown(name)}]") for name, entry in plain.items()}, where)
+
+
+def _take_entry(entry: Plain, where: str) -> Any:
+    if not isinstance(entry, dict):
+        return entry
+    if set(entry) == {"bytes"}:
+        return _take_bytes(SCALARS["bytes"], entry["bytes"], where)
+    if set(entry) == {"float"}:
+        return _take_float(SCALARS["f64"], entry["float"], where)
+    return _take_ndarray(NDArrayKind(), entry, where)
+
+
+def _take_nested(kind: Any, plain: Plain, where: str) -> Any:
+    return _take_record(kind.cls, plain, where)
+
+
+_PUT: tuple[tuple[type, Callable[[Any, Any], Plain]], ...] = (
+    (RecordKind, lambda kind, value: to_plain(value)),
+    (FloatKind, _put_float),
+    (BytesKind, _put_bytes),
+    (EnumKind, _put_enum),
+    (NDArrayKind, _put_ndarray),
+    (ArrayKind, _put_array),
+    (RowsKind, _put_rows),
+    (TupleKind, _put_tuple),
+    (FixedTupleKind, _put_fixed),
+    (MapKind, _put_map),
+)
+_TAKE: tuple[tuple[type, Callable[[Any, Plain, str], Any]], ...] = (
+    (RecordKind, _take_nested),
+    (FloatKind, _take_float),
+    (BytesKind, _take_bytes),
+    (EnumKind, _take_enum),
+    (NDArrayKind, _take_ndarray),
+    (ArrayKind, _take_array),
+    (RowsKind, _take_rows),
+    (TupleKind, _take_tuple),
+    (FixedTupleKind, _take_fixed),
+    (MapKind, _take_map),
+)

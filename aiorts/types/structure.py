@@ -1,0 +1,242 @@
+"""From annotations to structure: what fields a record type has, and which kind each one is.
+
+`describe(cls)` reads records, and plain dataclasses of any module when they are first used. A type that cannot travel is
+a DeclarationError that names the field and the annotation.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import types
+import typing
+from collections.abc import Mapping, MutableMapping, MutableSequence, Sequence
+from enum import Enum
+from typing import Annotated, Any, ClassVar, get_args, get_origin
+
+import aiorts.types.spelling as spelled
+from aiorts.errors import DeclarationError
+from aiorts.types.arrays import ArrayKind, NDArrayKind
+from aiorts.types.kinds import SCALARS, EnumKind, Kind
+from aiorts.types.registry import register
+from aiorts.types.rows import FixedTupleKind, MapKind, TupleKind
+
+if typing.TYPE_CHECKING:
+    from aiorts.types.nested import RecordKind
+
+__all__ = ("Field", "Structure", "describe", "fields_of", "is_record_type", "kind_of", "sequence_kind")
+
+MISSING: Any = dataclasses.MISSING
+NUMBERS = frozenset({*(f"{sign}{bits}" for sign in "iu" for bits in (8, 16, 32, 64)), "f32", "f64", "bool"})
+STRUCTURE = "__aiorts_structure__"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a record type."""
+
+    name: str
+    kind: Kind
+    default: Any = MISSING
+    factory: Any = MISSING
+
+    @property
+    def spelling(self) -> str:
+        """The kind as text: "f64", "seq[i32]", "Point3D"."""
+        return self.kind.spelling
+
+    @property
+    def element(self) -> str | None:
+        """Element type of a number field or number sequence ("f64"); None for all others."""
+        return self.kind.element
+
+    @property
+    def record(self) -> type | None:
+        """The record type of a nested record or of a sequence of records."""
+        kind = getattr(self.kind, "item", self.kind)
+        return getattr(kind, "cls", None)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Structure:
+    """The fields of one record type, in order."""
+
+    cls: type
+    fields: tuple[Field, ...]
+    checked: bool
+    mutable: bool
+    has_tm: bool
+
+    def field(self, name: str) -> Field | None:
+        """The field of that name, or None."""
+        return next((field for field in self.fields if field.name == name), None)
+
+
+def is_record_type(cls: object) -> bool:
+    """Whether `cls` is a record type or a dataclass (not whether its fields can travel)."""
+    return isinstance(cls, type) and (STRUCTURE in cls.__dict__ or "__dataclass_fields__" in dir(cls))
+
+
+def describe(cls: type) -> Structure:
+    """The structure of a record type or dataclass. DeclarationError if it is neither or cannot travel."""
+    known = cls.__dict__.get(STRUCTURE) if isinstance(cls, type) else None
+    if known is not None:
+        return typing.cast("Structure", known)
+    if not isinstance(cls, type) or not dataclasses.is_dataclass(cls):
+        raise DeclarationError(f"{_label(cls)}: expected a record or a dataclass; decorate the class with @record or @dataclass")
+    structure = _of_dataclass(cls)
+    type.__setattr__(cls, STRUCTURE, structure)
+    register(cls)
+    return structure
+
+
+def fields_of(cls: type) -> tuple[Field, ...]:
+    """The fields of a record type or dataclass, in order."""
+    return describe(cls).fields
+
+
+def _of_dataclass(cls: type) -> Structure:
+    hints = resolve(cls)
+    fields = tuple(
+        Field(field.name, kind_of(hints[field.name], f"{cls.__qualname__}.{field.name}", cls), field.default, field.default_factory)
+        for field in dataclasses.fields(cls)
+    )
+    return assemble(cls, fields, checked=False, frozen=cls.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+
+
+def assemble(cls: type, fields: tuple[Field, ...], *, checked: bool, frozen: bool) -> Structure:
+    stamped = any(field.name == "tm" and field.kind.spelling in ("stamp", "Time") for field in fields)
+    mutable = not frozen or (not checked and any(holds_mutable(field.kind) for field in fields))
+    return Structure(cls, fields, checked, mutable, stamped)
+
+
+def holds_mutable(kind: Kind) -> bool:
+    """Whether an unchecked field of this kind may hold something that can change after the write."""
+    if isinstance(kind, (ArrayKind, MapKind)):
+        return True
+    return kind.mutable
+
+
+def resolve(cls: type) -> dict[str, Any]:
+    """The annotations of `cls` as objects, local classes of a running function included."""
+    try:
+        return typing.get_type_hints(cls, localns=_locals_of(cls), include_extras=True)
+    except NameError as error:
+        raise DeclarationError(
+            f"{cls.__qualname__}: the name {error.name!r} in its annotations cannot be found; "
+            "import it at run time (not under TYPE_CHECKING) and define it before this class"
+        ) from None
+
+
+def _locals_of(cls: type) -> dict[str, Any] | None:
+    """The variables of the function that defines `cls`, if it is running: its annotations may name them."""
+    owner, local, _ = cls.__qualname__.rpartition(".<locals>.")
+    if not local:
+        return None
+    frame = sys._getframe()
+    while frame is not None:
+        code = frame.f_code
+        if code.co_qualname == owner and frame.f_globals.get("__name__") == cls.__module__:
+            return dict(frame.f_locals)
+        frame = frame.f_back  # type: ignore[assignment]
+    return None
+
+
+def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
+    """The kind an annotation asks for; DeclarationError naming `where` if no such value can travel."""
+    if get_origin(annotation) is Annotated:
+        base, *metadata = get_args(annotation)
+        tag = next((str(entry) for entry in metadata if isinstance(entry, spelled.Tag)), None)
+        return SCALARS[tag] if tag else kind_of(base, where, owner)
+    if isinstance(annotation, typing.NewType):
+        return kind_of(annotation.__supertype__, where, owner)
+    if where.endswith(".tm") and annotation is int:
+        return SCALARS["stamp"]
+    if annotation in _PLAIN:
+        return SCALARS[_PLAIN[annotation]]
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return EnumKind(register(annotation))
+    if annotation in (spelled.NDArray, spelled.Map):
+        return NDArrayKind() if annotation is spelled.NDArray else MapKind()
+    if isinstance(annotation, type) and get_origin(annotation) is None and dataclasses.is_dataclass(annotation):
+        return _nested(annotation, where, owner)
+    generic = _generic(annotation, where, owner)
+    if generic is None:
+        raise _cannot_travel(annotation, where)
+    return generic
+
+
+# int is 64 bits wide because that is what travels; a bigger one is refused where the record is built
+_PLAIN: dict[Any, str] = {int: "i64", float: "f64", str: "str", bool: "bool", bytes: "bytes", bytearray: "bytes"}
+
+
+def _generic(annotation: Any, where: str, owner: type | None) -> Kind | None:
+    origin, args = get_origin(annotation), get_args(annotation)
+    if origin in (spelled.Array, spelled.Seq, spelled.Rows) and args:
+        kind = sequence_kind(args[0], where, owner)
+        if origin is spelled.Array and not isinstance(kind, ArrayKind):
+            raise DeclarationError(f"{where}: Array[...] takes a number type; write Seq[...] for {_label(args[0])}")
+        return kind
+    if origin is tuple and args and args[-1] is not Ellipsis:
+        return FixedTupleKind(tuple(kind_of(arg, where, owner) for arg in args))
+    if origin in (tuple, list, Sequence, MutableSequence) and args:
+        return TupleKind(kind_of(args[0], where, owner), restore=list if origin in (list, MutableSequence) else tuple)
+    if origin in (dict, Mapping, MutableMapping) and args and args[0] is str:
+        return MapKind()
+    return _numpy_array(annotation, origin, args)
+
+
+def _numpy_array(annotation: Any, origin: Any, args: tuple[Any, ...]) -> Kind | None:
+    """numpy.ndarray or numpy.typing.NDArray[...], recognised without importing numpy."""
+    target = origin or annotation
+    if getattr(target, "__module__", "") != "numpy" or getattr(target, "__name__", "") != "ndarray":
+        return None
+    import numpy as np
+
+    from aiorts.types.arrays import element_name
+
+    dtype = get_args(args[-1])[0] if args and get_args(args[-1]) else None
+    if not isinstance(dtype, type) or dtype is np.generic or not issubclass(dtype, np.generic):
+        return NDArrayKind()
+    element = element_name(np.dtype(dtype)) if dtype.__subclasses__() == [] else None
+    return NDArrayKind(element)
+
+
+def sequence_kind(item: Any, where: str = "", owner: type | None = None) -> Kind:
+    """The kind of a sequence of `item` (an annotation): array, (n, k) array with record views, or tuple."""
+    kind = kind_of(item, where or _label(item), owner)
+    if kind.spelling in NUMBERS:
+        return ArrayKind(kind.spelling)
+    from aiorts.types.nested import RecordKind, rows_kind
+
+    rows = rows_kind(kind) if isinstance(kind, RecordKind) else None
+    return rows or TupleKind(kind)
+
+
+def _nested(cls: type, where: str, owner: type | None) -> RecordKind:
+    from aiorts.types.nested import RecordKind
+
+    if cls is owner:
+        raise DeclarationError(f"{where}: a record cannot contain its own type")
+    return RecordKind(describe(cls))
+
+
+def _cannot_travel(annotation: Any, where: str) -> DeclarationError:
+    if get_origin(annotation) in (typing.Union, types.UnionType):
+        return DeclarationError(
+            f"{where}: {_label(annotation)} has more than one type; every field travels, so give it one type and a default"
+        )
+    return DeclarationError(
+        f"{where}: a value of type {_label(annotation)} cannot travel; use bool, int, float, str, bytes, the types of "
+        "aiorts.types (f32, u16, Array[f64], Seq[str], ...), an Enum, or another record or dataclass"
+    )
+
+
+def _label(annotation: Any) -> str:
+    if isinstance(annotation, type) and not get_args(annotation):
+        return annotation.__qualname__
+    return str(annotation).replace("typing.", "")
+
+
+def is_class_variable(annotation: Any) -> bool:
+    return annotation is ClassVar or get_origin(annotation) is ClassVar

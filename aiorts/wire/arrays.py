@@ -1,0 +1,75 @@
+"""An array as one binary value: element type, number of dimensions and shape in front of its octets.
+
+Layout, little-endian: element code (1 octet), dimensions (1), six zeros, one u64 for each length, then the elements in C
+order. The head is a multiple of eight octets so that the elements are aligned in the `bytes` the parser hands over, which
+the decoded array then uses as they are.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING, Any
+
+from aiorts.errors import WireError
+from aiorts.types.arrays import DTYPES, MAX_DIMENSIONS, element_name
+from aiorts.types.kinds import shown
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+__all__ = ("pack_array", "unpack_array")
+
+# Codes are part of the format: append, never renumber.
+_ELEMENTS = ("bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f16", "f32", "f64", "c64", "c128")
+_CODES = {name: code for code, name in enumerate(_ELEMENTS, start=1)}
+_HEADS = tuple(struct.Struct(f"<BB6x{dimensions}Q") for dimensions in range(MAX_DIMENSIONS + 1))
+_LONGEST = 2**62
+
+
+def pack_array(array: npt.NDArray[np.generic]) -> bytes:
+    """The octets of a checked array (contiguous, an element type that may travel)."""
+    code = _CODES[element_name(array.dtype) or ""]
+    head = _HEADS[array.ndim].pack(code, array.ndim, *array.shape)
+    little = array if array.dtype.isnative and _LITTLE else array.astype(array.dtype.newbyteorder("<"))
+    return head + little.tobytes() if array.size < 4096 else b"".join((head, little.data))
+
+
+def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
+    """A read-only array on the memory of `data`. WireError, before anything is allocated, if its head does not describe it."""
+    if type(data) is not bytes:
+        raise WireError(f"{where}: expected an array as binary, got {shown(data)}")
+    if len(data) < 8:
+        raise WireError(f"{where}: expected the head of an array, 8 octets or more, got {len(data)}")
+    code, dimensions = data[0], data[1]
+    if not 1 <= code <= len(_ELEMENTS) or dimensions > MAX_DIMENSIONS or data[2:8] != b"\0\0\0\0\0\0":
+        raise WireError(
+            f"{where}: expected an element code 1..{len(_ELEMENTS)}, at most {MAX_DIMENSIONS} dimensions and six zeros, got {data[:8]!r}"
+        )
+    head = _HEADS[dimensions]
+    if len(data) < head.size:
+        raise WireError(f"{where}: expected {dimensions} lengths, got {len(data) - 8} octets of them")
+    shape = head.unpack_from(data)[2:]
+    element = _ELEMENTS[code - 1]
+    dtype = DTYPES[element]
+    octets = math.prod(shape) * int(dtype[1:])
+    if octets != len(data) - head.size or any(length > _LONGEST for length in shape):
+        raise WireError(f"{where}: expected {octets} octets for {element} of shape {shape}, got {len(data) - head.size}")
+    return _view(data, dtype, head.size, shape, where)
+
+
+def _view(data: bytes, dtype: str, offset: int, shape: tuple[int, ...], where: str) -> npt.NDArray[Any]:
+    import numpy as np
+
+    if offset == len(data):
+        # frombuffer refuses to look at nothing; lengths beside a zero are harmless but numpy multiplies them.
+        if math.prod(length for length in shape if length) * int(dtype[1:]) > _LONGEST:
+            raise WireError(f"{where}: expected a shape that an array can have, got {shape}")
+        return np.empty(shape, dtype=dtype)
+    if dtype == "b1" and int(np.frombuffer(data, dtype="u1", offset=offset).max()) > 1:
+        raise WireError(f"{where}: expected truth values as octets 0 and 1, got others")
+    return np.frombuffer(data, dtype=f"<{dtype}", offset=offset).reshape(shape)
+
+
+_LITTLE = struct.pack("=H", 1) == b"\1\0"

@@ -1,0 +1,155 @@
+"""Records to bytes and back: one msgpack list `[1, type name, fields]` for each record, within limits on both sides.
+
+A type name is looked up, never imported. Bytes are untrusted: whatever they are, `decode` returns a checked record or raises
+WireError, and it allocates nothing that the frame has no octets for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import LimitError, RecordError, WireError
+from aiorts.types.kinds import shown
+from aiorts.types.registry import wire_name, wire_type
+from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
+from aiorts.types.structure import kind_of
+from aiorts.wire.forms import Form, form_of
+from aiorts.wire.limits import DATA, Limits
+from aiorts.wire.scan import count_values
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ("FORMAT", "Codec", "MsgpackCodec")
+
+FORMAT = 1
+
+# A frame this short is parsed at once: all that its headers could claim together is below 4 MiB.
+_SHORT = 1024
+
+
+class Codec(Protocol):
+    """What turns records into bytes and back."""
+
+    def encode(self, record: Any) -> bytes:
+        """The record as one frame. RecordError if it cannot travel, LimitError if it is too large."""
+        ...
+
+    def decode(self, data: bytes, expected: type | None = None) -> Any:
+        """The record of one frame. WireError if the frame is not one, or not one of `expected` or its subclasses."""
+        ...
+
+
+class MsgpackCodec:
+    """The codec on the msgpack package. Has no state beyond its limits; one may serve any number of tasks and threads."""
+
+    def __init__(self, limits: Limits = DATA) -> None:
+        self.limits = limits
+        # A frame of no more octets than this cannot break any limit.
+        self._unchecked = min(limits.string, limits.length, limits.values, limits.frame)
+        self._options: dict[str, Any] = {
+            "raw": False,
+            "strict_map_key": True,
+            "object_pairs_hook": _unique,
+            "max_str_len": limits.string,
+            "max_bin_len": limits.frame,
+            "max_ext_len": 0,
+        }
+
+    def __repr__(self) -> str:
+        return f"MsgpackCodec({self.limits!r})"
+
+    def encode(self, record: Any) -> bytes:
+        """The record (or bool, int, float, str, bytes) as one frame.
+
+        RecordError if a field of a plain dataclass does not fit its annotation, LimitError if the frame would be too large.
+        """
+        cls = type(record)
+        name, form = _known.get(cls) or _know(cls)
+        frame: bytes = msgpack.packb((FORMAT, name, form.put(record)), unicode_errors="strict")
+        if len(frame) > self._unchecked:
+            self._check_size(frame, name)
+        return frame
+
+    def _check_size(self, frame: bytes, name: str) -> None:
+        if len(frame) > self.limits.frame:
+            raise LimitError(f"{name}: a frame of {len(frame)} octets; at most {self.limits.frame} are allowed")
+        try:
+            count_values(frame, self.limits)
+        except LimitError as error:
+            raise LimitError(f"{name}: {error}") from None
+
+    def decode(self, data: bytes, expected: type | None = None) -> Any:
+        """The record in a frame; arrays in it use the parsed octets without another copy.
+
+        WireError if the frame is damaged, of another version, of an unknown type, or not of `expected` (or a subclass);
+        LimitError, which is one, if it is larger than allowed.
+        """
+        if type(data) is not bytes:
+            data = bytes(data)
+        try:
+            content = self._parse(data)
+            if type(content) is not list or len(content) != 3 or content[0] != FORMAT or type(content[1]) is not str:
+                raise _wrong_head(content)
+            name, form = self._form(content[1], expected)
+            return form.take(content[2], name)
+        except RecordError as error:
+            raise WireError(str(error)) from error
+
+    def _parse(self, data: bytes) -> Any:
+        limits, size = self.limits, len(data)
+        if size > limits.frame:
+            raise LimitError(f"a frame of {size} octets; at most {limits.frame} are allowed")
+        if size > _SHORT:
+            count_values(data, limits)
+        longest = min(limits.length, size)
+        try:
+            return msgpack.unpackb(data, max_array_len=longest, max_map_len=longest, **self._options)
+        except WireError:
+            raise
+        except (ValueError, TypeError, msgpack.UnpackException) as error:
+            too_long = "exceeds max_" in str(error) and "ext" not in str(error)
+            raise (LimitError if too_long else WireError)(f"no msgpack frame: {str(error) or type(error).__name__}") from None
+
+    @staticmethod
+    def _form(name: str, expected: type | None) -> tuple[str, Form]:
+        cls = wire_type(name)
+        if cls is None:
+            raise WireError(f"unknown type {name[:200]!r}; import the module that defines it")
+        if expected is not None and not issubclass(cls, original(expected)):
+            raise WireError(f"expected a {wire_name(original(expected))}, got a {name}")
+        known_name, form = _known.get(cls) or _know(cls)
+        return known_name, form
+
+
+_known: dict[type, tuple[str, Form]] = {}
+
+
+def _know(cls: type) -> tuple[str, Form]:
+    """The wire name and form of a class, found once. DeclarationError if it cannot travel."""
+    check_port_type(cls)
+    target = original(cls)
+    form = _plain_form(target) if target in PLAIN_TYPES else form_of(target)
+    _known[cls] = wire_name(target), form
+    return _known[cls]
+
+
+def _plain_form(cls: type) -> Form:
+    kind = kind_of(cls, cls.__name__)
+    put: Callable[[Any], Any] = lambda value: kind.check(value, cls.__name__)  # noqa: E731
+    return Form(put, kind.check)
+
+
+def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    fields = dict(pairs)
+    if len(fields) != len(pairs):
+        raise WireError("a map has the same key twice")
+    return fields
+
+
+def _wrong_head(content: Any) -> WireError:
+    if type(content) is list and len(content) == 3 and content[0] != FORMAT:
+        return WireError(f"a frame of version {shown(content[0])}; this side reads version {FORMAT}")
+    return WireError(f"expected a list of version, type name and fields, got {shown(content)}")

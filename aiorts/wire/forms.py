@@ -1,0 +1,247 @@
+"""How each kind of field lies in a frame: a pair of functions, made once for each type.
+
+Records are maps from field name to value, so that a frame says what is missing or unknown; number sequences and sequences
+of records with one element type are one binary each; enumerations are their integer, or their member's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from aiorts.errors import RecordError, WireError
+from aiorts.types.arrays import ArrayKind, NDArrayKind
+from aiorts.types.kinds import EnumKind, Kind, shown
+from aiorts.types.nested import RecordKind
+from aiorts.types.plain import build
+from aiorts.types.rows import FixedTupleKind, MapKind, RecordArray, RowsKind, TupleKind
+from aiorts.types.structure import Structure, describe
+from aiorts.wire.arrays import pack_array, unpack_array
+
+__all__ = ("Form", "form_of")
+
+Put = Callable[[Any], Any]
+Take = Callable[[Any, str], Any]
+
+
+class Form(NamedTuple):
+    """Record -> what msgpack packs, and back. `take` raises WireError or RecordError naming the field."""
+
+    put: Put
+    take: Take
+
+
+# None: the value goes into the frame as it is, and the record's constructor checks what comes out of one.
+_Pair = tuple[Put | None, Take | None]
+_forms: dict[type, Form] = {}
+
+
+def form_of(cls: type) -> Form:
+    """The form of a record type or dataclass."""
+    form = _forms.get(cls)
+    if form is None:
+        form = _forms[cls] = _record_form(describe(cls))
+    return form
+
+
+def _record_form(structure: Structure) -> Form:
+    names = tuple(field.name for field in structure.fields)
+    pairs = tuple(_pair(field.kind) for field in structure.fields)
+    wheres = tuple(f"{structure.cls.__qualname__}.{name}" for name in names)
+    return Form(_putter(structure, names, pairs, wheres), _taker(structure, names, pairs, wheres))
+
+
+def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ...], wheres: tuple[str, ...]) -> Put:
+    read: Any = attrgetter(*names) if len(names) > 1 else lambda record: tuple(getattr(record, name) for name in names)
+    puts = tuple((name, put) for name, (put, _) in zip(names, pairs, strict=True) if put is not None)
+    kinds = tuple(zip((field.kind for field in structure.fields), wheres, strict=True))
+
+    def put_direct(record: Any) -> Any:
+        return dict(zip(names, read(record), strict=True))
+
+    def put_checked(record: Any) -> Any:
+        fields = dict(zip(names, read(record), strict=True))
+        for name, put in puts:
+            fields[name] = put(fields[name])
+        return fields
+
+    def put_unchecked(record: Any) -> Any:
+        fields = {n: kind.check(value, where) for n, (kind, where), value in zip(names, kinds, read(record), strict=True)}
+        for name, put in puts:
+            fields[name] = put(fields[name])
+        return fields
+
+    if not structure.checked:
+        return put_unchecked
+    return put_checked if puts else put_direct
+
+
+def _taker(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ...], wheres: tuple[str, ...]) -> Take:
+    cls, count = structure.cls, len(names)
+    takes = tuple((name, take, where) for name, (_, take), where in zip(names, pairs, wheres, strict=True) if take is not None)
+    kinds = {field.name: field.kind for field in structure.fields}
+
+    def take_record(fields: Any, where: str) -> Any:
+        if type(fields) is not dict or len(fields) != count:
+            raise _wrong_fields(fields, names, where)
+        try:
+            for name, take, place in takes:
+                fields[name] = take(fields[name], place)
+            if structure.checked:
+                return cls(*[fields[name] for name in names])
+        except KeyError:
+            raise _wrong_fields(fields, names, where) from None
+        if any(name not in kinds for name in fields):
+            raise _wrong_fields(fields, names, where)
+        return build(cls, {name: kinds[name].check(fields[name], f"{where}.{name}") for name in names})
+
+    return take_record
+
+
+def _wrong_fields(fields: Any, names: tuple[str, ...], where: str) -> WireError:
+    if type(fields) is not dict:
+        return WireError(f"{where}: expected a map with {', '.join(names)}, got {shown(fields)}")
+    missing = [name for name in names if name not in fields]
+    unknown = [shown(name) for name in fields if name not in names][:5]
+    parts = [f"missing {', '.join(missing)}"] if missing else []
+    parts += [f"unknown {', '.join(unknown)}"] if unknown else []
+    return WireError(f"{where}: {'; '.join(parts)}; expected the fields {', '.join(names)}")
+
+
+def _pair(kind: Kind) -> _Pair:
+    for base, make in _PAIRS:
+        if isinstance(kind, base):
+            return make(kind)
+    return None, None
+
+
+def _array_pair(kind: ArrayKind) -> _Pair:
+    element, spelling = kind.element, kind.spelling
+    one_dimension = not isinstance(kind, NDArrayKind)
+
+    def take(data: Any, where: str) -> Any:
+        array = unpack_array(data, where)
+        # The element type is part of the record's type: another one is the sender's mistake even if the values would fit.
+        if (element is not None and array.dtype != _dtype(element)) or (one_dimension and array.ndim != 1):
+            raise WireError(f"{where}: expected {spelling}, got {array.dtype} of shape {array.shape}")
+        return array
+
+    return pack_array, take
+
+
+def _dtype(element: str) -> Any:
+    import numpy as np
+
+    from aiorts.types.arrays import DTYPES
+
+    return np.dtype(DTYPES[element])
+
+
+def _rows_pair(kind: RowsKind) -> _Pair:
+    dtype, width = kind.element or "", len(kind.columns)
+
+    def take(data: Any, where: str) -> Any:
+        array = unpack_array(data, where)
+        if array.dtype != _dtype(dtype) or array.ndim != 2 or array.shape[1] != width:
+            raise WireError(f"{where}: expected {dtype} of shape (n, {width}), got {array.dtype} of shape {array.shape}")
+        return array
+
+    def put(rows: RecordArray[Any]) -> bytes:
+        return pack_array(rows.array)
+
+    return put, take
+
+
+def _nested_pair(kind: RecordKind) -> _Pair:
+    form = form_of(kind.cls)
+    return form.put, form.take
+
+
+def _enum_pair(kind: EnumKind) -> _Pair:
+    if issubclass(kind.enumeration, IntEnum):
+        return int, None
+
+    def take(name: Any, where: str) -> Any:
+        if type(name) is not str or name not in kind.enumeration.__members__:
+            raise WireError(f"{where}: expected {kind.expected}, got {shown(name)}")
+        return kind.enumeration[name]
+
+    return lambda member: member.name, take
+
+
+def _list_of(value: Any, where: str, count: int | None = None) -> Any:
+    if type(value) is not list or (count is not None and len(value) != count):
+        raise WireError(f"{where}: expected a list{f' of {count}' if count is not None else ''}, got {shown(value)}")
+    return value
+
+
+def _tuple_pair(kind: TupleKind) -> _Pair:
+    put, take = _pair(kind.item)
+
+    def put_items(items: Any) -> Any:
+        return list(items) if put is None else [put(item) for item in items]
+
+    def take_items(items: Any, where: str) -> Any:
+        _list_of(items, where)
+        return items if take is None else [take(item, f"{where}[{index}]") for index, item in enumerate(items)]
+
+    return put_items, take_items
+
+
+def _fixed_pair(kind: FixedTupleKind) -> _Pair:
+    pairs = tuple(_pair(item) for item in kind.items)
+
+    def put_items(items: Any) -> Any:
+        return [put(item) if put is not None else item for (put, _), item in zip(pairs, items, strict=True)]
+
+    def take_items(items: Any, where: str) -> Any:
+        _list_of(items, where, len(pairs))
+        numbered = enumerate(zip(pairs, items, strict=True))
+        return tuple(take(item, f"{where}[{i}]") if take is not None else item for i, ((_, take), item) in numbered)
+
+    return put_items, take_items
+
+
+def _map_pair(kind: MapKind) -> _Pair:
+    """Entries have no declared kind: a binary is an array, and octets are a list with the one binary in it."""
+
+    def put(entries: Any) -> Any:
+        return {name: _put_entry(entry) for name, entry in entries.items()}
+
+    def take(entries: Any, where: str) -> Any:
+        if type(entries) is not dict:
+            raise WireError(f"{where}: expected a map, got {shown(entries)}")
+        return {name: _take_entry(entry, f"{where}[{shown(name)}]") for name, entry in entries.items()}
+
+    return put, take
+
+
+def _put_entry(entry: Any) -> Any:
+    if type(entry) is bytes:
+        return [entry]
+    return pack_array(entry) if hasattr(entry, "dtype") else entry
+
+
+def _take_entry(entry: Any, where: str) -> Any:
+    if type(entry) is bytes:
+        return unpack_array(entry, where)
+    if type(entry) is list:
+        if len(entry) != 1 or type(entry[0]) is not bytes:
+            raise WireError(f"{where}: expected octets, got {shown(entry)}")
+        return entry[0]
+    if type(entry) not in (bool, int, float, str):
+        raise RecordError(f"{where}: expected a scalar or an array, got {shown(entry)}")
+    return entry
+
+
+_PAIRS: tuple[tuple[type, Callable[[Any], _Pair]], ...] = (
+    (RecordKind, _nested_pair),
+    (ArrayKind, _array_pair),
+    (RowsKind, _rows_pair),
+    (EnumKind, _enum_pair),
+    (TupleKind, _tuple_pair),
+    (FixedTupleKind, _fixed_pair),
+    (MapKind, _map_pair),
+)

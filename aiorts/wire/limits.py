@@ -1,0 +1,32 @@
+"""How large a frame may be, and how much may be in it, before anything is allocated for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ("CONTROL", "DATA", "Limits")
+
+KIB = 1024
+MIB = 1024 * KIB
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Upper limits of one frame, checked by the sender too: `frame` and `string` in octets, the others in number."""
+
+    frame: int = 64 * MIB
+    string: int = 1 * MIB
+    values: int = 65_536
+    """Values in the whole frame: each scalar, key, list and map is one, an array is one however large."""
+    length: int = 65_536
+    """Items of one list or map."""
+
+    def __post_init__(self) -> None:
+        for name in ("frame", "string", "values", "length"):
+            limit = getattr(self, name)
+            if type(limit) is not int or not 0 < limit < 2**31:
+                raise ValueError(f"Limits.{name}: expected an integer 1..2147483647, got {limit!r}")
+
+
+DATA = Limits()
+CONTROL = Limits(frame=64 * KIB, string=64 * KIB, length=64)

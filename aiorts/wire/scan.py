@@ -1,0 +1,85 @@
+"""Walk a msgpack frame without building anything: how many values it claims to have, and whether they can be there.
+
+A header of three octets may claim 65,535 items, and a parser that believes it allocates for them. So every claim is counted, and
+compared with the octets that are left, before the parser sees the frame. No recursion: only the number of values that are
+still to come is needed, because nothing here asks which container they belong to.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.errors import LimitError, WireError
+
+if TYPE_CHECKING:
+    from aiorts.wire.limits import Limits
+
+__all__ = ("count_values",)
+
+# First octet -> octets of the whole value, for values whose size it tells; 0 for the others.
+_FIXED = bytearray(256)
+_FIXED[0x00:0x80] = b"\x01" * 128
+_FIXED[0xE0:0x100] = b"\x01" * 32
+_FIXED[0x80] = _FIXED[0x90] = 1
+_FIXED[0xA0:0xC0] = bytes(range(1, 33))
+for _first, _size in {
+    0xC0: 1, 0xC2: 1, 0xC3: 1, 0xCA: 5, 0xCB: 9, 0xCC: 2, 0xCD: 3, 0xCE: 5, 0xCF: 9, 0xD0: 2, 0xD1: 3, 0xD2: 5, 0xD3: 9,
+}.items():  # fmt: skip
+    _FIXED[_first] = _size
+_SIZES = bytes(_FIXED)
+
+# First octet -> octets of the length that follows, values that each unit of the length stands for, whether it is text
+_MEASURED = {
+    0xC4: (1, 0, False), 0xC5: (2, 0, False), 0xC6: (4, 0, False),
+    0xD9: (1, 0, True), 0xDA: (2, 0, True), 0xDB: (4, 0, True),
+    0xDC: (2, 1, False), 0xDD: (4, 1, False), 0xDE: (2, 2, False), 0xDF: (4, 2, False),
+}  # fmt: skip
+
+
+def count_values(frame: bytes, limits: Limits) -> int:
+    """The number of values in `frame`. LimitError as soon as it claims more than `limits`; WireError if it is not whole."""
+    sizes, end, limit = _SIZES, len(frame), limits.values
+    position, to_come, claimed = 0, 1, 1
+    try:
+        while to_come:
+            size = sizes[frame[position]]
+            if size:
+                position += size
+                to_come -= 1
+                continue
+            size, items = _header(frame, position, limits)
+            position += size
+            to_come += items - 1
+            claimed += items
+            if claimed > limit:
+                raise LimitError(f"the frame claims {claimed} values or more; at most {limit} are allowed")
+            if position + to_come > end:
+                break
+    except IndexError:
+        pass
+    if to_come:
+        raise WireError(f"the frame ends at octet {end} with {to_come} values still to come")
+    if position != end:
+        problem = "ends too early" if position > end else f"has {end - position} octets after its value"
+        raise WireError(f"the frame of {end} octets {problem}")
+    return claimed
+
+
+def _header(frame: bytes, position: int, limits: Limits) -> tuple[int, int]:
+    """Octets to skip and values to come, for a value whose first octet does not tell its size."""
+    first = frame[position]
+    if 0x80 <= first < 0xA0:
+        length = (first - 0x80) if first < 0x90 else first - 0x90
+        width, values, longest = 0, 2 if first < 0x90 else 1, limits.length
+    elif first in _MEASURED:
+        width, values, text = _MEASURED[first]
+        length = int.from_bytes(frame[position + 1 : position + 1 + width], "big")
+        longest = limits.length if values else limits.string if text else limits.frame
+    else:
+        raise WireError(f"octet {position}: 0x{first:02x} begins no value that frames may have (extension types are not used)")
+    if length > longest:
+        raise LimitError(f"octet {position}: a length of {length}; at most {longest} is allowed")
+    skipped = 1 + width + (0 if values else length)
+    if position + skipped > len(frame):
+        raise WireError(f"octet {position}: a value of {skipped} octets does not fit into the frame of {len(frame)}")
+    return skipped, length * values

@@ -1,0 +1,143 @@
+"""What every test of the suite gets: both event loops, reproducible property tests, and a guard against leaks.
+
+After every test no new task, thread or file descriptor is left, and the event loop has not complained of an exception
+that nobody retrieved or a task that was destroyed while pending. ("Never awaited" is a warning, and warnings are
+errors here.) A module-scoped async fixture keeps its loop open from test to test; this suite has none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import importlib.util
+import logging
+import os
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import settings
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Iterator
+
+HAS_UVLOOP = importlib.util.find_spec("uvloop") is not None
+DESCRIPTORS = Path("/proc/self/fd")
+ENDS_WITHIN = 2.0  # seconds that a pool's thread has to end after its loop was closed
+OWN_THREADS = ("pytest_timeout", "pytest-timeout")  # of the test runner, not of a test
+COMPLAINTS = ("never retrieved", "was destroyed but it is pending", "was never awaited")
+
+settings.register_profile("aiorts", deadline=None, print_blob=True)
+settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "aiorts")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(("asyncio", {"use_uvloop": False}), id="asyncio"),
+        pytest.param(
+            ("asyncio", {"use_uvloop": True}),
+            id="uvloop",
+            marks=[] if HAS_UVLOOP else pytest.mark.skip(reason="uvloop is not installed"),
+        ),
+    ],
+)
+def anyio_backend(request: pytest.FixtureRequest) -> Any:
+    """The event loop of an async test: the standard one, then uvloop."""
+    return request.param
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _opened_once_in_a_process() -> None:
+    """Let the event loops open what they keep for the whole process before anything is compared."""
+    asyncio.run(asyncio.sleep(0))
+    if HAS_UVLOOP:
+        import uvloop
+
+        uvloop.run(asyncio.sleep(0))
+
+
+class _Complaints(logging.Handler):
+    """Collects what the event loop says of exceptions and tasks that nobody took."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.texts: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = record.getMessage()
+        if any(complaint in text for complaint in COMPLAINTS):
+            self.texts.append(text)
+
+
+def _descriptors() -> dict[str, str]:
+    """Open descriptors and what each is; empty where the system does not tell."""
+    if not DESCRIPTORS.is_dir():
+        return {}
+    found = {}
+    for name in os.listdir(DESCRIPTORS):
+        try:
+            found[name] = os.readlink(DESCRIPTORS / name)
+        except OSError:
+            continue  # the one that listed the folder
+    return found
+
+
+def _new_threads(before: set[threading.Thread]) -> list[threading.Thread]:
+    return [t for t in threading.enumerate() if t not in before and not t.name.startswith(OWN_THREADS)]
+
+
+def _new_descriptors(before: dict[str, str]) -> dict[str, str]:
+    return {name: target for name, target in _descriptors().items() if before.get(name) != target}
+
+
+def _tasks() -> set[asyncio.Task[Any]]:
+    """Unfinished tasks but the running one and those of the test runner itself."""
+    own = {"TestRunner._call_in_runner_task", "TestRunner._run_tests_and_fixtures"}
+    return {task for task in asyncio.all_tasks() if getattr(task.get_coro(), "__qualname__", "") not in own}
+
+
+@pytest.fixture
+async def _tasks_all_end() -> AsyncIterator[None]:
+    before = _tasks()
+    yield
+    for _ in range(20):  # a task that was just cancelled needs a few turns to end
+        if not (left := _tasks() - before):
+            return
+        await asyncio.sleep(0)
+    for task in left:
+        task.cancel()
+    listed = sorted(f"{task.get_name()}: {task.get_coro()!r}" for task in left)
+    pytest.fail(f"{len(listed)} tasks left: {'; '.join(listed)}")
+
+
+@pytest.fixture
+def _no_thread_descriptor_or_complaint_left() -> Iterator[None]:
+    threads, descriptors, complaints = set(threading.enumerate()), _descriptors(), _Complaints()
+    loop_log = logging.getLogger("asyncio")
+    loop_log.addHandler(complaints)
+    yield
+    until = time.monotonic() + ENDS_WITHIN
+    while (left := _new_threads(threads)) and time.monotonic() < until:
+        left[0].join(0.05)
+    opened = _new_descriptors(descriptors)
+    if left or opened:
+        gc.collect()
+        left, opened = _new_threads(threads), _new_descriptors(descriptors)
+    loop_log.removeHandler(complaints)
+    faults = [f"thread {thread.name}" for thread in left]
+    faults += [f"descriptor {name} ({target})" for name, target in opened.items()]
+    faults += complaints.texts
+    if faults:
+        pytest.fail(f"left behind: {'; '.join(faults)}")
+
+
+@pytest.fixture(autouse=True)
+def _leaves_nothing_behind(request: pytest.FixtureRequest) -> None:
+    """Ask for the guards before any other fixture, so that they look after all of them were torn down."""
+    request.getfixturevalue("_no_thread_descriptor_or_complaint_left")
+    if "anyio_backend" in request.fixturenames:
+        request.getfixturevalue("_tasks_all_end")

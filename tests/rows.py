@@ -1,0 +1,117 @@
+"""Write tests/ROWS.md: which tests show which row of the feature comparison. Run: python tests/rows.py
+
+The marks `@pytest.mark.row(n)` of tests, classes and modules (`pytestmark`) are read from the source; nothing is run.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+TARGET = TESTS / "ROWS.md"
+
+FEATURES = {
+    2: "Runs on the Pythons of today (3.11 and later)",
+    3: "One pip install; no broker, no interface compiler",
+    4: "Works without a name server",
+    5: "Components are coroutines on asyncio",
+    6: "The public interface is typed for mypy and pyright",
+    7: "A component can be tested in its own process, with a rig",
+    10: "Life-cycle state for each pair of component and context",
+    11: "All twelve hooks of a component",
+    12: "A cycle runs in passes: transitions, execute, state update",
+    13: "A hook that raises moves its component to error, with diagnostics",
+    14: "The cause of an error can be asked for",
+    19: "Several contexts for a component; added and removed while running",
+    21: "Ports added and removed at run time",
+    24: "Periodic context, without drift",
+    25: "A context ticked from outside, no tick lost",
+    26: "A tick that returns when its cycle is complete",
+    27: "Transitions take effect without waiting for a tick",
+    28: "Event context: runs on data",
+    29: "Virtual time, for stamps too",
+    32: "What happens on overrun is chosen: skip or catch up",
+    33: "Counts of overruns, lateness and execution time",
+    34: "Transitions are awaited, and tell whether they succeeded",
+    35: "Rate and context changed while running",
+    36: "Push: the writer sends",
+    37: "Pull: the reader asks, and knows whether there is news",
+    39: "Subscriptions flush, new and periodic",
+    40: "Push policies all, fifo, skip and new",
+    41: "Buffer length, and what happens when it is full or empty",
+    42: "A buffer for each connector",
+    43: "The reader knows where a sample came from",
+    44: "A writer can wait for a slow reader",
+    45: "Reads are awaited; ports are iterated",
+    46: "Unread data can be asked for by connector",
+    48: "Time stamps at write, send, receive or read",
+    50: "In-process transport without copies that anyone could change",
+    55: "Types are compared when ports are connected",
+    57: "Connections of more than two ports",
+    58: "Limits on connections; duplicates refused",
+    60: "Counters and latency of each connector",
+    62: "The basic, extended and interface record types",
+    63: "64-bit integers, n-dimensional arrays, maps",
+    64: "A user's own record types without generated code",
+    65: "Values checked for range; conversions say what happens on overflow",
+    66: "Fields reached by path",
+    128: "A whole system simulated with the same result every time",
+    130: "Written guarantees of order, delivery and life cycle",
+}
+"""Number of the row in the comparison and what it is about: each needs a test."""
+
+
+def rows_of(node: ast.AST) -> list[int]:
+    """The numbers in the `row(...)` marks of one expression."""
+    found: list[int] = []
+    for part in ast.walk(node):
+        if isinstance(part, ast.Call) and isinstance(part.func, ast.Attribute) and part.func.attr == "row":
+            found += [arg.value for arg in part.args if isinstance(arg, ast.Constant) and isinstance(arg.value, int)]
+    return found
+
+
+def _marked(body: list[ast.stmt], inherited: list[int], prefix: str) -> list[tuple[int, str]]:
+    for statement in body:
+        if isinstance(statement, ast.Assign) and any(ast.unparse(t) == "pytestmark" for t in statement.targets):
+            inherited = inherited + rows_of(statement.value)
+    found: list[tuple[int, str]] = []
+    for statement in body:
+        if isinstance(statement, ast.ClassDef) and statement.name.startswith("Test"):
+            own = [row for decorator in statement.decorator_list for row in rows_of(decorator)]
+            found += _marked(statement.body, inherited + own, f"{prefix}{statement.name}::")
+        elif isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef) and statement.name.startswith("test"):
+            own = [row for decorator in statement.decorator_list for row in rows_of(decorator)]
+            found += [(row, f"{prefix}{statement.name}") for row in dict.fromkeys(inherited + own)]
+    return found
+
+
+def collect(folder: Path = TESTS) -> dict[int, list[str]]:
+    """Row number -> tests that show it, in the order of files and lines."""
+    shown: dict[int, list[str]] = {}
+    for path in sorted(folder.rglob("test_*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+        for row, name in _marked(tree.body, [], f"{path.relative_to(folder).as_posix()}::"):
+            shown.setdefault(row, []).append(name)
+    return shown
+
+
+def render(shown: dict[int, list[str]]) -> str:
+    """The text of ROWS.md."""
+    lines = [
+        "# Rows of the feature comparison and the tests that show them",
+        "",
+        "Written by `python tests/rows.py` from the marks `@pytest.mark.row(number)`; a test fails when it is stale.",
+        "",
+        "| Row | Feature | Tests |",
+        "|---|---|---|",
+    ]
+    for row in sorted(FEATURES.keys() | shown.keys()):
+        tests = "<br>".join(f"`{name}`" for name in shown.get(row, [])) or "none yet"
+        lines.append(f"| {row} | {FEATURES.get(row, 'not in the list of rows.py')} | {tests} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    TARGET.write_text(render(collect()), encoding="utf-8")
+    print(f"{TARGET}: {len(collect())} rows")
