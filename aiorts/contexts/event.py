@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from aiorts.kernel.context import Context
 from aiorts.kernel.life import Wait
 from aiorts.kernel.ports import InPort
+from aiorts.model.lifecycle import LifeCycleState
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -89,13 +90,17 @@ class EventContext(Context):
 
 
 def _has_cause(member: Member) -> bool:
-    """Whether it was triggered or has unread data; data that rang may have been read in the cycle it came in."""
-    if member.triggered:
-        return True
-    for port in member.rung:
-        if port.is_new:
+    """Whether it was triggered or has unread data; data that rang may have been read in the cycle it came in.
+
+    Who is inactive or has left has no cause: a trigger does not wait for an activation.
+    """
+    if member.state is not LifeCycleState.INACTIVE and not member.left:
+        if member.triggered:
             return True
-    member.ready = False
+        for port in member.rung:
+            if port.is_new:
+                return True
+    member.ready = member.triggered = False
     member.rearm()
     return False
 

@@ -45,6 +45,7 @@ class PeriodicContext(Context):
     ) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
         self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
+        self._fresh = True
 
     @property
     def rate(self) -> float | None:
@@ -72,17 +73,26 @@ class PeriodicContext(Context):
             ConfigurationError: the rate is out of range; the old one stays.
         """
         self._check("set_rate")
-        checked = check_rate(rate, MAX_RATE if self._schedule is None else self._schedule.max_rate)
+        checked = check_rate(rate, self._max_rate())
         await self._ask([(f"set rate {checked} Hz", partial(self._life.change_rate, checked))], timeout)
 
+    def _max_rate(self) -> float:
+        return MAX_RATE if self._schedule is None else self._schedule.max_rate
+
     def _life_began(self) -> None:
-        if self._schedule is not None:
-            self._schedule.start(self._now_ns())
+        self._fresh = True
         super()._life_began()
 
     def _next_cause(self) -> Wait | None:
         plan = self._schedule
-        if plan is None or self._now_ns() >= plan.due_ns:
+        if plan is None:
+            return None
+        now = self._now_ns()
+        if self._fresh:
+            # Only now: what was asked for at the start, an activation that takes long, has been done.
+            self._fresh = False
+            plan.start(now)
+        if now >= plan.due_ns:
             return None
         return Wait(plan.due_ns)
 
@@ -100,9 +110,6 @@ class PeriodicContext(Context):
                 self._publish(Overrun(self.name, skipped, now - due))
 
     def _set_rate_now(self, rate: float) -> None:
-        if self._schedule is None:
-            self._schedule = Schedule(rate)
-            self._schedule.start(self._now_ns())
-        else:
+        if self._schedule is not None:
             self._schedule.set_rate(rate, self._now_ns())
         self._publish(RateChanged(self.name, rate))

@@ -2,8 +2,8 @@
 
 Tick n is due at `start + n / rate`, computed with integers from the rate's exact ratio, so that nothing accumulates
 at any length. A cycle that is not done when the next is due is an overrun. The policy "skip" runs the newest tick
-that is due and counts the others as skipped; "catch_up" runs every missed tick at once, as far as they are at most
-one second old.
+that is due and counts the others as skipped; "catch_up" runs the missed ticks at once, as far as they are at most
+one second old, and the newest in any case.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ __all__ = ("MAX_RATE", "MIN_RATE", "Schedule", "check_rate")
 
 MIN_RATE: Final = 0.001
 MAX_RATE: Final = 10_000.0
+_HIGHEST_CEILING: Final = 1e9
+"""A period is at least a nanosecond."""
 _CATCH_UP_NS: Final = 1_000_000_000
 _POLICIES: Final = ("skip", "catch_up")
 
@@ -30,6 +32,16 @@ def check_rate(rate: object, highest: float = MAX_RATE) -> float:
     return float(rate)
 
 
+def _check_ceiling(max_rate: object) -> None:
+    # bool is an int, and NaN would let no rate through and say nothing of why.
+    if (
+        isinstance(max_rate, bool)
+        or not isinstance(max_rate, int | float)
+        or not MIN_RATE <= max_rate <= _HIGHEST_CEILING
+    ):
+        raise ConfigurationError(f"max_rate = {max_rate!r}: expected a number of Hz from {MIN_RATE} to {_HIGHEST_CEILING}")
+
+
 class Schedule:
     """The ticks of one context.
 
@@ -41,6 +53,7 @@ class Schedule:
     """
 
     def __init__(self, rate: object, overrun: str = "skip", max_rate: float = MAX_RATE) -> None:
+        _check_ceiling(max_rate)
         if overrun not in _POLICIES:
             raise ConfigurationError(f"overrun = {overrun!r}: expected {' or '.join(_POLICIES)}")
         self.max_rate = max_rate
@@ -71,9 +84,11 @@ class Schedule:
         self.due_ns = self._due(self._tick)
         if now_ns <= self.due_ns:
             return None
-        length, divisor = self._period
-        oldest = now_ns if self.overrun == "skip" else now_ns - _CATCH_UP_NS
-        skipped = max(0, (oldest - self._start_ns) * divisor // length - self._tick)
+        resume = self._newest(now_ns)
+        if self.overrun == "catch_up":
+            # The first one that is not older than what is caught up with.
+            resume = min(resume, self._newest(now_ns - _CATCH_UP_NS - 1) + 1)
+        skipped = max(0, resume - self._tick)
         self.overruns += 1
         self.skipped += skipped
         self._tick += skipped
@@ -94,6 +109,11 @@ class Schedule:
     def _set_ratio(self) -> None:
         numerator, denominator = self.rate.as_integer_ratio()
         self._period = (1_000_000_000 * denominator, numerator)
+
+    def _newest(self, now_ns: int) -> int:
+        """The newest tick that is due."""
+        length, divisor = self._period
+        return (now_ns - self._start_ns) * divisor // length
 
     def _due(self, tick: int) -> int:
         length, divisor = self._period

@@ -166,9 +166,9 @@ class TaskDriver:
             while True:
                 step = steps.send(outcome)
                 outcome = None
-                if step.__class__ is Batch:
+                if isinstance(step, Batch):
                     await self._run_batch(step.hooks)
-                elif step.__class__ is Wait:
+                elif isinstance(step, Wait):
                     await self._sleep(step.deadline_ns)
                 elif isinstance(step, Call):
                     outcome = await self._run(step.member, step.hook, step.args)

@@ -1,8 +1,8 @@
-"""What every execution context is: members in order, requests, the cycle, statistics.
+"""What every execution context is: members in order, the cycle, statistics, a start and an end.
 
 A context is a logical thread. It decides when a cycle runs and for whom (`_next_cause`, `_begin_cycle`,
-`_end_cycle`); what happens in a cycle is the same for all (`life.py`), and so is what contains a hook
-(`bulkhead.py`).
+`_end_cycle`); what happens in a cycle is the same for all (`life.py`), and so are what contains a hook
+(`bulkhead.py`) and how it is asked for something (`requests.py`).
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import asyncio
 import logging
 import traceback
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar
 
-from aiorts.errors import ClosedError, StateError, TransitionTimeout
+from aiorts.errors import ClosedError, StateError
 from aiorts.kernel.bulkhead import StopBudget, TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
-from aiorts.kernel.life import Action, Life, Steps, Wait
+from aiorts.kernel.life import Action, Life, Wait
 from aiorts.kernel.member import Member
 from aiorts.kernel.ports import InPort
+from aiorts.kernel.requests import Requests, Wish
 from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.names import check_name
@@ -29,26 +29,13 @@ from aiorts.model.profile import ContextProfile, ContextStatistics, HookStatisti
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
+    from aiorts.kernel.driver import Driver
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.ports import Port
 
-__all__ = ("Context", "Driver")
+__all__ = ("Context",)
 
 _LOG = logging.getLogger("aiorts.kernel")
-
-
-class Driver(Protocol):
-    """What carries out the steps of a context's life."""
-
-    ended: asyncio.Future[None]
-    hooks_run: int
-
-    @property
-    def current(self) -> Member | None: ...
-
-    def kick(self) -> None: ...
-
-    def hurry(self, budget: StopBudget) -> None: ...
 
 
 class Context:
@@ -73,6 +60,8 @@ class Context:
         self._members: list[Member] = []
         self._actions: deque[Action] = deque()
         self._life = Life(self)
+        self._requests = Requests(self)
+        self._last_hooks: Mapping[str, HookStatistics] = MappingProxyType({})
         self._stopping = False
         self._updating = False
         self._order = 0
@@ -100,12 +89,16 @@ class Context:
         """What this context has done so far."""
         return ContextStatistics(cycles=self.ticks, hooks=self._hook_statistics())
 
-    def _hook_statistics(self) -> MappingProxyType[str, HookStatistics]:
+    def _hook_statistics(self) -> Mapping[str, HookStatistics]:
+        """Of the members there are; once the context has stopped, of those it had then."""
+        if self._driver is None:
+            return self._last_hooks
+        # Copied before they are walked: a thread may run a hook for the first time meanwhile.
         return MappingProxyType(
             {
                 f"{member.component.name}.{hook}": HookStatistics(times.count, times.total_ns, times.max_ns)
-                for member in self._members
-                for hook, times in member.times.items()
+                for member in tuple(self._members)
+                for hook, times in tuple(member.times.items())
             }
         )
 
@@ -154,15 +147,11 @@ class Context:
         Raises:
             StateError: one is a member already, or cannot run here.
         """
-        kernel = self._check("add")
+        self._check("add")
         for component in components:
-            kernel._check_mine(component)
-            self._check_can_add(component)
+            self._check_may_join(component)
         members = [self._new_member(component) for component in components]
-        await self._ask(
-            [(f"add {m.component.name}", partial(self._life.add, m)) for m in members],
-            timeout,
-        )
+        await self._ask([self._requests.joining(member) for member in members], timeout)
 
     async def remove(self, *components: Component, timeout: float | None = 5.0) -> None:
         """Remove components between two cycles: they are deactivated and shut down first.
@@ -172,7 +161,7 @@ class Context:
         """
         self._check("remove")
         members = [self._member(component) for component in components]
-        await self._ask([(f"remove {m.component.name}", partial(self._life.remove, m)) for m in members], timeout)
+        await self._ask([self._requests.leaving(member) for member in members], timeout)
 
     async def stop(self) -> None:
         """End this context: members are deactivated and shut down in reverse order, hooks get 2 s and then grace steps.
@@ -266,7 +255,7 @@ class Context:
 
     def _port_removed(self, member: Member, port: Port[object]) -> None:
         """A member lost a port, or the port lost its member."""
-        if port in member.in_ports:
+        if isinstance(port, InPort) and port in member.in_ports:
             member.in_ports.remove(port)
 
     def _set_ports_open(self, member: Member) -> None:
@@ -299,39 +288,21 @@ class Context:
             members = [self._member(component) for component in components]
         else:
             members = [member for member in self._members if member.state is state]
-        await self._ask(
-            [(f"{event} {m.component.name}", partial(self._life.request, m, event)) for m in members],
-            timeout,
-        )
+        await self._ask([self._requests.transition(member, event) for member in members], timeout)
 
-    async def _ask(
-        self,
-        wishes: Sequence[tuple[str, Callable[[Callable[[BaseException | None], None]], Steps]]],
-        timeout: float | None,
-    ) -> None:
-        """Submit what is wished for and wait until it is done; from a hook of this context only submit it."""
-        kernel = self._check("request")
-        if self._inside():
-            for what, steps in wishes:
-                done = _Logged(self, what)
-                self._submit(Action(partial(steps, done), done))
-            return
-        asked = [_Asked(what, steps, kernel) for what, steps in wishes]
-        for one in asked:
-            self._submit(Action(one.steps, one.done))
-        if not asked:
-            return
-        try:
-            await asyncio.wait([one.future for one in asked], timeout=timeout)
-        finally:
-            for one in asked:
-                one.withdraw()
-        for one in asked:
-            one.result(self.name, timeout)
+    def _check_may_join(self, component: Component) -> None:
+        if component._kernel is not self._kernel or not component._host.alive:
+            raise StateError(
+                f"{component.name}: does not belong to the kernel of {self.name}; await kernel.add(...) first"
+            )
+        self._check_can_add(component)
+
+    async def _ask(self, wishes: Sequence[Wish], timeout: float | None) -> None:
+        await self._requests.ask(self._check("request"), wishes, timeout)
 
     def _inside(self) -> bool:
-        task = asyncio.current_task()
-        return task is not None and getattr(task, "_aiorts_driver", None) is self._driver
+        """Whether a hook calls that this context would wait for."""
+        return self._requests.inside()
 
     def _submit(self, action: Action) -> None:
         self._actions.append(action)
@@ -340,13 +311,7 @@ class Context:
 
     async def _between_cycles(self, change: Callable[[], None]) -> None:
         """Run `change` between two cycles."""
-
-        def steps(done: Callable[[BaseException | None], None]) -> Steps:
-            change()
-            done(None)
-            yield from ()
-
-        await self._ask([("change parameters", steps)], None)
+        await self._ask([self._requests.changing(change)], None)
 
     # -- starting and stopping -------------------------------------------------------------------------------------
 
@@ -358,15 +323,8 @@ class Context:
         for component in components:
             self._check_can_add(component)
             self._attach(self._new_member(component))
-        asked = [
-            _Asked(
-                f"activate {m.component.name}",
-                partial(self._life.request, m, Transition.ACTIVATE),
-                kernel,
-            )
-            for m in (self._members if activate else ())
-        ]
-        self._actions.extend(Action(one.steps, one.done) for one in asked)
+        wishes = [self._requests.transition(member, Transition.ACTIVATE) for member in self._members] if activate else []
+        asked = self._requests.submit(kernel, wishes)
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
         await asyncio.wait([self._began, self._driver.ended], return_when=asyncio.FIRST_COMPLETED)
@@ -388,6 +346,7 @@ class Context:
     def _life_ended(self, error: BaseException | None) -> None:
         """The last step was carried out, or the kernel's own code failed."""
         kernel = self._require_kernel()
+        self._last_hooks = self._hook_statistics()
         self._driver = None
         for member in tuple(reversed(self._members)):
             self._detach(member)
@@ -395,6 +354,7 @@ class Context:
             action = self._actions.popleft()
             if action.done is not None:
                 action.done(ClosedError(f"{self.name}: the context has stopped"))
+        self._requests.close()
         self._tell_began()
         kernel._context_ended(self)
         self._publish(ContextStopped(self.name, None if error is None else f"{type(error).__name__}: {error}"))
@@ -446,55 +406,3 @@ class Context:
 def _is_open(component: Component) -> bool:
     members = component._members
     return not members or any(member.state is LifeCycleState.ACTIVE for member in members)
-
-
-class _Asked:
-    """One request of somebody who waits for it."""
-
-    def __init__(
-        self,
-        what: str,
-        wish: Callable[[Callable[[BaseException | None], None]], Steps],
-        kernel: Kernel,
-    ) -> None:
-        self.what = what
-        self._wish = wish
-        self._kernel = kernel
-        self._withdrawn = False
-        self._begun = False
-        self.future: asyncio.Future[BaseException | None] = kernel.loop.create_future()
-
-    def steps(self) -> Steps:
-        """The steps, unless the one who asked has gone."""
-        if not self._withdrawn:
-            self._begun = True
-            yield from self._wish(self.done)
-
-    def done(self, error: BaseException | None) -> None:
-        """From whatever thread."""
-        self._kernel._on_loop(lambda: None if self.future.done() else self.future.set_result(error))
-
-    def withdraw(self) -> None:
-        """It is not waited for any more; what has not begun will not begin."""
-        self._withdrawn = True
-
-    def result(self, context: str, timeout: float | None) -> None:
-        """Raise what became of it."""
-        if not self.future.done():
-            how = "it has begun and may still end" if self._begun else "it was withdrawn"
-            raise TransitionTimeout(f"{context}: {self.what} did not take effect within {timeout} s; {how}")
-        error = self.future.result()
-        if error is not None:
-            raise error
-
-
-class _Logged:
-    """Who is told of a request that nobody waits for."""
-
-    def __init__(self, context: Context, what: str) -> None:
-        self._context = context
-        self._what = what
-
-    def __call__(self, error: BaseException | None) -> None:
-        if error is not None:
-            _LOG.warning("%s: queued request to %s failed: %s", self._context.name, self._what, error)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from aiorts.errors import ClosedError, ThreadError
 
 if TYPE_CHECKING:
+    from aiorts.clock import Clock
     from aiorts.kernel.ports import Port, Turns
 
 __all__ = ("Cancellable", "KernelSide", "PortHost")
@@ -28,6 +29,9 @@ class KernelSide(Protocol):
     """What the kernel gives to a component's host."""
 
     debug: bool
+
+    @property
+    def clock(self) -> Clock: ...
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop: ...
@@ -78,6 +82,26 @@ class PortHost:
     def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable:
         """Call back on the kernel's clock."""
         return self._kernel().call_later(seconds, callback)
+
+    def deadline_ns(self, seconds: float | None) -> int | None:
+        """`seconds` from now on the kernel's clock; None is never."""
+        return None if seconds is None else self._kernel().clock.monotonic_ns() + round(seconds * 1e9)
+
+    def wait_in_thread(
+        self, lock: threading.Condition, ready: Callable[[], bool], deadline_ns: int | None
+    ) -> bool:
+        """Block this thread, which is not the loop's, until `ready`; False when the deadline has passed before."""
+        clock = self._kernel().clock
+        with lock:
+            while not ready():
+                if deadline_ns is None:
+                    lock.wait()
+                    continue
+                rest = deadline_ns - clock.monotonic_ns()
+                if rest <= 0:
+                    return False
+                lock.wait(rest / 1e9 / clock.speed)
+            return True
 
     def check_port_thread(self, path: str) -> None:
         """Raise ThreadError unless this is the thread that the component runs in."""

@@ -33,7 +33,19 @@ class InPort(Port[T]):
     One task waits on an in-port at a time. Args: see `Port`.
     """
 
-    __slots__ = ("_armed", "_last", "_newest", "_open", "_source", "_tokens", "_took", "_waiter", "_wakes")
+    __slots__ = (
+        "_armed",
+        "_last",
+        "_newest",
+        "_open",
+        "_sole",
+        "_sole_delivered",
+        "_source",
+        "_tokens",
+        "_took",
+        "_waiter",
+        "_wakes",
+    )
 
     direction: ClassVar[str] = "in"
 
@@ -54,6 +66,8 @@ class InPort(Port[T]):
         self._tokens: deque[Connector] | None = None
         self._newest: Connector | None = None
         self._source: Connector | None = None
+        self._sole: Connector | None = None
+        self._sole_delivered = 0
         self._waiter: asyncio.Future[None] | None = None
         self._wakes: tuple[Callable[[InPort[Any]], None], ...] = ()
         self._armed = False
@@ -114,28 +128,34 @@ class InPort(Port[T]):
 
     def peek(self) -> T | None:
         """The oldest unread sample, which stays unread; None when there is none."""
+        self._bound()
         with self._guard():
             connector = self._next()
             return None if connector is None else cast("T", connector._queue[0])
 
     def drain(self) -> list[T]:
         """Every unread sample, oldest first."""
+        self._bound()
         samples = []
-        while self._unread():
-            samples.append(self.read_nowait())
+        with self._guard():
+            while self._unread():
+                samples.append(self.read_nowait())
         return samples
 
     @property
     def is_new(self) -> bool:
         """Whether there is an unread sample; with a pull connector, whether the writer has one."""
+        if (queue := self._fast) is not None:
+            return bool(queue)
+        self._bound()
         return self._unread()
 
     @property
     def last_source(self) -> Connector | None:
         """The connector that the sample read last came through; None before the first."""
-        if self._tokens is None and self._last is not None and len(self._connectors) == 1:
-            return self._connectors[0]
-        return self._source
+        sole = self._sole
+        # The fast path notes nothing; what it took from its one connector shows in that connector's ledger.
+        return self._source if sole is None or sole.delivered == self._sole_delivered else sole
 
     def read_blocking(self, timeout: float | None = None) -> T:
         """`read` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds (None: for ever).
@@ -148,22 +168,17 @@ class InPort(Port[T]):
         if host.on_loop_thread():
             raise StateError(f"{self.path}: read_blocking would block the event loop; await read() here")
         lock = self._lock
-        if lock is None:
+        if lock is None or not host.threaded:
             raise StateError(f"{self.path}: read_blocking is for components of a ThreadContext")
         with lock:
-            if not lock.wait_for(lambda: self._unread() or self._gone(), timeout):
+            if not host.wait_in_thread(lock, lambda: self._unread() or self._gone(), host.deadline_ns(timeout)):
                 raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
             if not self._unread():
                 self._raise_if_gone()
             return self._read_general()
 
-    async def __aiter__(self) -> AsyncIterator[T]:
-        while True:
-            try:
-                sample = await self.read()
-            except ClosedError:
-                return
-            yield sample
+    def __aiter__(self) -> AsyncIterator[T]:
+        return _Samples(self)
 
     # -- the general path ------------------------------------------------------------------------------------------
 
@@ -192,6 +207,7 @@ class InPort(Port[T]):
         with self._guard():
             connector = self._next()
             if connector is None:
+                self._raise_if_removed()
                 raise WouldBlock(f"{self.path}: no unread sample")
             if self._tokens is not None:
                 self._tokens.popleft()
@@ -252,12 +268,12 @@ class InPort(Port[T]):
                 self._arm()
 
     def _gone(self) -> bool:
-        host = self._bound()
-        return host.stopping or not host.alive or host.ports.get(self.name) is not self
+        return self._bound().stopping or self._removed()
 
     def _raise_if_gone(self) -> None:
-        if self._gone():
-            raise ClosedError(f"{self.path}: the port is closed")
+        self._raise_if_removed()
+        if self._bound().stopping:
+            raise ClosedError(f"{self.path}: its context stops")
 
     # -- called by connectors, contexts and the kernel -----------------------------------------------------------------
 
@@ -273,13 +289,9 @@ class InPort(Port[T]):
             self._notify_across() if self._lock is not None else self._notify()
 
     def _notify_across(self) -> None:
-        host = self._bound()
-        if host.on_loop_thread():
-            self._notify()
-        else:
-            # One wake-up for all that is written until the reader runs: it arms the port again.
-            self._armed = False
-            host.loop.call_soon_threadsafe(self._notify)
+        # One wake-up for all that is written until the reader runs: it arms the port again.
+        self._armed = False
+        self._on_loop(self._notify)
 
     def _notify(self) -> None:
         """Wake who waits for data. Armed again by whoever reads on."""
@@ -311,11 +323,12 @@ class InPort(Port[T]):
         """Open with empty buffers, or close and drop what is unread as inactive."""
         with self._guard():
             self._open = is_open
-            self._last = None if is_open else self._last
             for connector in self._connectors:
                 connector.suspend()
             if self._tokens is not None:
                 self._tokens.clear()
+            if is_open:
+                self._last = self._source = self._sole = None
         self._refresh()
         for connector in self._connectors:
             connector.out._refresh()
@@ -332,6 +345,9 @@ class InPort(Port[T]):
     def _refresh(self) -> None:
         """Decide whether the fast path is on, and whether arrivals must be kept in order."""
         connectors = self._connectors
+        self._source = self.last_source
+        self._sole = connectors[0] if len(connectors) == 1 else None
+        self._sole_delivered = 0 if self._sole is None else self._sole.delivered
         if len(connectors) > 1 and self._tokens is None:
             self._tokens = deque(connector for connector in connectors for _ in connector._queue)
         elif len(connectors) <= 1 and self._tokens is not None:
@@ -343,3 +359,18 @@ class InPort(Port[T]):
         if only._waiting or only._stamp is Stamp.READ:
             return
         self._fast = only._queue
+
+
+class _Samples(AsyncIterator[T]):
+    """The samples of a port as they come; it ends when the port is closed."""
+
+    __slots__ = ("_port",)
+
+    def __init__(self, port: InPort[T]) -> None:
+        self._port = port
+
+    async def __anext__(self) -> T:
+        try:
+            return await self._port.read()
+        except ClosedError:
+            raise StopAsyncIteration from None

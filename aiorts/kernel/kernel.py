@@ -335,12 +335,16 @@ class Kernel:
     # -- connecting ------------------------------------------------------------------------------------------------
 
     @overload
-    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...  # type: ignore[overload-overlap]
+    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...
 
     @overload
-    async def connect(self, *ports: Port[Any], **options: Any) -> tuple[Connector, ...]: ...
+    async def connect(
+        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Any
+    ) -> tuple[Connector, ...]: ...
 
-    async def connect(self, *ports: Port[Any], **options: Any) -> Connector | tuple[Connector, ...]:
+    async def connect(
+        self, one: Port[Any], two: Port[Any], /, *more: Port[Any], **options: Any
+    ) -> Connector | tuple[Connector, ...]:
         """Connect ports: every out-port with every in-port, all or none.
 
         Options (the same keys in system files and profiles; OpenRTM's keys are aliases):
@@ -359,8 +363,7 @@ class Kernel:
             WiringError: says which ports or options do not go together and why; nothing was connected.
         """
         self._require_open("connect")
-        allow = options.pop("allow_duplicate", False) is True
-        plans = wiring.plan(self, ports, options, allow)
+        plans = wiring.plan(self, (one, two, *more), options)
         made = []
         for out, in_, profile in plans:
             name = self._connector_name(profile.name, f"{out.path}-{in_.path}", len(plans))
@@ -368,7 +371,7 @@ class Kernel:
             self._connectors[name] = connector
             made.append(connector)
             self.bus.publish(Connected(connector.profile))
-        return made[0] if len(ports) == 2 else tuple(made)
+        return tuple(made) if more else made[0]
 
     def _connector_name(self, given: str, path: str, count: int) -> str:
         base = given or path

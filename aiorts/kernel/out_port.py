@@ -220,7 +220,10 @@ class OutPort(Port[T]):
             sample = port_type.copy(sample)
         elif port_type.mutable or sample.__class__ is not self.type:
             sample = port_type.snapshot(sample)
-        return port_type.stamped(sample, host.time_ns()) if self.stamp is not None else sample
+        if self.stamp is None:
+            return sample
+        stamped: T = port_type.stamped(sample, host.time_ns())
+        return stamped
 
     def _refresh(self) -> None:
         """Decide whether the fast path is on."""

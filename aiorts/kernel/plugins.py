@@ -32,7 +32,7 @@ def load_extension(kind: str, name: str) -> Any:
         PluginError: nobody offers it (near names are given), several do (all are named), or it cannot be imported.
     """
     offers = extensions(kind)
-    found = offers.get(name, ())
+    found = list(offers.get(name, ()))
     word = kind.removesuffix("s")
     if not found:
         near = get_close_matches(name, offers, n=3)

@@ -96,7 +96,7 @@ class Port(Generic[T]):
     def _attach(self, host: PortHost, name: str) -> None:
         self._host = host
         self.name = name
-        self._type = PortType(self.type, self.shape)
+        self._type = PortType(self.type)
         self._turns = host.turns
 
     @property
@@ -145,10 +145,19 @@ class Port(Generic[T]):
             host.check_port_thread(self.path)
         return host
 
+    def _removed(self) -> bool:
+        """Whether this live port was taken away, or its component was."""
+        host = self._host
+        return host is not None and not (host.alive and host.ports.get(self.name) is self)
+
+    def _raise_if_removed(self) -> None:
+        if self._removed():
+            raise ClosedError(f"{self.path}: the port is closed: it or its component was removed")
+
     def _on_loop(self, callback: Callable[[], None]) -> None:
         """Run `callback` on the kernel's loop: now if this is its thread, soon otherwise."""
-        host = self._bound()
-        if host.on_loop_thread():
+        host = self._host
+        if host is None or host.on_loop_thread():
             callback()
         else:
             host.loop.call_soon_threadsafe(callback)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import is_dataclass
 from typing import Any
 
 __all__ = ("PortType",)
@@ -15,26 +16,31 @@ class PortType:
         DeclarationError: a value of this type cannot travel.
     """
 
-    __slots__ = ("_shape", "mutable")
+    __slots__ = ("_plain", "has_tm", "mutable")
 
-    def __init__(self, cls: type[Any], shape: tuple[int, ...] | None) -> None:
-        from aiorts.types import check_port_type, is_mutable
+    def __init__(self, cls: type[Any]) -> None:
+        from aiorts.types import check_port_type, has_tm, is_mutable
 
         check_port_type(cls)
         self.mutable = is_mutable(cls)
-        self._shape = shape
+        self.has_tm = has_tm(cls)
+        self._plain = None if is_dataclass(cls) else cls
 
-    def check_shape(self, sample: Any) -> None:
-        """Raise RecordError unless the sample's data has the declared shape."""
+    def check_shape(self, sample: Any, shape: tuple[int, ...]) -> None:
+        """Raise RecordError unless the sample's data has this shape."""
         from aiorts.types import check_shape
 
-        assert self._shape is not None  # noqa: S101 - asked only by ports that declare one
-        check_shape(sample, self._shape)
+        check_shape(sample, shape)
 
     def snapshot(self, sample: Any) -> Any:
-        """An immutable copy of a mutable sample; the sample itself when it cannot change."""
+        """An immutable copy of a mutable sample; the sample itself when it cannot change.
+
+        A subclass of a plain type (numpy's float64 is a float) travels as the plain value.
+        """
         from aiorts.types import is_mutable, snapshot
 
+        if self._plain is not None:
+            return self._plain(sample)
         return snapshot(sample) if is_mutable(sample.__class__) else sample
 
     def copy(self, sample: Any) -> Any:

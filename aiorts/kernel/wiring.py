@@ -22,7 +22,7 @@ __all__ = ("plan", "unwire", "wire")
 
 
 def plan(
-    kernel: Kernel, ports: Sequence[Port[Any]], options: Mapping[str, Any], allow_duplicate: bool
+    kernel: Kernel, ports: Sequence[Port[Any]], options: Mapping[str, Any]
 ) -> list[tuple[OutPort[Any], InPort[Any], ConnectorProfile]]:
     """What to connect, fully checked: each out-port with each in-port.
 
@@ -38,7 +38,7 @@ def plan(
         _check_alive(kernel, port)
     paths = tuple(port.path for port in ports)
     base, limits = connector_profile(where, options, "", paths)
-    allow = bool(limits.get("allow_duplicate", allow_duplicate))
+    allow = limits.get("allow_duplicate", False)
     pairs = [(out, in_) for out in outs for in_ in ins]
     for out, in_ in pairs:
         _check_pair(out, in_)

@@ -20,13 +20,12 @@ import heapq
 import logging
 import math
 import selectors
-import socket
-import sys
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple, Unpack
 
 from aiorts.clock import Hold, SimulatedClock, current_clock, to_ns
 from aiorts.errors import BusyError, StateError
+from aiorts.testing.outside import AnyioThreads, listens
 
 if TYPE_CHECKING:
     from collections import deque
@@ -106,7 +105,7 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._timers: list[tuple[int, int, _OwnTimer]] = []
         self._timers_made = 0
         self._timers_cancelled = 0
-        self._anyio = _AnyioThreads(self)
+        self._anyio = AnyioThreads(self)
         super().__init__(_JumpingSelector(self))
         try:
             self._detach = self.aiorts_clock.attach(self._sleep_until)
@@ -310,7 +309,7 @@ class _JumpingSelector(selectors.BaseSelector):
     def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
         key = self._real.register(fileobj, events, data)
         # The first to come is the loop's own wake-up socket.
-        if len(self._real.get_map()) == 1 or _listens(key.fd):
+        if len(self._real.get_map()) == 1 or listens(key.fd):
             self._passive.add(key.fd)
         else:
             self._awaited += 1
@@ -361,46 +360,3 @@ class _JumpingSelector(selectors.BaseSelector):
                 f"descriptors {descriptors}" if descriptors else "a thread, a hold or a client",
             )
         return events
-
-
-def _listens(fd: int) -> bool:
-    """A listening socket waits for strangers: nobody can say that one is on the way."""
-    option = getattr(socket, "SO_ACCEPTCONN", None)
-    if option is None:
-        return False
-    try:
-        view = socket.socket(fileno=fd)
-    except OSError:
-        return False
-    try:
-        return bool(view.getsockopt(socket.SOL_SOCKET, option))
-    finally:
-        view.detach()
-
-
-class _AnyioThreads:
-    """Whether a worker thread of anyio is busy; anyio starts them itself and offers no public way to ask."""
-
-    def __init__(self, loop: SimulatedLoop) -> None:
-        self._loop = loop
-        self._workers: Any = None
-        self._idle: Any = None
-        self._variables: Mapping[Any, Any] | None = None
-
-    def busy(self) -> bool:
-        variables = self._variables
-        if variables is None:
-            variables = self._find()
-        return len(variables.get(self._workers, ())) > len(variables.get(self._idle, ()))
-
-    def _find(self) -> Mapping[Any, Any]:
-        backend = sys.modules.get("anyio._backends._asyncio")
-        if backend is None:
-            return {}
-        try:
-            self._workers, self._idle = backend._threadpool_workers, backend._threadpool_idle_workers
-            self._variables = sys.modules["anyio.lowlevel"]._run_vars.get(self._loop)
-        except AttributeError:
-            self._variables = {}
-            _log.warning("this version of anyio hides its threads: anyio.to_thread does not stop simulated time")
-        return {} if self._variables is None else self._variables

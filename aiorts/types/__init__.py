@@ -158,6 +158,7 @@ from aiorts.types.plain import (
     to_plain,
 )
 from aiorts.types.record import (
+    Stamped,
     record,
     zero,
 )
@@ -351,6 +352,7 @@ __all__ = (
     "read_path",
     "from_plain",
     "to_plain",
+    "Stamped",
     "record",
     "zero",
     "all_types",

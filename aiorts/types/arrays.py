@@ -1,17 +1,18 @@
-"""Number sequences: anything numpy can read becomes a native, contiguous, owned, read-only array, with no value changed.
+"""Number sequences: what numpy can read becomes a native, contiguous, owned, read-only array, no value changed.
 
-One that already owns its memory is taken over and frozen; a read-only view of immutable `bytes` counts as owned, so that
-decoding adds no copy; everything else is copied once. A value that the element type cannot hold is an error, never a wrap.
-numpy is imported here, and here only when the first array is checked.
+One that already owns its memory is taken over and frozen; a read-only view of immutable `bytes` counts as owned, so
+that decoding adds no copy; everything else is copied once. A value that the element type cannot hold is an error, never
+a wrap. numpy is imported here, and here only when the first array is checked.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import RecordError, RecordTypeError
-from aiorts.types.kinds import SCALARS, FloatKind, IntKind, Kind, shown, wrong_type
+from aiorts.types.kinds import SCALARS, IntKind, Kind, shown, wrong_type
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,7 +20,16 @@ if TYPE_CHECKING:
 
     AnyArray = npt.NDArray[np.generic]
 
-__all__ = ("DTYPES", "MAX_DIMENSIONS", "ArrayKind", "NDArrayKind", "element_name", "freeze", "inexact_as_float")
+__all__ = (
+    "DTYPES",
+    "MAX_DIMENSIONS",
+    "ArrayKind",
+    "NDArrayKind",
+    "element_dtype",
+    "element_name",
+    "freeze",
+    "inexact_as_float",
+)
 
 MAX_DIMENSIONS = 8
 
@@ -43,14 +53,33 @@ def element_name(dtype: np.dtype[Any]) -> str | None:
 
 def freeze(array: AnyArray) -> AnyArray:
     """The array itself, read-only, if it is native, contiguous and owned; else a read-only copy that is."""
-    import numpy as np
+    flags = array.flags
+    if type(array) is not _array_class() or not flags.c_contiguous or not array.dtype.isnative:
+        import numpy as np
 
-    if type(array) is not np.ndarray or not array.flags.c_contiguous or not array.dtype.isnative:
         array = np.array(array, dtype=array.dtype.newbyteorder("="), order="C", copy=True, subok=False)
-    elif not (array.flags.owndata or _of_bytes(array)):
+    elif not (flags.owndata or _of_bytes(array)):
         array = array.copy()
+    elif not flags.writeable:
+        return array
     array.setflags(write=False)
     return array
+
+
+@functools.cache
+def _array_class() -> type:
+    """numpy.ndarray; a call of this is cheaper than an import statement in the function that needs it."""
+    import numpy as np
+
+    return np.ndarray
+
+
+@functools.cache
+def element_dtype(element: str) -> np.dtype[Any]:
+    """numpy's native type for an element name."""
+    import numpy as np
+
+    return np.dtype(DTYPES[element])
 
 
 def _of_bytes(array: AnyArray) -> bool:
@@ -72,7 +101,7 @@ class ArrayKind(Kind):
         self.spelling = f"seq[{element}]"
 
     def check(self, value: Any, where: str) -> AnyArray:
-        array = as_array(value, self._element, where)
+        array: Any = value if type(value) is _array_class() else as_array(value, self._element, where)
         if array.ndim != 1:
             raise RecordError(f"{where}: expected a sequence of {self.element}, shape (n,), got shape {array.shape}")
         return freeze(exact(array, self._element, where))
@@ -172,7 +201,9 @@ def _unmasked(value: Any, where: str) -> AnyArray:
     import numpy as np
 
     if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
-        raise RecordTypeError(f"{where}: expected an array without masked elements; fill them first (value.filled(...))")
+        raise RecordTypeError(
+            f"{where}: expected an array without masked elements; fill them first (value.filled(...))"
+        )
     return np.asarray(value)
 
 
@@ -198,14 +229,15 @@ def exact(array: AnyArray, element: str, where: str) -> AnyArray:
 
     Floats may be rounded to 32 bits (a float32 field is defined as the nearest value) but may not overflow.
     """
+    target, source = element_dtype(element), array.dtype
+    if source is target or source == target or (element_name(source) == element):
+        return array
     import numpy as np
 
-    target = np.dtype(DTYPES[element])
-    source = array.dtype
-    if source == target or (element_name(source) == element):
-        return array
     if source.kind not in _ACCEPTS[target.kind]:
-        raise RecordTypeError(f"{where}: expected elements of {element}, got an array of {source}; use aiorts.types.convert")
+        raise RecordTypeError(
+            f"{where}: expected elements of {element}, got an array of {source}; use aiorts.types.convert"
+        )
     if array.size == 0:
         return array.astype(target)
     if target.kind in "iu":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 # Annotations are read at run time.
-from aiorts.types.record import record
+from aiorts.types.record import Stamped, record
 from aiorts.types.spelling import EMPTY, Array, Seq, char, f32, f64, i16, i32, u8, u16, u32, wchar, wstr
 
 __all__ = (
@@ -36,7 +36,7 @@ __all__ = (
 
 
 @record
-class TimedState:
+class TimedState(Stamped):
     """A state number, 16 bits signed."""
 
     tm: int = 0
@@ -44,7 +44,7 @@ class TimedState:
 
 
 @record
-class TimedShort:
+class TimedShort(Stamped):
     """An integer of 16 bits, signed."""
 
     tm: int = 0
@@ -52,7 +52,7 @@ class TimedShort:
 
 
 @record
-class TimedShortSeq:
+class TimedShortSeq(Stamped):
     """A read-only numpy array of i16 numbers."""
 
     tm: int = 0
@@ -60,7 +60,7 @@ class TimedShortSeq:
 
 
 @record
-class TimedLong:
+class TimedLong(Stamped):
     """An integer of 32 bits, signed."""
 
     tm: int = 0
@@ -68,7 +68,7 @@ class TimedLong:
 
 
 @record
-class TimedLongSeq:
+class TimedLongSeq(Stamped):
     """A read-only numpy array of i32 numbers."""
 
     tm: int = 0
@@ -76,7 +76,7 @@ class TimedLongSeq:
 
 
 @record
-class TimedUShort:
+class TimedUShort(Stamped):
     """An integer of 16 bits, unsigned."""
 
     tm: int = 0
@@ -84,7 +84,7 @@ class TimedUShort:
 
 
 @record
-class TimedUShortSeq:
+class TimedUShortSeq(Stamped):
     """A read-only numpy array of u16 numbers."""
 
     tm: int = 0
@@ -92,7 +92,7 @@ class TimedUShortSeq:
 
 
 @record
-class TimedULong:
+class TimedULong(Stamped):
     """An integer of 32 bits, unsigned."""
 
     tm: int = 0
@@ -100,7 +100,7 @@ class TimedULong:
 
 
 @record
-class TimedULongSeq:
+class TimedULongSeq(Stamped):
     """A read-only numpy array of u32 numbers."""
 
     tm: int = 0
@@ -108,7 +108,7 @@ class TimedULongSeq:
 
 
 @record
-class TimedFloat:
+class TimedFloat(Stamped):
     """A 32-bit float: the nearest one to what was given."""
 
     tm: int = 0
@@ -116,7 +116,7 @@ class TimedFloat:
 
 
 @record
-class TimedFloatSeq:
+class TimedFloatSeq(Stamped):
     """A read-only numpy array of f32 numbers."""
 
     tm: int = 0
@@ -124,7 +124,7 @@ class TimedFloatSeq:
 
 
 @record
-class TimedDouble:
+class TimedDouble(Stamped):
     """A 64-bit float."""
 
     tm: int = 0
@@ -132,7 +132,7 @@ class TimedDouble:
 
 
 @record
-class TimedDoubleSeq:
+class TimedDoubleSeq(Stamped):
     """A read-only numpy array of f64 numbers."""
 
     tm: int = 0
@@ -140,7 +140,7 @@ class TimedDoubleSeq:
 
 
 @record
-class TimedChar:
+class TimedChar(Stamped):
     """One character of 8 bits (Latin-1)."""
 
     tm: int = 0
@@ -148,7 +148,7 @@ class TimedChar:
 
 
 @record
-class TimedCharSeq:
+class TimedCharSeq(Stamped):
     """A tuple of 8-bit characters."""
 
     tm: int = 0
@@ -156,7 +156,7 @@ class TimedCharSeq:
 
 
 @record
-class TimedWChar:
+class TimedWChar(Stamped):
     """One character, any of Unicode."""
 
     tm: int = 0
@@ -164,7 +164,7 @@ class TimedWChar:
 
 
 @record
-class TimedWCharSeq:
+class TimedWCharSeq(Stamped):
     """A tuple of characters."""
 
     tm: int = 0
@@ -172,7 +172,7 @@ class TimedWCharSeq:
 
 
 @record
-class TimedBoolean:
+class TimedBoolean(Stamped):
     """True or False."""
 
     tm: int = 0
@@ -180,7 +180,7 @@ class TimedBoolean:
 
 
 @record
-class TimedBooleanSeq:
+class TimedBooleanSeq(Stamped):
     """A read-only numpy array of truth values."""
 
     tm: int = 0
@@ -188,7 +188,7 @@ class TimedBooleanSeq:
 
 
 @record
-class TimedOctet:
+class TimedOctet(Stamped):
     """One octet, 0..255."""
 
     tm: int = 0
@@ -196,7 +196,7 @@ class TimedOctet:
 
 
 @record
-class TimedOctetSeq:
+class TimedOctetSeq(Stamped):
     """A read-only numpy array of octets; `bytes` are taken without a copy."""
 
     tm: int = 0
@@ -204,7 +204,7 @@ class TimedOctetSeq:
 
 
 @record
-class TimedString:
+class TimedString(Stamped):
     """Text."""
 
     tm: int = 0
@@ -212,7 +212,7 @@ class TimedString:
 
 
 @record
-class TimedStringSeq:
+class TimedStringSeq(Stamped):
     """A tuple of texts."""
 
     tm: int = 0
@@ -220,7 +220,7 @@ class TimedStringSeq:
 
 
 @record
-class TimedWString:
+class TimedWString(Stamped):
     """Text; the same as TimedString, kept because OpenRTM has two kinds."""
 
     tm: int = 0
@@ -228,7 +228,7 @@ class TimedWString:
 
 
 @record
-class TimedWStringSeq:
+class TimedWStringSeq(Stamped):
     """A tuple of texts."""
 
     tm: int = 0

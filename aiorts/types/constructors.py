@@ -1,8 +1,8 @@
 """The `__init__` of record types: one closure for each number of fields, given its parameter names afterwards.
 
-No source text is generated: a template is an ordinary function, and `CodeType.replace` renames its parameters. Each field is
-one class comparison when the value is already right, one call of its kind's `check` when it is not, and one call of the slot's own
-`__set__` (the class refuses assignment, its slots do not).
+No source text is generated: a template is an ordinary function, and `CodeType.replace` renames its parameters. Each
+field is one class comparison when the value is already right, one call of its kind's `check` when it is not, and one
+call of the slot's own `__set__` (the class refuses assignment, its slots do not).
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def make_init(qualname: str, parameters: Sequence[Parameter]) -> Init:
         return _general(qualname, parameters)
     names = tuple(parameter.name for parameter in parameters)
     first = "self" if "self" not in names else "record"
-    code = template.__code__.replace(co_varnames=(first, *names), co_name="__init__", co_qualname=f"{qualname}.__init__")
+    code = template.__code__.replace(
+        co_varnames=(first, *names), co_name="__init__", co_qualname=f"{qualname}.__init__"
+    )
     defaults = tuple(parameter.default for parameter in parameters if parameter.default is not MISSING)
     return FunctionType(code, template.__globals__, "__init__", defaults, template.__closure__)
 
@@ -149,7 +151,9 @@ def _general(qualname: str, parameters: Sequence[Parameter]) -> Init:
     return init
 
 
-def _binder(qualname: str, parameters: Sequence[Parameter]) -> Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]:
+def _binder(
+    qualname: str, parameters: Sequence[Parameter]
+) -> Callable[[tuple[Any, ...], dict[str, Any]], tuple[Any, ...]]:
     names = tuple(parameter.name for parameter in parameters)
     defaults = {parameter.name: parameter.default for parameter in parameters}
 

@@ -1,10 +1,10 @@
 """One conversion between all kinds of scalars, and of sequences of them: never a change that was not asked for.
 
-`overflow` decides what becomes of a number the target cannot hold: `error`, `saturate` (the nearest limit; infinity is a
-limit) or `wrap` (modulo 2**bits for integers, infinity for floats). `rounding` decides how a fraction becomes an integer: `round`
-(to nearest, halves to even, so that 1.001 m is 1001 mm), `truncate` or `floor`. bool counts as an integer of one bit.
-Text is read as a decimal number or as true/false and written as Python writes it; a character is text of length one.
-NaN has no integer, and text that is no number has none either: those are errors under every policy.
+`overflow` decides what becomes of a number the target cannot hold: `error`, `saturate` (the nearest limit; infinity is
+a limit) or `wrap` (modulo 2**bits for integers, infinity for floats). `rounding` decides how a fraction becomes an
+integer: `round` (to nearest, halves to even, so that 1.001 m is 1001 mm), `truncate` or `floor`. bool counts as an
+integer of one bit. Text is read as a decimal number or as true/false and written as Python writes it; a character is
+text of length one. NaN has no integer, and text that is no number has none either: those are errors under every policy.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ Number = int | float | Decimal
 def convert(value: Any, to: str | Kind, *, overflow: str = "error", rounding: str = "round") -> Any:
     """`value` as the kind `to`: "i32", "f32", "bool", "str", "char", ..., or "seq[i32]" for a sequence.
 
-    A sequence (list, tuple, bytes, array of any shape) is converted item by item, to a read-only numpy array of the same
-    shape or, for text, to a tuple. ConversionError says where, what was expected and what was got.
+    A sequence (list, tuple, bytes, array of any shape) is converted item by item, to a read-only numpy array of the
+    same shape or, for text, to a tuple. ConversionError says where, what was expected and what was got.
     """
     if overflow not in _OVERFLOWS:
         raise ConversionError(f"overflow: expected {' | '.join(_OVERFLOWS)}, got {shown(overflow)}")
@@ -53,7 +53,9 @@ def convert(value: Any, to: str | Kind, *, overflow: str = "error", rounding: st
     sequence = spelling.startswith("seq[") and spelling.endswith("]")
     target = spelling[4:-1] if sequence else spelling
     if target not in SCALARS:
-        raise ConversionError(f"target: expected one of {', '.join(SCALARS)}, or seq[...] of one, got {shown(spelling)}")
+        raise ConversionError(
+            f"target: expected one of {', '.join(SCALARS)}, or seq[...] of one, got {shown(spelling)}"
+        )
     if target == "bytes":
         return _octets(value, overflow, rounding)
     if _is_sequence(value):
@@ -139,7 +141,9 @@ def _scalar(value: Any, target: str, overflow: str, rounding: str) -> Any:
 def _refused(value: Any, target: str) -> ConversionError:
     limits = limits_of(target)
     expected = f"{limits[0]}..{limits[1]}" if limits else f"at most {_LARGEST[target]!r}"
-    return ConversionError(f"expected a value that {target} holds ({expected}), got {shown(value)}; see overflow and rounding")
+    return ConversionError(
+        f"expected a value that {target} holds ({expected}), got {shown(value)}; see overflow and rounding"
+    )
 
 
 def _number(value: Any, target: str) -> Number:

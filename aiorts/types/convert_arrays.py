@@ -22,7 +22,10 @@ _TO_INTEGER = {"round": np.rint, "truncate": np.trunc, "floor": np.floor}
 
 
 def convert_array(array: AnyArray, target: str, overflow: str, rounding: str) -> AnyArray:
-    """A bool, integer or float array as a read-only array of `target`. ConversionError names the first item that does not fit."""
+    """A bool, integer or float array as a read-only array of `target`.
+
+    ConversionError names the first item that does not fit.
+    """
     limits = limits_of(target)
     dtype = np.dtype(DTYPES["i64" if target == "stamp" else target])
     if not array.dtype.isnative:
@@ -37,7 +40,9 @@ def convert_array(array: AnyArray, target: str, overflow: str, rounding: str) ->
     return freeze(result.astype(dtype))
 
 
-def _round(array: AnyArray, target: str, dtype: np.dtype[Any], limits: tuple[int, int], overflow: str, rounding: str) -> AnyArray:
+def _round(
+    array: AnyArray, target: str, dtype: np.dtype[Any], limits: tuple[int, int], overflow: str, rounding: str
+) -> AnyArray:
     low, high = limits
     _refuse(array, np.isnan(array), f"a number, which NaN is not, to make {target} of")
     whole = _TO_INTEGER[rounding](array.astype("f8"))

@@ -1,13 +1,14 @@
 """The 28 geometric records of OpenRTM, and the same with a time stamp.
 
-Lengths are in m, angles in rad, velocities in m/s and rad/s, accelerations in m/s2 and rad/s2. All fields are 0 until given.
+Lengths are in m, angles in rad, velocities in m/s and rad/s, accelerations in m/s2 and rad/s2. All fields are 0 until
+given.
 """
 
 from __future__ import annotations
 
 # Annotations are read at run time, and names are those of the IDL.
-# ruff: noqa: E741, N815, TC001
-from aiorts.types.record import record
+# ruff: noqa: E741, N815
+from aiorts.types.record import Stamped, record
 from aiorts.types.spelling import f64
 
 __all__ = (
@@ -335,7 +336,7 @@ class Quaternion:
 
 
 @record
-class TimedRGBColour:
+class TimedRGBColour(Stamped):
     """RGBColour with a time stamp."""
 
     tm: int = 0
@@ -343,7 +344,7 @@ class TimedRGBColour:
 
 
 @record
-class TimedPoint2D:
+class TimedPoint2D(Stamped):
     """Point2D with a time stamp."""
 
     tm: int = 0
@@ -351,7 +352,7 @@ class TimedPoint2D:
 
 
 @record
-class TimedVector2D:
+class TimedVector2D(Stamped):
     """Vector2D with a time stamp."""
 
     tm: int = 0
@@ -359,7 +360,7 @@ class TimedVector2D:
 
 
 @record
-class TimedPose2D:
+class TimedPose2D(Stamped):
     """Pose2D with a time stamp."""
 
     tm: int = 0
@@ -367,7 +368,7 @@ class TimedPose2D:
 
 
 @record
-class TimedVelocity2D:
+class TimedVelocity2D(Stamped):
     """Velocity2D with a time stamp."""
 
     tm: int = 0
@@ -375,7 +376,7 @@ class TimedVelocity2D:
 
 
 @record
-class TimedAcceleration2D:
+class TimedAcceleration2D(Stamped):
     """Acceleration2D with a time stamp."""
 
     tm: int = 0
@@ -383,7 +384,7 @@ class TimedAcceleration2D:
 
 
 @record
-class TimedPoseVel2D:
+class TimedPoseVel2D(Stamped):
     """PoseVel2D with a time stamp."""
 
     tm: int = 0
@@ -391,7 +392,7 @@ class TimedPoseVel2D:
 
 
 @record
-class TimedSize2D:
+class TimedSize2D(Stamped):
     """Size2D with a time stamp."""
 
     tm: int = 0
@@ -399,7 +400,7 @@ class TimedSize2D:
 
 
 @record
-class TimedGeometry2D:
+class TimedGeometry2D(Stamped):
     """Geometry2D with a time stamp."""
 
     tm: int = 0
@@ -407,7 +408,7 @@ class TimedGeometry2D:
 
 
 @record
-class TimedCovariance2D:
+class TimedCovariance2D(Stamped):
     """Covariance2D with a time stamp."""
 
     tm: int = 0
@@ -415,7 +416,7 @@ class TimedCovariance2D:
 
 
 @record
-class TimedPointCovariance2D:
+class TimedPointCovariance2D(Stamped):
     """PointCovariance2D with a time stamp."""
 
     tm: int = 0
@@ -423,7 +424,7 @@ class TimedPointCovariance2D:
 
 
 @record
-class TimedCarlike:
+class TimedCarlike(Stamped):
     """Carlike with a time stamp."""
 
     tm: int = 0
@@ -431,7 +432,7 @@ class TimedCarlike:
 
 
 @record
-class TimedSpeedHeading2D:
+class TimedSpeedHeading2D(Stamped):
     """SpeedHeading2D with a time stamp."""
 
     tm: int = 0
@@ -439,7 +440,7 @@ class TimedSpeedHeading2D:
 
 
 @record
-class TimedPoint3D:
+class TimedPoint3D(Stamped):
     """Point3D with a time stamp."""
 
     tm: int = 0
@@ -447,7 +448,7 @@ class TimedPoint3D:
 
 
 @record
-class TimedVector3D:
+class TimedVector3D(Stamped):
     """Vector3D with a time stamp."""
 
     tm: int = 0
@@ -455,7 +456,7 @@ class TimedVector3D:
 
 
 @record
-class TimedOrientation3D:
+class TimedOrientation3D(Stamped):
     """Orientation3D with a time stamp."""
 
     tm: int = 0
@@ -463,7 +464,7 @@ class TimedOrientation3D:
 
 
 @record
-class TimedPose3D:
+class TimedPose3D(Stamped):
     """Pose3D with a time stamp."""
 
     tm: int = 0
@@ -471,7 +472,7 @@ class TimedPose3D:
 
 
 @record
-class TimedVelocity3D:
+class TimedVelocity3D(Stamped):
     """Velocity3D with a time stamp."""
 
     tm: int = 0
@@ -479,7 +480,7 @@ class TimedVelocity3D:
 
 
 @record
-class TimedAngularVelocity3D:
+class TimedAngularVelocity3D(Stamped):
     """AngularVelocity3D with a time stamp."""
 
     tm: int = 0
@@ -487,7 +488,7 @@ class TimedAngularVelocity3D:
 
 
 @record
-class TimedAcceleration3D:
+class TimedAcceleration3D(Stamped):
     """Acceleration3D with a time stamp."""
 
     tm: int = 0
@@ -495,7 +496,7 @@ class TimedAcceleration3D:
 
 
 @record
-class TimedAngularAcceleration3D:
+class TimedAngularAcceleration3D(Stamped):
     """AngularAcceleration3D with a time stamp."""
 
     tm: int = 0
@@ -503,7 +504,7 @@ class TimedAngularAcceleration3D:
 
 
 @record
-class TimedPoseVel3D:
+class TimedPoseVel3D(Stamped):
     """PoseVel3D with a time stamp."""
 
     tm: int = 0
@@ -511,7 +512,7 @@ class TimedPoseVel3D:
 
 
 @record
-class TimedSize3D:
+class TimedSize3D(Stamped):
     """Size3D with a time stamp."""
 
     tm: int = 0
@@ -519,7 +520,7 @@ class TimedSize3D:
 
 
 @record
-class TimedGeometry3D:
+class TimedGeometry3D(Stamped):
     """Geometry3D with a time stamp."""
 
     tm: int = 0
@@ -527,7 +528,7 @@ class TimedGeometry3D:
 
 
 @record
-class TimedCovariance3D:
+class TimedCovariance3D(Stamped):
     """Covariance3D with a time stamp."""
 
     tm: int = 0
@@ -535,7 +536,7 @@ class TimedCovariance3D:
 
 
 @record
-class TimedSpeedHeading3D:
+class TimedSpeedHeading3D(Stamped):
     """SpeedHeading3D with a time stamp."""
 
     tm: int = 0
@@ -543,7 +544,7 @@ class TimedSpeedHeading3D:
 
 
 @record
-class TimedOAP:
+class TimedOAP(Stamped):
     """OAP with a time stamp."""
 
     tm: int = 0
@@ -551,7 +552,7 @@ class TimedOAP:
 
 
 @record
-class TimedQuaternion:
+class TimedQuaternion(Stamped):
     """Quaternion with a time stamp."""
 
     tm: int = 0

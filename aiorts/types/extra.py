@@ -5,7 +5,7 @@ from __future__ import annotations
 # Annotations are read at run time.
 from typing import Any
 
-from aiorts.types.record import record
+from aiorts.types.record import Stamped, record
 from aiorts.types.spelling import EMPTY, Array, Map, NDArray, i64, u64
 
 __all__ = (
@@ -21,7 +21,7 @@ NO_ENTRIES: Any = {}
 
 
 @record
-class TimedLongLong:
+class TimedLongLong(Stamped):
     """An integer of 64 bits, signed."""
 
     tm: int = 0
@@ -29,7 +29,7 @@ class TimedLongLong:
 
 
 @record
-class TimedLongLongSeq:
+class TimedLongLongSeq(Stamped):
     """A read-only numpy array of i64 numbers."""
 
     tm: int = 0
@@ -37,7 +37,7 @@ class TimedLongLongSeq:
 
 
 @record
-class TimedULongLong:
+class TimedULongLong(Stamped):
     """An integer of 64 bits, unsigned."""
 
     tm: int = 0
@@ -45,7 +45,7 @@ class TimedULongLong:
 
 
 @record
-class TimedULongLongSeq:
+class TimedULongLongSeq(Stamped):
     """A read-only numpy array of u64 numbers."""
 
     tm: int = 0
@@ -53,7 +53,7 @@ class TimedULongLongSeq:
 
 
 @record
-class TimedNDArray:
+class TimedNDArray(Stamped):
     """A read-only numpy array of up to 8 dimensions: bool, i8-i64, u8-u64, f16-f64, c64, c128."""
 
     tm: int = 0
@@ -61,7 +61,7 @@ class TimedNDArray:
 
 
 @record
-class TimedMap:
+class TimedMap(Stamped):
     """A read-only mapping of text to bool, int, float, text, bytes or array."""
 
     tm: int = 0

@@ -27,7 +27,7 @@ from aiorts.types.extended import (
     Velocity2D,
     Velocity3D,
 )
-from aiorts.types.record import record, zero
+from aiorts.types.record import Stamped, record, zero
 from aiorts.types.spelling import EMPTY, Array, Rows, Seq, f64, u8, u16, u32
 from aiorts.types.stamps import Time
 
@@ -85,7 +85,7 @@ __all__ = (
 
 
 @record
-class ActArrayActuatorPos:
+class ActArrayActuatorPos(Stamped):
     """Position of one actuator (index from 0), m or rad."""
 
     tm: int = 0
@@ -94,7 +94,7 @@ class ActArrayActuatorPos:
 
 
 @record
-class ActArrayActuatorSpeed:
+class ActArrayActuatorSpeed(Stamped):
     """Speed of one actuator (index from 0), m/s or rad/s."""
 
     tm: int = 0
@@ -103,7 +103,7 @@ class ActArrayActuatorSpeed:
 
 
 @record
-class ActArrayActuatorCurrent:
+class ActArrayActuatorCurrent(Stamped):
     """Current through one actuator (index from 0), A."""
 
     tm: int = 0
@@ -132,7 +132,7 @@ class Actuator:
 
 
 @record
-class ActArrayState:
+class ActArrayState(Stamped):
     """State of all actuators of an array."""
 
     tm: int = 0
@@ -190,7 +190,7 @@ class BumperArrayGeometry:
 
 
 @record
-class CameraImage:
+class CameraImage(Stamped):
     """An image as octets, row by row or encoded as `format` names.
 
     Bpp = bits per pixel; a whole-number pixel divided by fDiv is the real value.
@@ -229,7 +229,7 @@ class FiducialInfo:
 
 
 @record
-class Fiducials:
+class Fiducials(Stamped):
     """The markers seen at one moment."""
 
     tm: int = 0
@@ -262,7 +262,7 @@ class GPSFixType(IntEnum):
 
 
 @record
-class GPSData:
+class GPSData(Stamped):
     """A position fix.
 
     Latitude and longitude in deg, altitude above the ellipsoid in m, errors as 1 sigma in m, heading in rad from true
@@ -293,7 +293,7 @@ class GripperStatus(IntEnum):
 
 
 @record
-class GripperState:
+class GripperState(Stamped):
     """State of a gripper."""
 
     tm: int = 0
@@ -309,7 +309,7 @@ class GripperGeometry:
 
 
 @record
-class INSData:
+class INSData(Stamped):
     """Inertial navigation: deg, m; velocity east, north, up in m/s; orientation in rad with 0 = east."""
 
     tm: int = 0
@@ -332,7 +332,7 @@ class LimbStatus(IntEnum):
 
 
 @record
-class LimbState:
+class LimbState(Stamped):
     """State of a limb: where its end is."""
 
     tm: int = 0
@@ -350,7 +350,7 @@ class Hypothesis2D:
 
 
 @record
-class Hypotheses2D:
+class Hypotheses2D(Stamped):
     """All poses that are possible at one moment."""
 
     tm: int = 0
@@ -367,7 +367,7 @@ class Hypothesis3D:
 
 
 @record
-class Hypotheses3D:
+class Hypotheses3D(Stamped):
     """All poses in space that are possible at one moment."""
 
     tm: int = 0
@@ -432,7 +432,7 @@ class LineFeature:
 
 
 @record
-class Features:
+class Features(Stamped):
     """All features found at one moment."""
 
     tm: int = 0
@@ -442,7 +442,7 @@ class Features:
 
 
 @record
-class MultiCameraImages:
+class MultiCameraImages(Stamped):
     """One image of each camera."""
 
     tm: int = 0
@@ -469,7 +469,7 @@ class Waypoint2D:
 
 
 @record
-class Path2D:
+class Path2D(Stamped):
     """A way through the plane."""
 
     tm: int = 0
@@ -488,7 +488,7 @@ class Waypoint3D:
 
 
 @record
-class Path3D:
+class Path3D(Stamped):
     """A way through space."""
 
     tm: int = 0
@@ -504,7 +504,7 @@ class PointCloudPoint:
 
 
 @record
-class PointCloud:
+class PointCloud(Stamped):
     """Points as one array of six columns (x, y, z, r, g, b) that reads as records."""
 
     tm: int = 0
@@ -512,7 +512,7 @@ class PointCloud:
 
 
 @record
-class PanTiltAngles:
+class PanTiltAngles(Stamped):
     """Angles of a pan-tilt unit, rad."""
 
     tm: int = 0
@@ -521,7 +521,7 @@ class PanTiltAngles:
 
 
 @record
-class PanTiltState:
+class PanTiltState(Stamped):
     """Angles (with a time stamp of their own) in rad and speeds in rad/s of a pan-tilt unit."""
 
     tm: int = 0
@@ -552,7 +552,7 @@ class RangerConfig:
 
 
 @record
-class RangeData:
+class RangeData(Stamped):
     """One scan, m, with the geometry and settings it was made with."""
 
     tm: int = 0
@@ -562,7 +562,7 @@ class RangeData:
 
 
 @record
-class IntensityData:
+class IntensityData(Stamped):
     """Intensities of one scan, 0..1, with the geometry and settings it was made with."""
 
     tm: int = 0

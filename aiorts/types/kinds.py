@@ -1,4 +1,4 @@
-"""What one field may hold, and the only check it ever gets: `kind.check(value, where)` returns the value to keep or raises.
+"""What one field may hold, and its only check: `kind.check(value, where)` returns the value to keep or raises.
 
 A kind is shared by all fields of its sort and knows no field name; `where` ("TimedLong.data") is used in messages only.
 `exact` is the class whose instances need no check at all, which is what the constructors test first.
@@ -15,7 +15,18 @@ from aiorts.errors import RecordError, RecordTypeError
 if TYPE_CHECKING:
     from enum import Enum
 
-__all__ = ("BoolKind", "BytesKind", "EnumKind", "FloatKind", "IntKind", "Kind", "StampKind", "TextKind", "SCALARS", "shown")
+__all__ = (
+    "BoolKind",
+    "BytesKind",
+    "EnumKind",
+    "FloatKind",
+    "IntKind",
+    "Kind",
+    "StampKind",
+    "TextKind",
+    "SCALARS",
+    "shown",
+)
 
 NS_PER_SEC = 1_000_000_000
 STAMP_LIMIT = 2**32 * NS_PER_SEC
@@ -27,7 +38,10 @@ class Unchecked:
 
 
 def shown(value: object) -> str:
-    """A value as messages quote it: short, with its type where the text alone would mislead; foreign code is not run."""
+    """A value as messages quote it.
+
+    Short, with its type where the text alone would mislead; foreign code is not run.
+    """
     cls = type(value)
     if cls in (int, float, str, bytes):
         text = repr(value if cls is not str and cls is not bytes else value[:STRING_LIMIT])  # type: ignore[index]
@@ -107,7 +121,9 @@ class IntKind(Kind):
 
     def _integer(self, value: Any, where: str) -> int:
         if is_bool(value):
-            raise RecordTypeError(f"{where}: expected {self.expected}, got {shown(value)}; write int(...) if that is meant")
+            raise RecordTypeError(
+                f"{where}: expected {self.expected}, got {shown(value)}; write int(...) if that is meant"
+            )
         if not hasattr(value, "__array__") or _numpy_kind(value) in ("i", "u"):
             try:
                 return int(operator.index(value))
@@ -254,7 +270,8 @@ class StampKind(Kind):
             return ns
         if isinstance(value, float) or is_bool(value) or not hasattr(value, "__index__"):
             raise RecordTypeError(
-                f"{where}: expected {self.expected}, got {shown(value)}; for seconds write Time.from_seconds(...) or round(s * 1e9)"
+                f"{where}: expected {self.expected}, got {shown(value)}; "
+                "for seconds write Time.from_seconds(...) or round(s * 1e9)"
             )
         return IntKind("stamp", 0, STAMP_LIMIT - 1).check(value, where)
 

@@ -21,7 +21,10 @@ Step = str | int
 
 
 def parse_path(path: str) -> tuple[tuple[bool, Step], ...]:
-    """The steps of a path: (is a field name, name or index or map key). InvalidNameError with the place of the mistake."""
+    """The steps of a path.
+
+    (is a field name, name or index or map key). InvalidNameError with the place of the mistake.
+    """
     steps: list[tuple[bool, Step]] = []
     position = 0
     while position < len(path):
@@ -41,7 +44,7 @@ def parse_path(path: str) -> tuple[tuple[bool, Step], ...]:
 
 
 def read_path(record: Any, path: str) -> Any:
-    """The value at `path`: `read_path(sample, "pose.position.x")`, `"ranges[3]"`, `"actuators[0].position"`, `"data['speed']"`.
+    """The value at a path such as `pose.position.x`, `ranges[3]`, `actuators[0].position` or `data['speed']`.
 
     The empty path is the record itself. RecordError says how far the path leads; InvalidNameError if it is no path.
     """
@@ -67,7 +70,9 @@ def _item(value: Any, index: Step, reached: str) -> Any:
         if not hasattr(value, "keys"):
             raise RecordError(f"{reached} is {_article(value)}, not a map: it has no entry {index!r}")
         if index not in value:
-            raise RecordError(f"{reached} has no entry {index!r}; it has {', '.join(map(repr, list(value)[:20])) or 'none'}")
+            raise RecordError(
+                f"{reached} has no entry {index!r}; it has {', '.join(map(repr, list(value)[:20])) or 'none'}"
+            )
         return value[index]
     if not hasattr(value, "__len__") or hasattr(value, "keys") or getattr(value, "shape", None) == ():
         raise RecordError(f"{reached} is {_article(value)} and has no items")

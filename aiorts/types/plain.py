@@ -1,7 +1,8 @@
 """Records to and from plain data that JSON can carry, without losing a bit of value.
 
-Non-finite floats are "NaN", "Infinity", "-Infinity"; octets base64 text; enumerations their member's name; `tm` an integer;
-arrays lists. An array of any shape and a map's values carry their type, because the record does not declare it.
+Non-finite floats are "NaN", "Infinity", "-Infinity"; octets base64 text; enumerations their member's name; `tm` an
+integer; arrays lists. An array of any shape and a map's values carry their type, because the record does not declare
+it.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 
 def to_plain(record: Any) -> Plain:
-    """A record (or a bool, int, float, str, bytes) as dict, list and scalars that `json.dumps(..., allow_nan=False)` accepts."""
+    """A record (or a bool, int, float, str, bytes) as dict, list and scalars that strict JSON accepts."""
     cls = type(record)
     if cls in PLAIN_TYPES:
         return _put(kind_of(cls, cls.__name__), record)
@@ -54,7 +55,10 @@ def _take_record(cls: type, plain: Plain, where: str) -> Any:
     unknown = [str(name) for name in plain if name not in names]
     missing = [name for name in names if name not in plain]
     if unknown or missing:
-        parts = (f"unknown field {', '.join(unknown)[:200]}" if unknown else "", f"missing field {', '.join(missing)}" if missing else "")
+        parts = (
+            f"unknown field {', '.join(unknown)[:200]}" if unknown else "",
+            f"missing field {', '.join(missing)}" if missing else "",
+        )
         raise RecordError(f"{where}: {'; '.join(filter(None, parts))}; expected {', '.join(names)}")
     values = {field.name: _take(field.kind, plain[field.name], f"{where}.{field.name}") for field in structure.fields}
     return build(cls, values)
@@ -147,7 +151,9 @@ def _take_array(kind: Kind, plain: Plain, where: str) -> Any:
     if not isinstance(plain, list):
         raise wrong_type(where, "a list", plain)
     if isinstance(SCALARS.get(kind.element or ""), FloatKind):
-        plain = [_take_float(SCALARS[kind.element or ""], item, f"{where}[{index}]") for index, item in enumerate(plain)]
+        plain = [
+            _take_float(SCALARS[kind.element or ""], item, f"{where}[{index}]") for index, item in enumerate(plain)
+        ]
     return kind.check(plain, where)
 
 
@@ -164,11 +170,16 @@ def _put_ndarray(kind: Kind, value: Any) -> Plain:
 def _take_ndarray(kind: Kind, plain: Plain, where: str) -> Any:
     if not isinstance(plain, dict) or set(plain) != {"dtype", "shape", "data"}:
         raise wrong_type(where, "a mapping with dtype, shape, data", plain)
-    return kind.check(array_of(plain["dtype"], plain["shape"], _take_bytes(kind, plain["data"], f"{where}.data"), where), where)
+    return kind.check(
+        array_of(plain["dtype"], plain["shape"], _take_bytes(kind, plain["data"], f"{where}.data"), where), where
+    )
 
 
 def array_of(element: Any, shape: Any, data: bytes, where: str) -> Any:
-    """An array that shares the memory of `data`. RecordError, before anything is allocated, if type, shape and length disagree."""
+    """An array that shares the memory of `data`.
+
+    RecordError, before anything is allocated, if type, shape and length disagree.
+    """
     import numpy as np
 
     from aiorts.types.arrays import MAX_DIMENSIONS
@@ -183,15 +194,11 @@ def array_of(element: Any, shape: Any, data: bytes, where: str) -> Any:
     expected = math.prod(shape) * int(code[1:])
     if expected != len(data) or (not expected and any(length > 2**32 for length in shape)):
         raise RecordError(f"{where}: expected {expected} octets for {element} of shape {list(shape)}, got {len(data)}")
-    if code == "b1" and data.strip(b"\x00\x01"):
-        _only_truth_values(data, where)
-    little = np.frombuffer(data, dtype=f"<{code}" if code[1:] != "1" else code) if data else np.empty(0, dtype=code)
-    return little.reshape(shape)
-
-
-def _only_truth_values(data: bytes, where: str) -> None:
-    if data.translate(None, b"\x00\x01"):
+    if code == "b1" and data.translate(None, b"\x00\x01"):
         raise RecordError(f"{where}: expected truth values as octets 0 and 1, got others")
+    if not data:
+        return np.empty(shape, dtype=code)
+    return np.frombuffer(data, dtype=f"<{code}").reshape(shape)
 
 
 def _put_rows(kind: Any, value: Any) -> Plain:

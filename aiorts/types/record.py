@@ -1,8 +1,8 @@
 """`@record`: a frozen, slotted class whose constructor is the only place that checks and converts.
 
-Two records are equal when they are of one class and all their fields are; NaN equals NaN there, so that a record equals its own
-copy. A record is hashable when nothing in it is an array or a map. It works with `dataclasses.fields`, `replace`, `asdict`,
-`copy`, `match`, and refuses assignment.
+Two records are equal when they are of one class and all their fields are; NaN equals NaN there, so that a record equals
+its own copy. A record is hashable when nothing in it is an array or a map. It works with `dataclasses.fields`,
+`replace`, `asdict`, `copy`, `match`, and refuses assignment.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from aiorts.types.structure import STRUCTURE, Field, Structure, assemble, is_cla
 T = TypeVar("T")
 Check = Callable[[Any, str], Any]
 
-__all__ = ("record", "setters_of", "zero")
+__all__ = ("Stamped", "record", "setters_of", "zero")
 
 
 class Lazy:
@@ -41,6 +41,22 @@ class Lazy:
         return "..."
 
 
+class Stamped:
+    """Base that tells type checkers of `sec` and `nsec`, which every record with a time stamp has in any case."""
+
+    __slots__ = ()
+
+    @property
+    def sec(self) -> int:
+        """Whole seconds of the time stamp `tm`."""
+        return self.tm // NS_PER_SEC  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def nsec(self) -> int:
+        """Nanoseconds of the time stamp `tm` beyond the whole seconds."""
+        return self.tm % NS_PER_SEC  # type: ignore[attr-defined,no-any-return]
+
+
 def zero(cls: type[T]) -> T:
     """As a field's default: the record of zeros, made on first use."""
     return cast("T", Lazy(cls))
@@ -50,11 +66,13 @@ def zero(cls: type[T]) -> T:
 def record(cls: type[T]) -> type[T]:
     """Make a record type of a class with annotated fields. DeclarationError if a field cannot travel.
 
-    Fields are checked when the record is built; `__post_init__` may check more. A field `tm: int` is the record's time stamp:
-    nanoseconds since the epoch, 0 <= tm < 2**32 s, also given as a Time; `sec` and `nsec` read it.
+    Fields are checked when the record is built; `__post_init__` may check more. A field `tm: int` is the record's time
+    stamp: nanoseconds since the epoch, 0 <= tm < 2**32 s, also given as a Time; `sec` and `nsec` read it.
     """
     if "__init__" in cls.__dict__ or "__slots__" in cls.__dict__:
-        raise DeclarationError(f"{cls.__qualname__}: @record writes __init__ and __slots__; further checks go into __post_init__")
+        raise DeclarationError(
+            f"{cls.__qualname__}: @record writes __init__ and __slots__; further checks go into __post_init__"
+        )
     fields = (*_inherited(cls), *_declared(cls))
     fields = tuple({field.name: field for field in fields}.values())
     new = _rebuild(cls, fields)
@@ -73,7 +91,9 @@ def _inherited(cls: type) -> list[Field]:
         if structure is not None and structure.checked:
             fields += structure.fields
         elif "__dataclass_fields__" in base.__dict__:
-            raise DeclarationError(f"{cls.__qualname__}: a record extends records only; {base.__qualname__} is a dataclass")
+            raise DeclarationError(
+                f"{cls.__qualname__}: a record extends records only; {base.__qualname__} is a dataclass"
+            )
     return fields
 
 
@@ -140,7 +160,9 @@ def _init(cls: type, structure: Structure) -> Callable[..., None]:
         if field.factory is not dataclasses.MISSING:
             default, check = Lazy(field.factory), _made(check)
         elif default is MISSING and parameters and parameters[-1].default is not MISSING:
-            raise DeclarationError(f"{cls.__qualname__}.{field.name}: a field without default follows one with a default")
+            raise DeclarationError(
+                f"{cls.__qualname__}.{field.name}: a field without default follows one with a default"
+            )
         parameters.append(Parameter(field.name, field.kind, check, f"{cls.__qualname__}.{field.name}", store, default))
     init = make_init(cls.__qualname__, parameters)
     init.__module__ = cls.__module__
@@ -171,7 +193,7 @@ def _methods(cls: type, fields: tuple[Field, ...]) -> dict[str, Any]:
     hashes = tuple((field.name, field.kind.hashed) for field in fields)
     names = tuple(name for name, _ in pairs)
 
-    def equal(self: Any, other: object) -> bool:
+    def equal(self: Any, other: object) -> Any:
         if self is other:
             return True
         if type(self) is not type(other):
@@ -195,7 +217,7 @@ def _methods(cls: type, fields: tuple[Field, ...]) -> dict[str, Any]:
         **_SHARED,
     }
     if any(field.name == "tm" and field.kind.spelling == "stamp" for field in fields):
-        methods |= {name: part for name, part in _STAMP_PARTS.items() if name not in names}
+        methods |= {name: Stamped.__dict__[name] for name in ("sec", "nsec") if name not in names}
     return methods
 
 
@@ -244,9 +266,4 @@ _SHARED: dict[str, Any] = {
     "__repr__": _repr,
     "__copy__": _same,
     "__deepcopy__": _same,
-}
-
-_STAMP_PARTS: dict[str, Any] = {
-    "sec": property(lambda self: self.tm // NS_PER_SEC, doc="Whole seconds of `tm`."),
-    "nsec": property(lambda self: self.tm % NS_PER_SEC, doc="Nanoseconds of `tm` beyond the whole seconds."),
 }

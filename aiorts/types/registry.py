@@ -1,6 +1,7 @@
 """Names of record types: found by short name, or by `module.Name` when two modules define the same one.
 
-A record enters when it is defined, a user's dataclass when it is first described. Nothing is ever imported to find a name.
+A record enters when it is defined, a user's dataclass when it is first described. Nothing is ever imported to find a
+name.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ _plain: dict[str, type] = {cls.__name__: cls for cls in (bool, int, float, str, 
 
 
 def full_name(cls: type) -> str:
-    """`module.Name`; the records that come with aiorts are all `aiorts.types.Name`. A class of a function: `module.function.Name`."""
+    """`module.Name`.
+
+    The records that come with aiorts are all `aiorts.types.Name`. A class of a function: `module.function.Name`.
+    """
     if cls in _plain.values():
         return cls.__name__
     qualname = cls.__qualname__.replace("<locals>.", "")
@@ -34,7 +38,10 @@ def full_name(cls: type) -> str:
 
 
 def register(cls: T) -> T:
-    """Make `cls` findable. A class defined again in the same place (a notebook cell run twice) replaces the older one."""
+    """Make `cls` findable.
+
+    A class defined again in the same place (a notebook cell run twice) replaces the older one.
+    """
     name = full_name(cls)
     if _by_full_name.get(name) is not cls:
         _by_full_name[name] = cls
@@ -45,7 +52,8 @@ def register(cls: T) -> T:
 def find_type(name: str) -> type:
     """The record type (or enumeration, or bool, int, float, str, bytes) of that name.
 
-    `name` is `Name` or `module.Name`. UnknownTypeError with near names if there is none, with the full names if there are several.
+    `name` is `Name` or `module.Name`. UnknownTypeError with near names if there is none, with the full names if there
+    are several.
     """
     if name in _plain:
         return _plain[name]
@@ -82,7 +90,10 @@ def all_types() -> Mapping[str, type]:
 
 
 def wire_name(cls: type) -> str:
-    """The name that stands in frames: bare for the records that come with aiorts, full for all others, the same for ever."""
+    """The name that stands in frames.
+
+    Bare for the records that come with aiorts, full for all others, the same for ever.
+    """
     return full_name(cls).removeprefix(_BUILTIN)
 
 

@@ -253,4 +253,3 @@ def _same_value(left: Any, right: Any) -> bool:
     if hasattr(left, "dtype"):
         return same_array(left, right)
     return bool(left == right or (left != left and right != right))
-

@@ -1,23 +1,34 @@
 """What ports ask about samples: may this type travel, can this sample change, the same sample at another time.
 
-A mutable dataclass travels as a snapshot: an instance of a hidden subclass that refuses assignment and compares equal to the
-original, so that all readers can share it.
+A mutable dataclass travels as a snapshot: an instance of a hidden subclass that refuses assignment and compares equal
+to the original, so that all readers can share it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from types import MemberDescriptorType
 from typing import Any, NoReturn, TypeVar
 
 from aiorts.errors import DeclarationError, RecordError, RecordTypeError
 from aiorts.types.arrays import ArrayKind
-from aiorts.types.kinds import SCALARS
+from aiorts.types.kinds import SCALARS, STAMP_LIMIT
 from aiorts.types.rows import RowsKind, TupleKind
 from aiorts.types.structure import Field, Structure, describe
 
 T = TypeVar("T")
 
-__all__ = ("PLAIN_TYPES", "check_port_type", "check_shape", "frozen_class", "has_tm", "is_mutable", "snapshot", "with_tm")
+__all__ = (
+    "PLAIN_TYPES",
+    "check_port_type",
+    "check_shape",
+    "frozen_class",
+    "has_tm",
+    "is_mutable",
+    "snapshot",
+    "with_tm",
+)
 
 PLAIN_TYPES: tuple[type, ...] = (bool, int, float, str, bytes)
 FROZEN_OF = "__aiorts_frozen_of__"
@@ -25,13 +36,17 @@ _frozen: dict[type, type] = {}
 
 
 def check_port_type(cls: object) -> None:
-    """DeclarationError if values of `cls` cannot travel: not a record, a dataclass, or one of bool, int, float, str, bytes."""
+    """DeclarationError if values of `cls` cannot travel.
+
+    Not a record, a dataclass, or one of bool, int, float, str, bytes.
+    """
     if cls in PLAIN_TYPES:
         return
     if not isinstance(cls, type) or not dataclasses.is_dataclass(cls):
         raise DeclarationError(
             f"{getattr(cls, '__qualname__', cls)!s} cannot be the type of a port; "
-            "use a record of aiorts.types, a class decorated with @record or @dataclass, or bool, int, float, str, bytes"
+            "use a record of aiorts.types, a class decorated with @record or @dataclass, or bool, int, float, str, "
+            "bytes"
         )
     describe(original(cls))
 
@@ -66,7 +81,9 @@ def snapshot(sample: T) -> T:
         try:
             value = getattr(sample, field.name)
         except AttributeError:
-            raise RecordError(f"{cls.__qualname__}.{field.name}: expected {field.spelling}, got nothing; set it first") from None
+            raise RecordError(
+                f"{cls.__qualname__}.{field.name}: expected {field.spelling}, got nothing; set it first"
+            ) from None
         if type(value) is not field.kind.exact:
             value = field.kind.check(value, f"{cls.__qualname__}.{field.name}")
         object.__setattr__(copied, field.name, value)
@@ -81,16 +98,28 @@ def frozen_class(cls: type) -> type:
     """The hidden subclass of a mutable dataclass whose instances refuse assignment."""
     known = _frozen.get(cls)
     if known is None:
-        namespace = {"__module__": cls.__module__, "__qualname__": cls.__qualname__, "__doc__": cls.__doc__, "__slots__": ()}
+        namespace = {
+            "__module__": cls.__module__,
+            "__qualname__": cls.__qualname__,
+            "__doc__": cls.__doc__,
+            "__slots__": (),
+        }
         names = tuple(field.name for field in dataclasses.fields(cls))
-        methods = {"__setattr__": _refuse, "__delattr__": _refuse, FROZEN_OF: cls, "__hash__": None, "__eq__": _equality(cls, names)}
+        methods = {
+            "__setattr__": _refuse,
+            "__delattr__": _refuse,
+            FROZEN_OF: cls,
+            "__hash__": None,
+            "__eq__": _equality(cls, names),
+        }
         known = _frozen[cls] = type(cls)(cls.__name__, (cls,), {**namespace, **methods})
     return known
 
 
 def _refuse(self: Any, name: str, value: object = None) -> NoReturn:
     raise dataclasses.FrozenInstanceError(
-        f"{type(self).__qualname__}.{name}: a sample that was written is shared by all its readers; copy it first (dataclasses.replace)"
+        f"{type(self).__qualname__}.{name}: a sample that was written is shared by all its readers; "
+        "copy it first (dataclasses.replace)"
     )
 
 
@@ -98,7 +127,7 @@ def _equality(cls: type, names: tuple[str, ...]) -> Any:
     structure = describe(cls)
     kinds = {field.name: field.kind for field in structure.fields}
 
-    def equal(self: Any, other: object) -> bool:
+    def equal(self: Any, other: object) -> Any:
         if original(type(other)) is not cls:
             return NotImplemented
         return all(_same(kinds[name], getattr(self, name), getattr(other, name)) for name in names)
@@ -115,26 +144,46 @@ def _same(kind: Any, left: Any, right: Any) -> bool:
 
 
 def with_tm(sample: T, tm: Any) -> T:
-    """A copy of the sample with another time stamp (int nanoseconds or a Time). RecordError if it has none or `tm` does not fit."""
+    """A copy of the sample with another time stamp (int nanoseconds or a Time).
+
+    RecordError if it has none or `tm` does not fit.
+    """
     cls = type(sample)
+    restamp = _restampers.get(cls) or _restampers.setdefault(cls, _restamper(cls))
+    return restamp(sample, tm)  # type: ignore[no-any-return]
+
+
+_restampers: dict[type, Callable[[Any, Any], Any]] = {}
+
+
+def _restamper(cls: type) -> Callable[[Any, Any], Any]:
+    """The copying of one class, its fields looked up once."""
     structure = describe(original(cls))
-    if not structure.has_tm:
+    stamp = structure.field("tm")
+    if not structure.has_tm or stamp is None:
         raise RecordTypeError(f"{cls.__qualname__} has no time stamp; expected a type with a field tm")
-    stamp = _stamp(structure, tm)
-    copied: Any = object.__new__(cls)
-    for field in structure.fields:
-        value = stamp if field.name == "tm" else getattr(sample, field.name)
-        object.__setattr__(copied, field.name, value)
-    return copied  # type: ignore[no-any-return]
+    check, where, as_time = SCALARS["stamp"].check, f"{cls.__qualname__}.tm", stamp.record
+    store_tm = _setter(cls, "tm")
+    others = tuple((field.name, _setter(cls, field.name)) for field in structure.fields if field.name != "tm")
+    new = object.__new__
+
+    def restamp(sample: Any, tm: Any) -> Any:
+        ns = tm if type(tm) is int and 0 <= tm < STAMP_LIMIT else check(tm, where)
+        copied: Any = new(cls)
+        store_tm(copied, ns if as_time is None else as_time.from_ns(ns))  # type: ignore[attr-defined]
+        for name, store in others:
+            store(copied, getattr(sample, name))
+        return copied
+
+    return restamp
 
 
-def _stamp(structure: Structure, tm: Any) -> Any:
-    where = f"{structure.cls.__qualname__}.tm"
-    ns = SCALARS["stamp"].check(tm, where)
-    field = structure.field("tm")
-    if field is not None and field.record is not None:
-        return field.record.from_ns(ns)  # type: ignore[attr-defined]
-    return ns
+def _setter(cls: type, name: str) -> Callable[[Any, Any], None]:
+    """What stores a field past any refusal to assign: the slot itself, or the instance's dictionary."""
+    slot = getattr(cls, name, None)
+    if isinstance(slot, MemberDescriptorType):
+        return slot.__set__
+    return lambda instance, value: object.__setattr__(instance, name, value)
 
 
 def check_shape(sample: object, shape: tuple[int, ...]) -> None:
@@ -157,7 +206,7 @@ def _array_field(structure: Structure) -> Field:
     chosen = [field for field in arrays if field.name == "data"] or arrays
     if len(chosen) != 1:
         found = ", ".join(field.name for field in chosen) or "none"
-        raise RecordTypeError(f"{structure.cls.__qualname__}: expected a field data or one array to check a shape on, found {found}")
+        raise RecordTypeError(
+            f"{structure.cls.__qualname__}: expected a field data or one array to check a shape on, found {found}"
+        )
     return chosen[0]
-
-

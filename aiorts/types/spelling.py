@@ -1,8 +1,8 @@
 """What a record's fields may be annotated with; nothing here checks anything.
 
 Scalars are plain types with a tag (`f64` is a float to a type checker). Sequences are spelled by what the reader gets:
-`Array[f64]` gives a numpy array, `Rows[Point3D]` an (n, k) array with record views, `Seq[str]` a tuple. They are descriptors
-to the type checkers only: that is how one field can accept a list and give back an array.
+`Array[f64]` gives a numpy array, `Rows[Point3D]` an (n, k) array with record views, `Seq[str]` a tuple. They are
+descriptors to the type checkers only: that is how one field can accept a list and give back an array.
 """
 
 from __future__ import annotations
@@ -48,12 +48,16 @@ wstr: TypeAlias = Annotated[str, Tag("str")]
 
 MapValue: TypeAlias = "bool | int | float | str | bytes | npt.ArrayLike"
 
-# The default of every sequence field. Typed Any because a descriptor-typed field has no spelling for "empty" of its own.
+# The default of every sequence field. Typed Any because a descriptor-typed field has no spelling for "empty" of its
+# own.
 EMPTY: Any = ()
 
 
 class Array(Generic[T]):
-    """A one-dimensional number sequence: takes what numpy can read, gives a read-only array of exactly this element type."""
+    """A one-dimensional number sequence.
+
+    Takes what numpy can read, gives a read-only array of exactly this element type.
+    """
 
     if TYPE_CHECKING:
 
@@ -115,5 +119,3 @@ class Map:
         def __get__(self, instance: object, owner: Any = None) -> Mapping[str, Any]: ...
         def __get__(self, instance: object, owner: Any = None) -> Any: ...
         def __set__(self, instance: object, value: Mapping[str, MapValue]) -> None: ...
-
-

@@ -6,7 +6,6 @@ Records carry their time stamp as one integer (`tm`, nanoseconds); `Time` is for
 from __future__ import annotations
 
 # Annotations are read at run time.
-# ruff: noqa: TC001
 import math
 
 from aiorts.errors import RecordError

@@ -1,7 +1,7 @@
 """From annotations to structure: what fields a record type has, and which kind each one is.
 
-`describe(cls)` reads records, and plain dataclasses of any module when they are first used. A type that cannot travel is
-a DeclarationError that names the field and the annotation.
+`describe(cls)` reads records, and plain dataclasses of any module when they are first used. A type that cannot travel
+is a DeclarationError that names the field and the annotation.
 """
 
 from __future__ import annotations
@@ -77,14 +77,25 @@ def is_record_type(cls: object) -> bool:
     return isinstance(cls, type) and (STRUCTURE in cls.__dict__ or "__dataclass_fields__" in dir(cls))
 
 
+_being_described: list[type] = []
+
+
 def describe(cls: type) -> Structure:
     """The structure of a record type or dataclass. DeclarationError if it is neither or cannot travel."""
     known = cls.__dict__.get(STRUCTURE) if isinstance(cls, type) else None
     if known is not None:
         return typing.cast("Structure", known)
     if not isinstance(cls, type) or not dataclasses.is_dataclass(cls):
-        raise DeclarationError(f"{_label(cls)}: expected a record or a dataclass; decorate the class with @record or @dataclass")
-    structure = _of_dataclass(cls)
+        raise DeclarationError(
+            f"{_label(cls)}: expected a record or a dataclass; decorate the class with @record or @dataclass"
+        )
+    if cls in _being_described:
+        raise DeclarationError(f"{cls.__qualname__}: a record cannot contain its own type, not even inside another")
+    _being_described.append(cls)
+    try:
+        structure = _of_dataclass(cls)
+    finally:
+        _being_described.remove(cls)
     type.__setattr__(cls, STRUCTURE, structure)
     register(cls)
     return structure
@@ -98,7 +109,12 @@ def fields_of(cls: type) -> tuple[Field, ...]:
 def _of_dataclass(cls: type) -> Structure:
     hints = resolve(cls)
     fields = tuple(
-        Field(field.name, kind_of(hints[field.name], f"{cls.__qualname__}.{field.name}", cls), field.default, field.default_factory)
+        Field(
+            field.name,
+            kind_of(hints[field.name], f"{cls.__qualname__}.{field.name}", cls),
+            field.default,
+            field.default_factory,
+        )
         for field in dataclasses.fields(cls)
     )
     return assemble(cls, fields, checked=False, frozen=cls.__dataclass_params__.frozen)  # type: ignore[attr-defined]
@@ -224,7 +240,8 @@ def _nested(cls: type, where: str, owner: type | None) -> RecordKind:
 def _cannot_travel(annotation: Any, where: str) -> DeclarationError:
     if get_origin(annotation) in (typing.Union, types.UnionType):
         return DeclarationError(
-            f"{where}: {_label(annotation)} has more than one type; every field travels, so give it one type and a default"
+            f"{where}: {_label(annotation)} has more than one type; every field travels, "
+            "so give it one type and a default"
         )
     return DeclarationError(
         f"{where}: a value of type {_label(annotation)} cannot travel; use bool, int, float, str, bytes, the types of "

@@ -1,8 +1,8 @@
 """An array as one binary value: element type, number of dimensions and shape in front of its octets.
 
-Layout, little-endian: element code (1 octet), dimensions (1), six zeros, one u64 for each length, then the elements in C
-order. The head is a multiple of eight octets so that the elements are aligned in the `bytes` the parser hands over, which
-the decoded array then uses as they are.
+Layout, little-endian: element code (1 octet), dimensions (1), six zeros, one u64 for each length, then the elements in
+C order. The head is a multiple of eight octets so that the elements are aligned in the `bytes` the parser hands over,
+which the decoded array then uses as they are.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ def pack_array(array: npt.NDArray[np.generic]) -> bytes:
 
 
 def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
-    """A read-only array on the memory of `data`. WireError, before anything is allocated, if its head does not describe it."""
+    """A read-only array on the memory of `data`.
+
+    WireError, before anything is allocated, if its head does not describe it.
+    """
     if type(data) is not bytes:
         raise WireError(f"{where}: expected an array as binary, got {shown(data)}")
     if len(data) < 8:
@@ -45,7 +48,8 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
     code, dimensions = data[0], data[1]
     if not 1 <= code <= len(_ELEMENTS) or dimensions > MAX_DIMENSIONS or data[2:8] != b"\0\0\0\0\0\0":
         raise WireError(
-            f"{where}: expected an element code 1..{len(_ELEMENTS)}, at most {MAX_DIMENSIONS} dimensions and six zeros, got {data[:8]!r}"
+            f"{where}: expected an element code 1..{len(_ELEMENTS)}, at most {MAX_DIMENSIONS} dimensions, six zeros; "
+            f"got {data[:8]!r}"
         )
     head = _HEADS[dimensions]
     if len(data) < head.size:
@@ -55,7 +59,9 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
     dtype = DTYPES[element]
     octets = math.prod(shape) * int(dtype[1:])
     if octets != len(data) - head.size or any(length > _LONGEST for length in shape):
-        raise WireError(f"{where}: expected {octets} octets for {element} of shape {shape}, got {len(data) - head.size}")
+        raise WireError(
+            f"{where}: expected {octets} octets for {element} of shape {shape}, got {len(data) - head.size}"
+        )
     return _view(data, dtype, head.size, shape, where)
 
 

@@ -1,7 +1,7 @@
 """Records to bytes and back: one msgpack list `[1, type name, fields]` for each record, within limits on both sides.
 
-A type name is looked up, never imported. Bytes are untrusted: whatever they are, `decode` returns a checked record or raises
-WireError, and it allocates nothing that the frame has no octets for.
+A type name is looked up, never imported. Bytes are untrusted: whatever they are, `decode` returns a checked record or
+raises WireError, and it allocates nothing that the frame has no octets for.
 """
 
 from __future__ import annotations
@@ -43,12 +43,16 @@ class Codec(Protocol):
 
 
 class MsgpackCodec:
-    """The codec on the msgpack package. Has no state beyond its limits; one may serve any number of tasks and threads."""
+    """The codec on the msgpack package.
+
+    Has no state beyond its limits; one may serve any number of tasks and threads.
+    """
 
     def __init__(self, limits: Limits = DATA) -> None:
         self.limits = limits
         # A frame of no more octets than this cannot break any limit.
         self._unchecked = min(limits.string, limits.length, limits.values, limits.frame)
+        self._uncounted = min(_SHORT, limits.values)
         self._options: dict[str, Any] = {
             "raw": False,
             "strict_map_key": True,
@@ -64,7 +68,8 @@ class MsgpackCodec:
     def encode(self, record: Any) -> bytes:
         """The record (or bool, int, float, str, bytes) as one frame.
 
-        RecordError if a field of a plain dataclass does not fit its annotation, LimitError if the frame would be too large.
+        RecordError if a field of a plain dataclass does not fit its annotation, LimitError if the frame would be too
+        large.
         """
         cls = type(record)
         name, form = _known.get(cls) or _know(cls)
@@ -102,7 +107,7 @@ class MsgpackCodec:
         limits, size = self.limits, len(data)
         if size > limits.frame:
             raise LimitError(f"a frame of {size} octets; at most {limits.frame} are allowed")
-        if size > _SHORT:
+        if size > self._uncounted:
             count_values(data, limits)
         longest = min(limits.length, size)
         try:
@@ -111,13 +116,15 @@ class MsgpackCodec:
             raise
         except (ValueError, TypeError, msgpack.UnpackException) as error:
             too_long = "exceeds max_" in str(error) and "ext" not in str(error)
-            raise (LimitError if too_long else WireError)(f"no msgpack frame: {str(error) or type(error).__name__}") from None
+            raise (LimitError if too_long else WireError)(
+                f"no msgpack frame: {str(error) or type(error).__name__}"
+            ) from None
 
     @staticmethod
     def _form(name: str, expected: type | None) -> tuple[str, Form]:
         cls = wire_type(name)
-        if cls is None:
-            raise WireError(f"unknown type {name[:200]!r}; import the module that defines it")
+        if cls is None or not (cls in PLAIN_TYPES or hasattr(cls, "__dataclass_fields__")):
+            raise WireError(f"unknown type {name[:200]!r}; import the module that defines it, if it is a record")
         if expected is not None and not issubclass(cls, original(expected)):
             raise WireError(f"expected a {wire_name(original(expected))}, got a {name}")
         known_name, form = _known.get(cls) or _know(cls)

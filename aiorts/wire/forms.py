@@ -1,7 +1,7 @@
 """How each kind of field lies in a frame: a pair of functions, made once for each type.
 
-Records are maps from field name to value, so that a frame says what is missing or unknown; number sequences and sequences
-of records with one element type are one binary each; enumerations are their integer, or their member's name.
+Records are maps from field name to value, so that a frame says what is missing or unknown; number sequences and
+sequences of records with one element type are one binary each; enumerations are their integer, or their member's name.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from aiorts.errors import RecordError, WireError
-from aiorts.types.arrays import ArrayKind, NDArrayKind
+from aiorts.types.arrays import ArrayKind, NDArrayKind, element_dtype
 from aiorts.types.kinds import EnumKind, Kind, shown
 from aiorts.types.nested import RecordKind
 from aiorts.types.plain import build
@@ -68,7 +68,9 @@ def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ..
         return fields
 
     def put_unchecked(record: Any) -> Any:
-        fields = {n: kind.check(value, where) for n, (kind, where), value in zip(names, kinds, read(record), strict=True)}
+        fields = {
+            n: kind.check(value, where) for n, (kind, where), value in zip(names, kinds, read(record), strict=True)
+        }
         for name, put in puts:
             fields[name] = put(fields[name])
         return fields
@@ -80,7 +82,9 @@ def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ..
 
 def _taker(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ...], wheres: tuple[str, ...]) -> Take:
     cls, count = structure.cls, len(names)
-    takes = tuple((name, take, where) for name, (_, take), where in zip(names, pairs, wheres, strict=True) if take is not None)
+    takes = tuple(
+        (name, take, where) for name, (_, take), where in zip(names, pairs, wheres, strict=True) if take is not None
+    )
     kinds = {field.name: field.kind for field in structure.fields}
 
     def take_record(fields: Any, where: str) -> Any:
@@ -123,20 +127,13 @@ def _array_pair(kind: ArrayKind) -> _Pair:
 
     def take(data: Any, where: str) -> Any:
         array = unpack_array(data, where)
-        # The element type is part of the record's type: another one is the sender's mistake even if the values would fit.
-        if (element is not None and array.dtype != _dtype(element)) or (one_dimension and array.ndim != 1):
+        # The element type is part of the record's type: another one is the sender's mistake even if the values would
+        # fit.
+        if (element is not None and array.dtype != element_dtype(element)) or (one_dimension and array.ndim != 1):
             raise WireError(f"{where}: expected {spelling}, got {array.dtype} of shape {array.shape}")
         return array
 
     return pack_array, take
-
-
-def _dtype(element: str) -> Any:
-    import numpy as np
-
-    from aiorts.types.arrays import DTYPES
-
-    return np.dtype(DTYPES[element])
 
 
 def _rows_pair(kind: RowsKind) -> _Pair:
@@ -144,8 +141,10 @@ def _rows_pair(kind: RowsKind) -> _Pair:
 
     def take(data: Any, where: str) -> Any:
         array = unpack_array(data, where)
-        if array.dtype != _dtype(dtype) or array.ndim != 2 or array.shape[1] != width:
-            raise WireError(f"{where}: expected {dtype} of shape (n, {width}), got {array.dtype} of shape {array.shape}")
+        if array.dtype != element_dtype(dtype) or array.ndim != 2 or array.shape[1] != width:
+            raise WireError(
+                f"{where}: expected {dtype} of shape (n, {width}), got {array.dtype} of shape {array.shape}"
+            )
         return array
 
     def put(rows: RecordArray[Any]) -> bytes:

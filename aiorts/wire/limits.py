@@ -24,8 +24,10 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("frame", "string", "values", "length"):
             limit = getattr(self, name)
-            if type(limit) is not int or not 0 < limit < 2**31:
-                raise ValueError(f"Limits.{name}: expected an integer 1..2147483647, got {limit!r}")
+            # Text of up to 31 octets is not measured one by one: nobody can do harm with it.
+            least = 32 if name == "string" else 1
+            if type(limit) is not int or not least <= limit < 2**31:
+                raise ValueError(f"Limits.{name}: expected an integer {least}..2147483647, got {limit!r}")
 
 
 DATA = Limits()

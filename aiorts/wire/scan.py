@@ -1,8 +1,8 @@
 """Walk a msgpack frame without building anything: how many values it claims to have, and whether they can be there.
 
-A header of three octets may claim 65,535 items, and a parser that believes it allocates for them. So every claim is counted, and
-compared with the octets that are left, before the parser sees the frame. No recursion: only the number of values that are
-still to come is needed, because nothing here asks which container they belong to.
+A header of three octets may claim 65,535 items, and a parser that believes it allocates for them. So every claim is
+counted, and compared with the octets that are left, before the parser sees the frame. No recursion: the walk needs the
+number of values still to come, and for each open container the number at which it ends.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 __all__ = ("count_values",)
 
+# Records inside records go three or four deep; a frame that goes deeper than this is no record of anybody.
+MAX_DEPTH = 64
+
 # First octet -> octets of the whole value, for values whose size it tells; 0 for the others.
 _FIXED = bytearray(256)
 _FIXED[0x00:0x80] = b"\x01" * 128
@@ -28,6 +31,9 @@ for _first, _size in {
     _FIXED[_first] = _size
 _SIZES = bytes(_FIXED)
 
+# First octet -> values in a list or map so short that no length follows; they are most of all containers there are.
+_SMALL = bytes(128) + bytes(range(0, 32, 2)) + bytes(range(16)) + bytes(96)
+
 # First octet -> octets of the length that follows, values that each unit of the length stands for, whether it is text
 _MEASURED = {
     0xC4: (1, 0, False), 0xC5: (2, 0, False), 0xC6: (4, 0, False),
@@ -37,22 +43,40 @@ _MEASURED = {
 
 
 def count_values(frame: bytes, limits: Limits) -> int:
-    """The number of values in `frame`. LimitError as soon as it claims more than `limits`; WireError if it is not whole."""
+    """The number of values in `frame`.
+
+    LimitError as soon as it claims more than `limits`; WireError if it is not whole.
+    """
     sizes, end, limit = _SIZES, len(frame), limits.values
+    small = _SMALL if limits.length >= 15 else bytes(256)
     position, to_come, claimed = 0, 1, 1
+    open_until: list[int] = []  # for each container around this place: the `to_come` at which it ends
     try:
         while to_come:
-            size = sizes[frame[position]]
+            first = frame[position]
+            size = sizes[first]
             if size:
                 position += size
                 to_come -= 1
                 continue
-            size, items = _header(frame, position, limits)
-            position += size
-            to_come += items - 1
+            items = small[first]
+            if items:
+                position += 1
+            else:
+                size, items = _header(frame, position, limits)
+                position += size
+            to_come -= 1
+            if not items:
+                continue
+            while open_until and open_until[-1] > to_come:
+                open_until.pop()
+            open_until.append(to_come)
+            to_come += items
             claimed += items
             if claimed > limit:
                 raise LimitError(f"the frame claims {claimed} values or more; at most {limit} are allowed")
+            if len(open_until) > MAX_DEPTH:
+                raise LimitError(f"the frame has lists and maps inside each other deeper than {MAX_DEPTH}")
             if position + to_come > end:
                 break
     except IndexError:
@@ -76,7 +100,9 @@ def _header(frame: bytes, position: int, limits: Limits) -> tuple[int, int]:
         length = int.from_bytes(frame[position + 1 : position + 1 + width], "big")
         longest = limits.length if values else limits.string if text else limits.frame
     else:
-        raise WireError(f"octet {position}: 0x{first:02x} begins no value that frames may have (extension types are not used)")
+        raise WireError(
+            f"octet {position}: 0x{first:02x} begins no value that frames may have (extension types are not used)"
+        )
     if length > longest:
         raise LimitError(f"octet {position}: a length of {length}; at most {longest} is allowed")
     skipped = 1 + width + (0 if values else length)

@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 LAYERS = (
     {"errors"},
+    {"timer_heap"},
     {"clock"},
     {"model"},
     {"types"},

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from campaign import cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -52,6 +51,7 @@ from aiorts.types import (
     is_mutable,
     snapshot,
 )
+from campaign import cases
 
 NAN = float("nan")
 
@@ -80,7 +80,11 @@ NAN = float("nan")
         (TimedDouble, Decimal(1), "TimedDouble.data: expected a number, got 1 (Decimal)"),
         (TimedDouble, 2**53 + 1, "TimedDouble.data: expected a number that a float holds exactly"),
         (TimedDouble, 10**400, "TimedDouble.data: expected a number that a float holds exactly"),
-        (TimedFloat, 1e300, "TimedFloat.data: expected a number that fits a 32-bit float (up to 3.4028235e38), got 1e+300"),
+        (
+            TimedFloat,
+            1e300,
+            "TimedFloat.data: expected a number that fits a 32-bit float (up to 3.4028235e38), got 1e+300",
+        ),
         (TimedBoolean, 1, "TimedBoolean.data: expected True or False, got 1"),
         (TimedString, b"a", "TimedString.data: expected text, got b'a'"),
         (TimedString, "a\ud800", "TimedString.data[1]: expected text without lone surrogates, got '\\ud800'"),
@@ -135,7 +139,11 @@ def test_float32_field_holds_the_nearest_float32(value: float) -> None:
 @pytest.mark.parametrize(
     ("cls", "value", "message"),
     [
-        (TimedDoubleSeq, np.zeros((2, 2)), r"TimedDoubleSeq\.data: expected a sequence of f64, shape \(n,\), got shape \(2, 2\)"),
+        (
+            TimedDoubleSeq,
+            np.zeros((2, 2)),
+            r"TimedDoubleSeq\.data: expected a sequence of f64, shape \(n,\), got shape \(2, 2\)",
+        ),
         (TimedDoubleSeq, np.array(1.0), r"TimedDoubleSeq\.data: .*got shape \(\)"),
         (TimedDoubleSeq, [[1.0], [1.0, 2.0]], r"TimedDoubleSeq\.data\[0\]: expected a number, got a list of 1"),
         (TimedDoubleSeq, 1.0, r"TimedDoubleSeq\.data: expected a sequence of f64, got 1\.0"),
@@ -144,10 +152,18 @@ def test_float32_field_holds_the_nearest_float32(value: float) -> None:
         (TimedDoubleSeq, {1.0}, r"TimedDoubleSeq\.data: expected a sequence of f64, got a set of 1"),
         (TimedDoubleSeq, np.array([1j]), r"TimedDoubleSeq\.data: expected elements of f64, got an array of complex128"),
         (TimedDoubleSeq, np.array(["1"]), r"TimedDoubleSeq\.data: expected elements of f64"),
-        (TimedDoubleSeq, np.array([1.0], dtype=object), r"TimedDoubleSeq\.data: expected elements of f64, got an array of object"),
+        (
+            TimedDoubleSeq,
+            np.array([1.0], dtype=object),
+            r"TimedDoubleSeq\.data: expected elements of f64, got an array of object",
+        ),
         (TimedDoubleSeq, np.array([1, 2**53 + 1]), r"TimedDoubleSeq\.data\[1\]: expected .*got 9007199254740993"),
         (TimedLongSeq, np.array([1.0]), r"TimedLongSeq\.data: expected elements of i32, got an array of float64"),
-        (TimedLongSeq, np.array([1, 2**40]), r"TimedLongSeq\.data\[1\]: expected an integer -2147483648\.\.2147483647, got 1099511627776"),
+        (
+            TimedLongSeq,
+            np.array([1, 2**40]),
+            r"TimedLongSeq\.data\[1\]: expected an integer -2147483648\.\.2147483647, got 1099511627776",
+        ),
         (TimedLongSeq, [1, 2**70], r"TimedLongSeq\.data\[1\]: expected an integer"),
         (TimedLongSeq, [1, True], r"TimedLongSeq\.data\[1\]: expected an integer"),
         (TimedLongSeq, np.array([True]), r"TimedLongSeq\.data: expected elements of i32, got an array of bool"),
@@ -155,9 +171,21 @@ def test_float32_field_holds_the_nearest_float32(value: float) -> None:
         (TimedBooleanSeq, np.array([1]), r"TimedBooleanSeq\.data: expected elements of bool"),
         (TimedBooleanSeq, [True, 1], r"TimedBooleanSeq\.data\[1\]: expected True or False"),
         (TimedOctetSeq, np.array([-1]), r"TimedOctetSeq\.data\[0\]: expected an integer 0\.\.255, got -1"),
-        (TimedDoubleSeq, np.ma.masked_array([1.0, 2.0], [True, False]), r"TimedDoubleSeq\.data: expected an array without masked"),
-        (PointCloud, np.zeros((2, 3)), r"PointCloud\.points: expected shape \(n, 6\), columns point\.x.*; got \(2, 3\)"),
-        (PointCloud, [PointCloudPoint(), Point3D()], r"PointCloud\.points\[1\]: expected a PointCloudPoint, got an instance of Point3D"),
+        (
+            TimedDoubleSeq,
+            np.ma.masked_array([1.0, 2.0], [True, False]),
+            r"TimedDoubleSeq\.data: expected an array without masked",
+        ),
+        (
+            PointCloud,
+            np.zeros((2, 3)),
+            r"PointCloud\.points: expected shape \(n, 6\), columns point\.x.*; got \(2, 3\)",
+        ),
+        (
+            PointCloud,
+            [PointCloudPoint(), Point3D()],
+            r"PointCloud\.points\[1\]: expected a PointCloudPoint, got an instance of Point3D",
+        ),
         (TimedNDArray, [[1], [1, 2]], r"TimedNDArray\.data: expected rows of equal length"),
         (TimedNDArray, np.zeros((1,) * 9), r"TimedNDArray\.data: expected at most 8 dimensions, got 9"),
         (TimedNDArray, np.array([None]), r"TimedNDArray\.data: expected an array of .*got dtype object"),
@@ -171,13 +199,22 @@ def test_array_of_wrong_shape_dtype_or_content_is_refused(cls: Any, value: Any, 
         cls(0, value)
 
 
-NUMBERS = {"b1": TimedBooleanSeq, "i2": TimedShort, "f8": TimedDoubleSeq, "f4": TimedFloatSeq, "i4": TimedLongSeq, "u1": TimedOctetSeq}
+NUMBERS = {
+    "b1": TimedBooleanSeq,
+    "i2": TimedShort,
+    "f8": TimedDoubleSeq,
+    "f4": TimedFloatSeq,
+    "i4": TimedLongSeq,
+    "u1": TimedOctetSeq,
+}
 
 
 @pytest.mark.fault("B03")
 @settings(max_examples=cases(1_000) * 5)
 @given(st.data(), st.sampled_from(["b1", "f8", "f4", "i4", "u1"]), st.sampled_from("<>"), st.integers(1, 3))
-def test_any_layout_of_an_array_arrives_with_the_same_values(data: st.DataObject, code: str, order: str, step: int) -> None:
+def test_any_layout_of_an_array_arrives_with_the_same_values(
+    data: st.DataObject, code: str, order: str, step: int
+) -> None:
     source = data.draw(hnp.arrays(np.dtype(order + code), st.integers(0, 30)))[::-step]
     kept = NUMBERS[code](0, source).data  # type: ignore[operator]
     assert kept.dtype == np.dtype(code)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+# ruff: noqa: E501 - tables read better with one case on a line
 import math
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
-from campaign import cases
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -16,6 +16,7 @@ from aiorts.errors import ConversionError
 from aiorts.types import convert
 from aiorts.types.arrays import DTYPES
 from aiorts.types.convert import limits_of
+from campaign import cases
 
 INTEGERS = ["i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64"]
 TARGETS = [*INTEGERS, "f32", "f64", "bool", "str", "char", "wchar"]
@@ -36,7 +37,9 @@ LARGEST_F32 = float(np.finfo(np.float32).max)
         ("größer", "char", None, None),
     ],
 )
-def test_value_out_of_range_is_an_error_unless_a_policy_is_asked_for(value: Any, to: str, saturated: Any, wrapped: Any) -> None:
+def test_value_out_of_range_is_an_error_unless_a_policy_is_asked_for(
+    value: Any, to: str, saturated: Any, wrapped: Any
+) -> None:
     for sample, target in ((value, to), ([value], f"seq[{to}]")):
         with pytest.raises(ConversionError):
             convert(sample, target)
@@ -52,7 +55,14 @@ def test_value_out_of_range_is_an_error_unless_a_policy_is_asked_for(value: Any,
 @pytest.mark.row(65)
 @pytest.mark.parametrize(
     ("value", "rounded", "truncated", "floored"),
-    [(1.001 * 1000, 1001, 1000, 1000), (2.5, 2, 2, 2), (3.5, 4, 3, 3), (-1.5, -2, -1, -2), (-0.4, 0, 0, -1), ("-1.5", -2, -1, -2)],
+    [
+        (1.001 * 1000, 1001, 1000, 1000),
+        (2.5, 2, 2, 2),
+        (3.5, 4, 3, 3),
+        (-1.5, -2, -1, -2),
+        (-0.4, 0, 0, -1),
+        ("-1.5", -2, -1, -2),
+    ],
 )
 def test_rounding_is_chosen(value: Any, rounded: int, truncated: int, floored: int) -> None:
     for rounding, expected in (("round", rounded), ("truncate", truncated), ("floor", floored)):
@@ -116,7 +126,9 @@ def _around(bits: int) -> st.SearchStrategy[int]:
 SOURCES = st.one_of(
     st.booleans(),
     st.integers(-(2**70), 2**70),
-    st.sampled_from([7, 8, 15, 16, 24, 31, 32, 53, 63, 64]).flatmap(_around).flatmap(lambda n: st.sampled_from([n, -n])),
+    st.sampled_from([7, 8, 15, 16, 24, 31, 32, 53, 63, 64])
+    .flatmap(_around)
+    .flatmap(lambda n: st.sampled_from([n, -n])),
     st.floats(),
     st.sampled_from([7, 8, 31, 32, 53, 63, 64]).flatmap(_around).map(float),
     st.integers(-(10**6), 10**6).map(lambda n: n / 2),
@@ -169,7 +181,9 @@ def _rounded(number: Fraction, rounding: str) -> int:
     st.sampled_from(["error", "saturate", "wrap"]),
     st.sampled_from(["round", "truncate", "floor"]),
 )
-def test_arrays_convert_exactly_as_their_items_do(data: st.DataObject, source: str, to: str, overflow: str, rounding: str) -> None:
+def test_arrays_convert_exactly_as_their_items_do(
+    data: st.DataObject, source: str, to: str, overflow: str, rounding: str
+) -> None:
     items = data.draw(st.lists(SOURCES.filter(lambda v: not isinstance(v, str)), min_size=1, max_size=4))
     try:
         array = convert(items, f"seq[{source}]", overflow="saturate")

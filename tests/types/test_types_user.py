@@ -173,3 +173,18 @@ def test_only_records_dataclasses_and_plain_types_can_be_port_types() -> None:
     for bad in (list, object, 3, None, Mode, "TimedDouble"):
         with pytest.raises(DeclarationError, match="cannot be the type of a port"):
             check_port_type(bad)
+
+
+@dataclass
+class Parent:
+    children: list[Child]
+
+
+@dataclass
+class Child:
+    parent: Parent
+
+
+def test_record_that_contains_itself_is_refused() -> None:
+    with pytest.raises(DeclarationError, match="cannot contain its own type"):
+        check_port_type(Parent)

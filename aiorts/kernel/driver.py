@@ -1,0 +1,33 @@
+"""What carries out the steps of a context's life looks like this from outside; it decides nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from aiorts.kernel.bulkhead import StopBudget
+    from aiorts.kernel.member import Member
+
+__all__ = ("Driver",)
+
+
+class Driver(Protocol):
+    """A task on the loop (`bulkhead.py`) or a thread."""
+
+    ended: asyncio.Future[None]
+    """Done when the last step was carried out, or the driver gave up."""
+    hooks_run: int
+
+    @property
+    def current(self) -> Member | None:
+        """The member whose hook runs now."""
+        ...
+
+    def kick(self) -> None:
+        """Somebody wants something: do not wait on."""
+        ...
+
+    def hurry(self, budget: StopBudget) -> None:
+        """A stop began: hooks are limited from now on, the one that runs included."""
+        ...

@@ -1,0 +1,83 @@
+"""What a system file says, as frozen values; nothing here reads, checks or runs anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+__all__ = ("ComponentEntry", "ConnectionEntry", "ContextEntry", "Override", "SystemFile")
+
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentEntry:
+    """`[components.NAME]`: what it is made of."""
+
+    name: str
+    type: str
+    """`file.py:Class` below the system file's folder, or the name of an installed type."""
+    params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionEntry:
+    """`[[connections]]`: the ports joined, and the options as `Kernel.connect` takes them."""
+
+    ports: tuple[str, ...]
+    """Paths such as "pid0.command": the one under `from`, then those under `to`."""
+    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    number: int = 1
+    """Its place in the file, counted from 1; for messages."""
+
+    @property
+    def place(self) -> str:
+        """How messages call it."""
+        return f"connections[{self.number}] ({self.ports[0]} to {', '.join(self.ports[1:])})"
+
+
+@dataclass(frozen=True, slots=True)
+class ContextEntry:
+    """`[contexts.NAME]`: who runs in it, in which order."""
+
+    name: str
+    kind: str
+    members: tuple[str, ...]
+    activate: bool = True
+    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """What the context's class takes: rate, overrun, deadline, ..."""
+
+
+@dataclass(frozen=True, slots=True)
+class Override:
+    """`component.param=value` from a command line."""
+
+    component: str
+    param: str
+    value: str
+
+    @property
+    def text(self) -> str:
+        """As it was written."""
+        return f"{self.component}.{self.param}={self.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFile:
+    """A whole system, read and checked as far as that goes without loading any component."""
+
+    path: Path
+    components: Mapping[str, ComponentEntry]
+    connections: tuple[ConnectionEntry, ...]
+    contexts: Mapping[str, ContextEntry]
+    plugin_paths: tuple[Path, ...] = ()
+    """Folders in which component files are looked for; none is outside the system file's folder."""
+    overrides: tuple[Override, ...] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Where the system file lies; relative paths in it are counted from here."""
+        return self.path.parent

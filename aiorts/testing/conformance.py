@@ -1,0 +1,103 @@
+"""What all conformance suites have in common: named checks, each a promise, and the error that says which one was broken.
+
+A suite is a table of checks, run in order; the first that fails ends it. A check that ends in any exception has failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType, TracebackType
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+from aiorts.errors import AiortsError
+
+__all__ = ("ConformanceError", "Suite", "expect")
+
+S = TypeVar("S")
+
+
+class ConformanceError(AiortsError, AssertionError):
+    """Something does not keep a promise of its kind.
+
+    Attributes:
+        subject: what was checked. check: the name of the check. expected, got: in words.
+    """
+
+    code: ClassVar[str] = "E-CONFORM"
+
+    def __init__(self, subject: str, check: str, expected: str, got: str) -> None:
+        super().__init__(f"{subject}: check {check}: expected {expected}; got {got}")
+        self.subject = subject
+        self.check = check
+        self.expected = expected
+        self.got = got
+
+
+class _Unmet(AssertionError):
+    """A check's own finding, before it is known of whom."""
+
+    def __init__(self, expected: str, got: object) -> None:
+        super().__init__(expected, got)
+        self.expected = expected
+        self.got = got if isinstance(got, str) else repr(got)
+
+
+def expect(met: bool, expected: str, got: object) -> None:
+    """End the check as failed unless `met`; both texts complete "expected ...; got ..."."""
+    if not met:
+        raise _Unmet(expected, got)
+
+
+class _Trial:
+    """Makes a ConformanceError of whatever ends a check."""
+
+    def __init__(self, subject: str, check: str, promise: str) -> None:
+        self._subject, self._check, self._promise = subject, check, promise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, _Unmet):
+            raise ConformanceError(self._subject, self._check, error.expected, error.got) from None
+        if isinstance(error, Exception):
+            got = f"{type(error).__name__}: {error}"
+            raise ConformanceError(self._subject, self._check, self._promise, got) from error
+
+
+class Suite(Generic[S]):
+    """Checks by name; each is a function of what is checked, and the first line of its docstring is the promise."""
+
+    def __init__(self) -> None:
+        self._checks: dict[str, Callable[[S], Any]] = {}
+
+    def check(self, function: Callable[[S], Any]) -> Callable[[S], Any]:
+        """Add a check, named as the function is."""
+        self._checks[function.__name__] = function
+        return function
+
+    @property
+    def promises(self) -> Mapping[str, str]:
+        """What each check demands, by name, in the order of running."""
+        return MappingProxyType({name: _promise(function) for name, function in self._checks.items()})
+
+    def run(self, subject: str, what: S, only: Iterable[str] | None, skip: Iterable[str]) -> None:
+        """Run all checks, or `only` those named, but none in `skip`.
+
+        Raises:
+            ConformanceError: the first check that failed. ValueError: a name is none of a check.
+        """
+        chosen, left_out = None if only is None else set(only), set(skip)
+        unknown = (left_out | (chosen or set())) - self._checks.keys()
+        if unknown:
+            raise ValueError(f"no such check: {', '.join(sorted(unknown))}; there are {', '.join(self._checks)}")
+        for name, function in self._checks.items():
+            if name not in left_out and (chosen is None or name in chosen):
+                with _Trial(subject, name, _promise(function)):
+                    function(what)
+
+
+def _promise(function: Callable[..., Any]) -> str:
+    return (function.__doc__ or function.__name__).strip().splitlines()[0].rstrip(".")

@@ -1,0 +1,100 @@
+"""The hidden component of a rig: its out-ports feed in-ports, its in-ports tap out-ports. It is in no context.
+
+A tap takes each sample in the very call that wrote it, so the moment it notes is exact and no buffer can overflow.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.kernel import Component, InPort, OutPort
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+__all__ = ("Instruments", "Tap", "at_once")
+
+_LENGTH: Final = 1_000_000
+"""Samples that may be fed at once; a tap needs as many only where the writer is in another thread."""
+
+
+class Tap:
+    """What one out-port has written, and when (nanoseconds of the kernel clock's `monotonic_ns`)."""
+
+    def __init__(self, out: OutPort[Any], now_ns: Callable[[], int], note: Callable[[Any], object] | None) -> None:
+        self.out = out
+        self.samples: list[Any] = []
+        self.times: list[int] = []
+        self.notes: list[object] = []
+        """What `note` made of each sample as it arrived."""
+        self._now_ns = now_ns
+        self._note = note
+
+    def take(self, port: InPort[Any]) -> None:
+        """Take what has arrived; called by the port itself."""
+        for sample in port.drain():
+            self.samples.append(sample)
+            self.times.append(self._now_ns())
+            if self._note is not None:
+                self.notes.append(self._note(sample))
+        port._arm()
+
+    def clear(self) -> None:
+        """Forget what was taken."""
+        self.samples.clear()
+        self.times.clear()
+        self.notes.clear()
+
+
+class Instruments(Component):
+    """What a rig puts into its kernel beside the components under test."""
+
+    def __init__(self, note: Callable[[Any], object] | None = None) -> None:
+        super().__init__("rig_instruments")
+        self.taps: dict[OutPort[Any], Tap] = {}
+        self._note = note
+        self._feeds: dict[InPort[Any], OutPort[Any]] = {}
+        self._made = 0
+
+    def tap(self, out: OutPort[Any]) -> None:
+        """Take from now on what `out` writes, if it has a connector left."""
+        if out in self.taps or (out.max_connectors is not None and len(out.connectors) >= out.max_connectors):
+            return
+        port = self.add_port(self._name("tap"), InPort(out.type, unit=out.unit, shape=out.shape))
+        at_once(self.kernel.connect(out, port, length=_LENGTH))
+        tap = self.taps[out] = Tap(out, self.clock.monotonic_ns, self._note)
+        port._wakes += (tap.take,)
+        port._arm()
+
+    def make_room(self, out: OutPort[Any]) -> None:
+        """Give up the tap of an out-port that has no connector left for anybody else."""
+        tap = self.taps.get(out)
+        if tap is None or out.max_connectors is None or len(out.connectors) < out.max_connectors:
+            return
+        for connector in out.connectors:
+            if connector.in_.path.startswith(f"{self.name}."):
+                at_once(self.kernel.disconnect(connector))
+                del self.taps[out]
+                return
+
+    def feed(self, port: InPort[Any]) -> OutPort[Any]:
+        """The out-port that feeds `port`."""
+        if port not in self._feeds:
+            out = self.add_port(self._name("feed"), OutPort(port.type, unit=port.unit, shape=port.shape))
+            at_once(self.kernel.connect(out, port, length=_LENGTH))
+            self._feeds[port] = out
+        return self._feeds[port]
+
+    def _name(self, stem: str) -> str:
+        self._made += 1
+        return f"{stem}{self._made}"
+
+
+def at_once(work: Coroutine[Any, Any, Any]) -> Any:
+    """The result of a coroutine that does not wait; connecting and disconnecting within a process do not."""
+    try:
+        work.send(None)
+    except StopIteration as done:
+        return done.value
+    work.close()
+    raise RuntimeError(f"{work!r}: waits, and cannot be run at once")

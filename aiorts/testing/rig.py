@@ -1,0 +1,329 @@
+"""A rig: components in a kernel of their own, on simulated time; feeds ports, steps time, keeps what was written.
+
+    async with Rig(Pid("pid0"), rate=100.0) as rig:
+        rig.feed("measured", 1.0, 2.0)
+        await rig.tick()
+        assert rig.values("command") == [-2.0]
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Self
+
+from aiorts.clock import SimulatedClock, current_clock
+from aiorts.contexts import ExternalContext
+from aiorts.errors import ClosedError, ComponentError, StateError, WiringError
+from aiorts.kernel import Component, InPort, Kernel, OutPort
+from aiorts.kernel.bus import HookFailed, PortAdded
+from aiorts.testing.driving import is_ticked, one_cycle, while_time_passes
+from aiorts.testing.instruments import Instruments, Tap, at_once
+from aiorts.testing.samples import sample_of, value_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Iterator
+    from types import TracebackType
+
+    from aiorts.kernel import Connector, Context
+    from aiorts.kernel.ports import Port
+
+__all__ = ("Caught", "Rig")
+
+
+class Caught:
+    """What `Rig.expect_error` has caught; `error` is the exception that the hook raised."""
+
+    error: BaseException
+
+
+class Rig:
+    """Components under test. `async with` opens it, on any asyncio loop and inside `simulate`.
+
+    Args:
+        components: in order of execution, all in one context.
+        rate: Hz of an external context: each tick is one period later than the last. None: ticks take no time.
+        context: the context they run in; an ExternalContext by default.
+        clock: simulated; by default that of the loop, or a new one at 0.
+        strict: a hook that fails makes the next `tick`, `advance` or `activate` raise what it raised.
+        debug: the kernel's debug mode: checks the thread of each port call and copies each sample.
+        activate: have the components active from the start.
+    """
+
+    def __init__(
+        self,
+        *components: Component,
+        rate: float | None = None,
+        context: Context | None = None,
+        clock: SimulatedClock | None = None,
+        strict: bool = True,
+        debug: bool = True,
+        activate: bool = True,
+    ) -> None:
+        self.components = components
+        self.context: Context = ExternalContext() if context is None else context
+        """The context of the components."""
+        if rate is not None and not is_ticked(self.context):
+            raise ValueError(f"rate={rate!r}: is for contexts that are ticked; {self.context!r} has its own")
+        self.strict = strict
+        self._rate = rate
+        self._clock = clock
+        self._debug = debug
+        self._activate = activate
+        self._note: Callable[[Any], object] | None = None
+        self._kernel: Kernel | None = None
+        self._instruments: Instruments | None = None
+        self._failures: list[HookFailed] = []
+        self._reported = 0
+        self._expecting = 0
+        self._start_ns = self._ticks = 0
+        self._in_ports: dict[InPort[Any], list[Any]] = {}
+
+    # -- opening and closing ---------------------------------------------------------------------------------------
+
+    async def __aenter__(self) -> Self:
+        if self._kernel is not None:
+            raise StateError("Rig: was opened already; make another")
+        self._clock = self._clock or current_clock() or SimulatedClock()
+        self._kernel = Kernel("rig", clock=self._clock, debug=self._debug, contain_interrupts=True)
+        await self._kernel.open()
+        try:
+            await self._set_up(self._kernel)
+        except BaseException:
+            await self._kernel.aclose()
+            raise
+        return self
+
+    async def _set_up(self, kernel: Kernel) -> None:
+        kernel.bus.subscribe(HookFailed, self._failures.append)
+        instruments = self._instruments = await kernel.add(Instruments(self._note))
+        for component in self.components:
+            await kernel.add(component)
+            for port in component.ports.values():
+                if isinstance(port, OutPort):
+                    instruments.tap(port)
+        kernel.bus.subscribe(PortAdded, self._tap_new_port)
+        await kernel.start(self.context, *self.components)
+        # A context with a rate has its first cycle now; it is over before anything is active, so ticks begin at 1.
+        await self.clock.advance(0)
+        self._start_ns = self.clock.monotonic_ns()
+        if self._activate:
+            await self.activate()
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.kernel.aclose()
+        if error is None:
+            self._raise_failure()
+
+    def _tap_new_port(self, event: PortAdded) -> None:
+        port = self.kernel.components[event.component].ports.get(event.port.name)
+        if isinstance(port, OutPort) and event.component != self._tools.name:
+            self._tools.tap(port)
+
+    # -- what there is ---------------------------------------------------------------------------------------------
+
+    @property
+    def kernel(self) -> Kernel:
+        """The rig's own kernel; ClosedError before it was opened."""
+        if self._kernel is None:
+            raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
+        return self._kernel
+
+    @property
+    def clock(self) -> SimulatedClock:
+        """The simulated clock of the rig."""
+        if self._clock is None:
+            raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
+        return self._clock
+
+    @property
+    def _tools(self) -> Instruments:
+        if self._instruments is None:
+            raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
+        return self._instruments
+
+    @property
+    def failures(self) -> tuple[HookFailed, ...]:
+        """Every hook that has failed, expected or not."""
+        return tuple(self._failures)
+
+    def port(self, port: str | Port[Any]) -> Port[Any]:
+        """The port of a path ("pid0.command"), or of a name that only one of the components has.
+
+        Raises:
+            WiringError: there is none, or there are several.
+        """
+        if not isinstance(port, str):
+            return port
+        if "." in port:
+            found = self.kernel.find(port)
+            if isinstance(found, Component):
+                raise WiringError(f"{port}: is a component; expected a port such as {port}.out")
+            return found
+        known = [p for component in self.components for p in component.ports.values()]
+        named = [p for p in known if p.name == port]
+        if len(named) != 1:
+            among = ", ".join(p.path for p in named or known) or "none"
+            raise WiringError(f"{port}: {len(named) or 'no'} ports have this name; there are {among}")
+        return named[0]
+
+    # -- ports -----------------------------------------------------------------------------------------------------
+
+    def connect(self, out: str | OutPort[Any], in_: str | InPort[Any], **options: Any) -> Connector:
+        """Connect two ports; options as in `Kernel.connect`, WiringError as there."""
+        first, second = self.port(out), self.port(in_)
+        for port in (first, second):
+            if isinstance(port, OutPort):
+                self._tools.make_room(port)
+        made: Connector = at_once(self.kernel.connect(first, second, **options))
+        return made
+
+    def feed(self, port: str | Port[Any], *samples: Any) -> None:
+        """Let an in-port receive these samples, or an out-port write them, now.
+
+        A sample is a value of the port's type, or its data: the record is then made with the clock's time as `tm`.
+
+        Raises:
+            RecordError: a value does not fit. PortTypeError: a sample is not of the port's type or shape.
+        """
+        target = self.port(port)
+        now_ns = self.clock.time_ns()
+        out = target if isinstance(target, OutPort) else self._tools.feed(_in_port(target))
+        for sample in samples:
+            out.write_nowait(sample_of(target.type, sample, now_ns))
+
+    def received(self, port: str | Port[Any]) -> list[Any]:
+        """Every sample that an out-port has written since the start or `clear()`, the oldest first.
+
+        Of an in-port: what its component has left unread, which is taken out; together with what was taken before.
+
+        Raises:
+            WiringError: the out-port takes no further connector (`max_connectors`), so it could not be listened to.
+        """
+        target = self.port(port)
+        if isinstance(target, OutPort):
+            return list(self._tap(target).samples)
+        taken = self._in_ports.setdefault(_in_port(target), [])
+        taken += _in_port(target).drain()
+        return list(taken)
+
+    def values(self, port: str | Port[Any]) -> list[Any]:
+        """The data of what `received` gives."""
+        return [value_of(sample) for sample in self.received(port)]
+
+    def times(self, port: str | Port[Any]) -> list[float]:
+        """When an out-port wrote each sample: seconds of virtual time since the clock's start."""
+        target = self.port(port)
+        if not isinstance(target, OutPort):
+            raise WiringError(f"{target.path}: is an in-port; only what an out-port writes has a time")
+        return [time_ns / 1e9 for time_ns in self._tap(target).times]
+
+    def clear(self) -> None:
+        """Forget what was received until now."""
+        for tap in self._tools.taps.values():
+            tap.clear()
+        self._in_ports.clear()
+
+    def _tap(self, out: OutPort[Any]) -> Tap:
+        tap = self._tools.taps.get(out)
+        if tap is None:
+            raise WiringError(f"{out.path}: takes {out.max_connectors} connectors and all are used; ask the readers instead")
+        return tap
+
+    # -- time and life cycle ---------------------------------------------------------------------------------------
+
+    async def tick(self, count: int = 1) -> None:
+        """Let `count` cycles happen, each with the time it takes; of a context without a rate, whatever has a cause.
+
+        Raises:
+            What a hook raised in it, unless `strict` is False or it is expected.
+        """
+        for _ in range(count):
+            if self._rate is not None:
+                await self._to_next_period(self._rate)
+            await one_cycle(self.context, self.clock)
+            self._raise_failure()
+
+    async def advance(self, seconds: float) -> None:
+        """Let virtual time pass, with all ticks that are due in it. Raises as `tick`, and ValueError as the clock does."""
+        end_ns = self.clock.monotonic_ns() + round(seconds * 1e9)
+        if self._rate is not None:
+            while self._due_ns(self._rate) <= end_ns:
+                await self.tick()
+        await self.clock.advance(max(0, end_ns - self.clock.monotonic_ns()) / 1e9 if seconds >= 0 else seconds)
+        self._raise_failure()
+
+    async def activate(self, *components: Component) -> None:
+        """Activate these components, or all. Raises what a hook raised."""
+        await self._ask(self.context.activate(*components))
+
+    async def deactivate(self, *components: Component) -> None:
+        """Deactivate these components, or all. Raises what a hook raised."""
+        await self._ask(self.context.deactivate(*components))
+
+    async def reset(self, *components: Component) -> None:
+        """Reset these components, or all that are in error. Raises what a hook raised."""
+        await self._ask(self.context.reset(*components))
+
+    async def _ask(self, request: Coroutine[Any, Any, None]) -> None:
+        try:
+            await while_time_passes(self.clock, request)
+        except ComponentError:
+            # Said once more by the failure itself, which is what a test wants to see.
+            if self._reported == len(self._failures) and not self._expecting:
+                raise
+        await self.clock.advance(0)
+        self._raise_failure()
+
+    def _due_ns(self, rate: float) -> int:
+        numerator, denominator = float(rate).as_integer_ratio()
+        return self._start_ns - (-(self._ticks + 1) * denominator * 1_000_000_000 // numerator)
+
+    async def _to_next_period(self, rate: float) -> None:
+        due_ns = self._due_ns(rate)
+        self._ticks += 1
+        if due_ns > self.clock.monotonic_ns():
+            await self.clock.advance_to(due_ns)
+
+    # -- failures --------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def expect_error(self, kind: type[BaseException] = Exception) -> Iterator[Caught]:
+        """Within this block a hook must fail with `kind`; its exception is then in `error` and nothing is raised.
+
+        Raises:
+            AssertionError: none did. What was raised: it is of another kind.
+        """
+        caught, before = Caught(), len(self._failures)
+        self._expecting += 1
+        try:
+            yield caught
+        finally:
+            self._expecting -= 1
+        new = self._failures[before:]
+        if not new:
+            raise AssertionError(f"expected a hook to fail with {kind.__name__}, none failed")
+        for failure in new:
+            if not isinstance(failure.error, kind):
+                self._reported = len(self._failures)
+                raise failure.error
+        caught.error = new[0].error
+        self._reported = len(self._failures)
+
+    def _raise_failure(self) -> None:
+        if not self.strict or self._expecting or self._reported == len(self._failures):
+            return
+        failure = self._failures[self._reported]
+        self._reported = len(self._failures)
+        where = f"{failure.component}.{failure.hook}"
+        if not isinstance(failure.error, Exception):
+            # A CancelledError or KeyboardInterrupt of a component must not be taken for the test's own.
+            raise ComponentError(f"{where}: raised {failure.error!r}") from failure.error
+        raise failure.error
+
+
+def _in_port(port: Port[Any]) -> InPort[Any]:
+    if not isinstance(port, InPort):
+        raise WiringError(f"{port.path}: expected an in-port or an out-port, got {port!r}")
+    return port

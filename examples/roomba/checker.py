@@ -1,0 +1,48 @@
+"""Compares every heading with the one that the robot computed itself, and says at the end whether all were right."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from aiorts import Component, InPort, Param
+from aiorts.types import TimedDouble, TimedPose2D
+
+
+class Checker(Component):
+    """Pairs the n-th pose with the n-th truth. Exit status 1 and the first row that is wrong, unless all are right."""
+
+    pose = InPort(TimedPose2D)
+    truth = InPort(TimedDouble, unit="rad")
+
+    within = Param(1e-6, gt=0.0, unit="rad")
+
+    def on_activated(self) -> None:
+        self.poses: deque[TimedPose2D] = deque()
+        self.truths: deque[TimedDouble] = deque()
+        self.rows = 0
+        self.fault = ""
+
+    def on_execute(self) -> None:
+        self.poses.extend(self.pose.drain())
+        self.truths.extend(self.truth.drain())
+        while self.poses and self.truths:
+            self.compare(self.poses.popleft(), self.truths.popleft())
+
+    def compare(self, pose: TimedPose2D, truth: TimedDouble) -> None:
+        got, expected = pose.data.heading, truth.data
+        if not self.fault and pose.tm != truth.tm:
+            self.fault = f"row {self.rows} is of time {truth.tm} ns, its pose of {pose.tm} ns"
+        if not self.fault and not abs(got - expected) <= self.within:
+            self.fault = f"row {self.rows} is wrong: got {got:.6f} rad, expected {expected:.6f} rad"
+        self.rows += 1
+
+    def on_deactivated(self) -> None:
+        if self.truths or self.poses:
+            self.fault = self.fault or f"row {self.rows} has no {'pose' if self.truths else 'truth'}"
+        if not self.rows:
+            self.fault = "there was no row"
+        if self.fault:
+            print(f"heading not verified: {self.fault}")
+            self.kernel.request_stop(1)
+        else:
+            print(f"heading verified: {self.rows} of {self.rows} within {self.within:g} rad")

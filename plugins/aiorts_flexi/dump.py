@@ -1,0 +1,90 @@
+"""FlexiDump: prints what arrives, one line for each sample: `NAME TYPE TIME: DATA`.
+
+    [components.show]
+    type = "FlexiDump"
+    params.inputs = ["TimedPose2D"]
+    params.names = ["pose"]
+
+Every sample is taken; with `rate_limit` some are not shown, and how many is said at the end.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aiorts import Component, InPort, Param
+from aiorts.errors import ConfigurationError
+from aiorts.types import has_tm, path_type, type_name
+
+from aiorts_flexi.ports import parse_type
+from aiorts_flexi.stream import LineStream
+from aiorts_flexi.text import FORMATS, line_of
+
+__all__ = ("FlexiDump",)
+
+
+class FlexiDump(Component):
+    """Prints the samples of its in-ports, `input0..` or named by `names`, to standard output.
+
+    Where standard output takes no more it waits, and with it the other members of its context, nobody else; when who
+    reads it has gone, it goes to error with BrokenPipeError.
+    """
+
+    inputs = Param((), type=tuple[str, ...], doc="types of the in-ports")
+    names = Param((), type=tuple[str, ...], doc='names of the in-ports; "" or missing: input0, input1, ...')
+    format = Param("text", choices=FORMATS, doc="text: NAME TYPE TIME: DATA; json, csv; values: data alone")
+    rate_limit = Param(0.0, ge=0.0, unit="Hz", doc="lines in a second for each port at the most; 0 is all")
+    rate_clock = Param("kernel", choices=("kernel", "tm"), doc="whose seconds: the kernel's, or those of the samples")
+    fields = Param((), type=tuple[str, ...], doc="field paths to show, such as position.x; none shows all")
+
+    def on_initialize(self) -> None:
+        if len(self.names) > len(self.inputs):
+            raise ConfigurationError(
+                f"{self.name}: {len(self.names)} names for {len(self.inputs)} in-ports; give at most one for each"
+            )
+        self._stream = LineStream()
+        self._shown_last: dict[str, int] = {}
+        self._hidden = 0
+        names = [*self.names, *[""] * (len(self.inputs) - len(self.names))]
+        for number, (text, name) in enumerate(zip(self.inputs, names, strict=True)):
+            self._add_input(name or f"input{number}", parse_type(text, f"{self.name}: input{number}"))
+
+    def _add_input(self, name: str, cls: type[Any]) -> None:
+        for path in self.fields:
+            try:
+                path_type(cls, path)
+            except LookupError as error:
+                raise ConfigurationError(f"{self.name}.{name}: {error}") from None
+        self.add_port(name, InPort(cls))
+
+    def on_activated(self) -> None:
+        self._shown_last.clear()
+        self._hidden = 0
+
+    async def on_execute(self) -> None:
+        lines = []
+        for port in self.ports.values():
+            if not isinstance(port, InPort):
+                continue
+            for sample in port.drain():
+                if self._is_due(port.name, sample):
+                    lines.append(line_of(self.format, port.name, type_name(type(sample)), sample, self.fields))
+        if lines:
+            await self._stream.write(lines)
+
+    def on_deactivated(self) -> None:
+        if self._hidden:
+            self.log.info("%d samples were not shown (rate_limit = %g Hz)", self._hidden, self.rate_limit)
+
+    def _is_due(self, port: str, sample: Any) -> bool:
+        if self.rate_limit == 0.0:
+            return True
+        by_sample = self.rate_clock == "tm" and has_tm(type(sample))
+        now = int(sample.tm) if by_sample else self.clock.monotonic_ns()
+        last = self._shown_last.get(port)
+        # A time that jumps back begins anew: a recording may be played twice.
+        if last is not None and 0 <= now - last < 1e9 / self.rate_limit:
+            self._hidden += 1
+            return False
+        self._shown_last[port] = now
+        return True

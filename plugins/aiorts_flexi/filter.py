@@ -1,0 +1,75 @@
+"""FlexiFilter: pins of in-ports to pins of out-ports, converted, scaled and shifted as its map says.
+
+    [components.units]
+    type = "FlexiFilter"
+    params.inputs = ["TimedDoubleSeq:2"]
+    params.outputs = ["TimedLong"]
+    params.map = "0:1>1000>0"          # metres to millimetres: pin 1 of input0, times 1000, is output0
+
+Every sample that arrives is used: n samples in one in-port make n samples out, whatever context runs it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from aiorts import Component, InPort, OutPort, Param
+
+from aiorts_flexi.mapping import COMBINE, Mapping, Rules
+from aiorts_flexi.ports import parse_port
+
+__all__ = ("FlexiFilter",)
+
+
+class FlexiFilter(Component):
+    """Maps pins of `input0..` to pins of `output0..`; see `aiorts_flexi.grammar` for the language of the map.
+
+    Its ports are made when it is created and stay; the rules may change while it runs.
+    """
+
+    inputs = Param((), type=tuple[str, ...], doc="types of input0, input1, ...: TYPE, or TYPE:LEN for a sequence")
+    outputs = Param((), type=tuple[str, ...], doc="types of output0, output1, ...")
+    map = Param("0>0", doc="entries in[:pin] > [mult[off] >] out[:pin], separated by commas")
+    rounding = Param("nearest", choices=("nearest", "truncate", "floor"), doc="from a fraction to an integer")
+    overflow = Param("error", choices=("error", "saturate", "wrap"), doc="a number that the pin cannot hold")
+    reset = Param("", doc='value of pins without new data; "" keeps their last one')
+    clamp = Param((), type=tuple[float, ...], doc="LO, HI: limits of every number")
+    nan = Param("pass", doc='"pass", "error" or a number to put in its place')
+    combine = Param("", choices=COMBINE, doc='several entries to one pin; "" is an error')
+    time = Param("oldest", choices=("oldest", "newest"), doc="time of a sample: of the oldest or newest of its sources")
+
+    def on_initialize(self) -> None:
+        self._in_specs = [parse_port(text, f"input{number}") for number, text in enumerate(self.inputs)]
+        self._out_specs = [parse_port(text, f"output{number}") for number, text in enumerate(self.outputs)]
+        self._remake()
+        self._in_ports = [self.add_port(spec.name, InPort(spec.type)) for spec in self._in_specs]
+        for spec in self._out_specs:
+            self.add_port(spec.name, OutPort(spec.type))
+
+    def on_activated(self) -> None:
+        self._waiting: list[deque[Any]] = [deque() for _ in self._in_ports]
+        self._remake()
+
+    async def on_execute(self) -> None:
+        if self._settings() != self._made_of:
+            self._remake()
+        for waiting, port in zip(self._waiting, self._in_ports, strict=True):
+            waiting.extend(port.drain())
+        while samples := {number: waiting.popleft() for number, waiting in enumerate(self._waiting) if waiting}:
+            for name, sample in self._mapping.apply(samples, self.clock.time_ns()):
+                port: OutPort[Any] = self._out_port(name)
+                await port.write(sample)
+
+    def _out_port(self, name: str) -> OutPort[Any]:
+        port = self.ports[name]
+        assert isinstance(port, OutPort)  # noqa: S101 - made in on_initialize
+        return port
+
+    def _settings(self) -> tuple[str, Rules]:
+        rules = Rules(self.rounding, self.overflow, self.reset, self.clamp, self.nan, self.combine, self.time)
+        return self.map, rules
+
+    def _remake(self) -> None:
+        self._made_of = self._settings()
+        self._mapping = Mapping(self._in_specs, self._out_specs, *self._made_of)

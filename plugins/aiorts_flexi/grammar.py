@@ -1,0 +1,177 @@
+"""The language of FlexiFilter's map: text in, entries out; it knows no ports, no types and no values.
+
+    map   := entry { "," entry }
+    entry := in [":" pin] ">" [ mult [off] ">" ] out [":" pin]
+
+`in` and `out` are port numbers; a pin is a number (0 when missing) or a field path such as `position.x`. `mult` is a
+decimal with optional sign and exponent, `off` the same with its sign required; of two readings the longer number wins,
+so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks may stand beside "," and ">" and nowhere else.
+Every character counts: what is not understood is an error with its place, never skipped.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from aiorts.errors import ConfigurationError
+
+__all__ = ("LONGEST_MAP", "Entry", "parse_map", "parse_number")
+
+LONGEST_MAP = 100_000
+_LONGEST_NUMBER = 100
+_SHOWN = 60
+
+_NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_PORT = re.compile(r"[0-9]{1,6}")
+_PIN = re.compile(r"[0-9]{1,9}|[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[-?[0-9]{1,9}\])*")
+_MULT = re.compile(rf"[+-]?{_NUMBER}")
+_OFF = re.compile(rf"[+-]{_NUMBER}")
+_BLANKS = re.compile(r"[ \t\r\n]*")
+
+Pin = int | str
+Number = int | float
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the map: `target = source * mult + off`; without `mult` the value is converted and nothing else."""
+
+    source: int
+    source_pin: Pin
+    target: int
+    target_pin: Pin
+    mult: Number | None = None
+    off: Number | None = None
+
+    def __str__(self) -> str:
+        """The entry as it is written; parsing it gives an equal entry."""
+        factor = "" if self.mult is None else f"{_number_text(self.mult)}{_offset_text(self.off)}>"
+        return f"{self.source}:{self.source_pin}>{factor}{self.target}:{self.target_pin}"
+
+
+def parse_map(text: str) -> tuple[Entry, ...]:
+    """The entries of a map, in order. ConfigurationError names the first character that does not fit, and what would."""
+    if len(text) > LONGEST_MAP:
+        raise ConfigurationError(f"map of {len(text)} characters: expected at most {LONGEST_MAP}")
+    scanner = _Scanner(text)
+    entries = []
+    while True:
+        scanner.blanks()
+        entries.append(_entry(scanner))
+        scanner.blanks()
+        if scanner.at_end:
+            return tuple(entries)
+        scanner.symbol(",", "a comma or the end")
+
+
+def parse_number(text: str, where: str) -> Number:
+    """A decimal number: an int when it is written as one. ConfigurationError when it is none, or is too large."""
+    if _MULT.fullmatch(text) is None or len(text) > _LONGEST_NUMBER:
+        raise ConfigurationError(f"{where}: expected a decimal number such as -1.5e3, got {text[:_SHOWN]!r}")
+    if text.lstrip("+-").isdecimal():
+        return int(text)
+    number = float(text)
+    if math.isinf(number):
+        raise ConfigurationError(f"{where}: {text[:_SHOWN]} is too large for a number of 64 bits")
+    return number
+
+
+class _Scanner:
+    """A place in the text."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.place = 0
+
+    @property
+    def at_end(self) -> bool:
+        return self.place == len(self.text)
+
+    def blanks(self) -> None:
+        self.take(_BLANKS)
+
+    def take(self, pattern: re.Pattern[str]) -> str | None:
+        match = pattern.match(self.text, self.place)
+        if match is None:
+            return None
+        self.place = match.end()
+        return match[0]
+
+    def expect(self, pattern: re.Pattern[str], expected: str) -> str:
+        found = self.take(pattern)
+        if found is None:
+            raise self.error(expected)
+        return found
+
+    def symbol(self, symbol: str, expected: str) -> None:
+        if not self.text.startswith(symbol, self.place):
+            raise self.error(expected)
+        self.place += len(symbol)
+
+    def has(self, symbol: str) -> bool:
+        return self.text.startswith(symbol, self.place)
+
+    def number(self, pattern: re.Pattern[str]) -> Number | None:
+        place = self.place
+        found = self.take(pattern)
+        return None if found is None else parse_number(found, f"map, character {place + 1}")
+
+    def error(self, expected: str) -> ConfigurationError:
+        rest = self.text[self.place : self.place + _SHOWN]
+        found = f"found {rest!r}" if rest else "found the end"
+        start = max(0, self.place - _SHOWN // 2)
+        shown = self.text[start : self.place + _SHOWN // 2]
+        return ConfigurationError(f"map {shown!r}, character {self.place + 1}: expected {expected}, {found}")
+
+
+def _entry(scanner: _Scanner) -> Entry:
+    source = int(scanner.expect(_PORT, "the number of an in-port"))
+    source_pin = _pin(scanner)
+    scanner.blanks()
+    scanner.symbol(">", "'>'" if isinstance(source_pin, str) else "':' and a pin, or '>'")
+    scanner.blanks()
+    mult, off = _factor(scanner)
+    target = int(scanner.expect(_PORT, "the number of an out-port"))
+    return Entry(source, source_pin, target, _pin(scanner), mult, off)
+
+
+def _pin(scanner: _Scanner) -> Pin:
+    if not scanner.has(":"):
+        return 0
+    scanner.symbol(":", "':'")
+    pin = scanner.expect(_PIN, "a pin: a number, or a field such as position.x")
+    return int(pin) if pin[0].isdecimal() else pin
+
+
+def _factor(scanner: _Scanner) -> tuple[Number | None, Number | None]:
+    """Multiplier and offset, or nothing: then what looked like a number is the out-port."""
+    place = scanner.place
+    found = scanner.take(_MULT)
+    if found is None:
+        return None, None
+    with_offset = scanner.take(_OFF)
+    scanner.blanks()
+    if not scanner.has(">"):
+        if with_offset is not None or not found.isdecimal():
+            raise scanner.error("'>' after the factor")
+        scanner.place = place
+        return None, None
+    where = f"map, character {place + 1}"
+    mult = parse_number(found, where)
+    off = None if with_offset is None else parse_number(with_offset, where)
+    scanner.symbol(">", "'>'")
+    scanner.blanks()
+    return mult, off
+
+
+def _number_text(number: Number) -> str:
+    return repr(number)
+
+
+def _offset_text(off: Number | None) -> str:
+    if off is None:
+        return ""
+    text = repr(off)
+    return text if text.startswith("-") else f"+{text}"

@@ -1,0 +1,321 @@
+"""What FlexiFilter's map does to samples: samples in, samples out; it never waits and knows no port of the kernel.
+
+A `Mapping` is made once, with everything checked that can be known without data. `apply` takes the samples of one round
+(at most one for each in-port) and answers with the samples to send, one for each out-port with a pin that got a new
+value. A pin without new data keeps its last value, or goes back to `reset` where one is stated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping as ReadOnlyMap, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from aiorts.errors import ConfigurationError, ConversionError, RecordError
+from aiorts.types import convert, describe, has_tm, read_path, zero
+
+from aiorts_flexi.grammar import Entry, parse_map, parse_number
+from aiorts_flexi.ports import PortSpec
+
+__all__ = ("COMBINE", "NAN", "Mapping", "Rules", "legible")
+
+COMBINE: Final = ("", "sum", "min", "max", "newest")
+NAN: Final = ("pass", "error")
+_LARGEST: Final = math.nextafter(math.inf, 0.0)
+_TEXT: Final = ("str", "char", "wchar")
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """How values are made.
+
+    rounding: "nearest", "truncate" or "floor", from a fraction to an integer. overflow: "error", "saturate" or "wrap".
+    reset: what pins without new data are set to; "" keeps them. clamp: (low, high) for numbers. nan: "pass", "error", or
+    a number to put in its place. combine: what several entries to one pin make; "" allows one. time: "oldest" or
+    "newest" of the sources of a sample.
+    """
+
+    rounding: str = "nearest"
+    overflow: str = "error"
+    reset: str = ""
+    clamp: tuple[float, ...] = ()
+    nan: str = "pass"
+    combine: str = ""
+    time: str = "oldest"
+
+    def __post_init__(self) -> None:
+        if len(self.clamp) not in (0, 2) or (self.clamp and not self.clamp[0] <= self.clamp[1]):
+            raise ConfigurationError(f"clamp = {self.clamp}: expected two numbers, the lower one first")
+        if self.nan not in NAN:
+            parse_number(self.nan, 'nan, which is "pass", "error" or a number')
+
+
+@dataclass(slots=True)
+class _Route:
+    """One entry with its pins looked up."""
+
+    entry: Entry
+    path: str
+    kind: str
+
+
+@dataclass(slots=True)
+class _Target:
+    """One pin of an out-port: who feeds it, its value, and the time of what it was made of."""
+
+    pin: int | str
+    kind: str
+    routes: list[_Route]
+    value: Any
+    empty: Any
+    tm: int | None = None
+    valid: bool = False
+    last: dict[int, tuple[Any, int | None]] = field(default_factory=dict)
+    """By route: the newest converted value and its time, for `combine`."""
+
+
+@dataclass(slots=True)
+class _Output:
+    spec: PortSpec
+    targets: list[_Target]
+    sources: frozenset[int]
+
+
+class Mapping:
+    """A map between these ports under these rules; it remembers the last value of each pin.
+
+    Raises ConfigurationError for a port or pin that does not exist, two entries to one pin without `combine`, and a
+    factor that can have no meaning.
+    """
+
+    def __init__(self, inputs: Sequence[PortSpec], outputs: Sequence[PortSpec], text: str, rules: Rules) -> None:
+        self.inputs = tuple(inputs)
+        self.entries = parse_map(text)
+        self.rules = rules
+        self._rounding = "round" if rules.rounding == "nearest" else rules.rounding
+        self._nan = None if rules.nan in NAN else float(parse_number(rules.nan, "nan"))
+        self._outputs = self._make_outputs(outputs)
+
+    @property
+    def lossless_order(self) -> tuple[str, ...]:
+        """The out-ports that some entry feeds, in order."""
+        return tuple(output.spec.name for output in self._outputs)
+
+    def clear(self) -> None:
+        """Forget all values: what activation does."""
+        for output in self._outputs:
+            for target in output.targets:
+                target.value, target.tm, target.valid = target.empty, None, False
+                target.last.clear()
+
+    def apply(self, samples: ReadOnlyMap[int, Any], now: int) -> list[tuple[str, Any]]:
+        """The samples to send for one round of samples by number of their in-port; `now` stamps what has no source time.
+
+        Raises:
+            ConversionError: names the entry whose value cannot be converted under the rules; nothing of the round is sent.
+        """
+        made = []
+        for output in self._outputs:
+            if output.sources.isdisjoint(samples):
+                continue
+            for target in output.targets:
+                self._update(target, samples)
+            made.append((output.spec.name, self._build(output, now)))
+        return made
+
+    # -- values ----------------------------------------------------------------------------------------------------
+
+    def _update(self, target: _Target, samples: ReadOnlyMap[int, Any]) -> None:
+        fresh = False
+        for number, route in enumerate(target.routes):
+            sample = samples.get(route.entry.source)
+            if sample is not None:
+                target.last.pop(number, None)  # the newest one stands last
+                target.last[number] = (self._value(route, target, sample), _time_of(sample))
+                fresh = True
+        if fresh:
+            target.value = self._combined(target)
+            target.tm = self._chosen_time(tm for _, tm in target.last.values())
+            target.valid = True
+        elif self.rules.reset:
+            target.value, target.tm, target.valid = target.empty, None, False
+
+    def _value(self, route: _Route, target: _Target, sample: Any) -> Any:
+        entry = route.entry
+        try:
+            value = sample if not route.path else read_path(sample, route.path)
+        except RecordError as error:
+            raise ConversionError(f"{entry}: {self.inputs[entry.source].name}: {error}") from None
+        try:
+            return convert(
+                self._limited(self._scaled(value, entry)),
+                target.kind,
+                overflow=self.rules.overflow,
+                rounding=self._rounding,
+            )
+        except ConversionError as error:
+            raise ConversionError(f"{entry}: {error}") from None
+
+    def _scaled(self, value: Any, entry: Entry) -> Any:
+        value = self._without_nan(value)
+        if entry.mult is None:
+            return value
+        number = self._without_nan(convert(value, "f64") if isinstance(value, str) else value)
+        try:
+            result = number * entry.mult + (entry.off or 0)
+        except OverflowError:
+            result = math.copysign(math.inf, number) * math.copysign(1.0, entry.mult)
+        if isinstance(result, float) and math.isinf(result) and math.isfinite(number):
+            return self._overflowed(result, number)
+        return result
+
+    def _overflowed(self, result: float, number: float) -> float:
+        if self.rules.overflow == "error":
+            raise ConversionError(f"{number!r} times the factor is too large for a number of 64 bits; see overflow")
+        return math.copysign(_LARGEST, result) if self.rules.overflow == "saturate" else result
+
+    def _without_nan(self, value: Any) -> Any:
+        if not isinstance(value, float) or value == value or self.rules.nan == "pass":
+            return value
+        if self._nan is None:
+            raise ConversionError("the value is NaN, and nan is error")
+        return self._nan
+
+    def _limited(self, value: Any) -> Any:
+        if not self.rules.clamp or isinstance(value, str | bool):
+            return value
+        low, high = self.rules.clamp
+        return low if value < low else high if value > high else value
+
+    def _combined(self, target: _Target) -> Any:
+        values = [value for value, _ in target.last.values()]
+        if len(values) == 1 or self.rules.combine in ("", "newest"):
+            return values[-1]
+        if self.rules.combine != "sum":
+            return min(values) if self.rules.combine == "min" else max(values)
+        try:
+            return convert(sum(values), target.kind, overflow=self.rules.overflow, rounding=self._rounding)
+        except ConversionError as error:
+            raise ConversionError(f"sum of {' and '.join(str(route.entry) for route in target.routes)}: {error}") from None
+
+    # -- samples ---------------------------------------------------------------------------------------------------
+
+    def _chosen_time(self, times: Iterable[int | None]) -> int | None:
+        known = [tm for tm in times if tm is not None]
+        if not known:
+            return None
+        return min(known) if self.rules.time == "oldest" else max(known)
+
+    def _build(self, output: _Output, now: int) -> Any:
+        spec = output.spec
+        tm = self._chosen_time(target.tm for target in output.targets if target.valid)
+        stamp = now if tm is None else tm
+        if spec.plain:
+            return output.targets[0].value
+        if spec.form == "scalar":
+            return spec.type(stamp, output.targets[0].value) if has_tm(spec.type) else spec.type(output.targets[0].value)
+        if spec.form == "sequence":
+            values: list[Any] = [self._empty(spec.element)] * spec.length
+            for target in output.targets:
+                values[int(target.pin)] = target.value
+            return spec.type(stamp, values) if has_tm(spec.type) else spec.type(values)
+        changes = {spec.pin_path(target.pin): target.value for target in output.targets}
+        if has_tm(spec.type) and "tm" not in changes:
+            changes["tm"] = stamp
+        return _with_values(zero(spec.type), changes)
+
+    def _empty(self, kind: str) -> Any:
+        text = self.rules.reset
+        if not text:
+            return convert("" if kind == "str" else "\0" if kind in _TEXT else 0, kind)
+        try:
+            return convert(text, kind, overflow=self.rules.overflow, rounding=self._rounding)
+        except ConversionError as error:
+            raise ConfigurationError(f"reset = {text!r}: {error}") from None
+
+    # -- making it -------------------------------------------------------------------------------------------------
+
+    def _make_outputs(self, specs: Sequence[PortSpec]) -> list[_Output]:
+        found: dict[int, dict[str, _Target]] = {}
+        for entry in self.entries:
+            source = _port(self.inputs, entry.source, "in-port", entry)
+            spec = _port(specs, entry.target, "out-port", entry)
+            path, kind = spec.pin_path(entry.target_pin), spec.kind(entry.target_pin)
+            if "[" in path and spec.form == "record":
+                raise ConfigurationError(f"map entry {entry}: an item of a sequence cannot be set; name a field without index")
+            route = _Route(entry, source.pin_path(entry.source_pin), source.kind(entry.source_pin))
+            _check_factor(route)
+            targets = found.setdefault(entry.target, {})
+            target = targets.get(path)
+            if target is None:
+                empty = self._empty(kind)
+                targets[path] = _Target(entry.target_pin, kind, [route], empty, empty)
+            else:
+                self._check_combine(target, route)
+                target.routes.append(route)
+        return [_output(specs[number], found[number]) for number in sorted(found)]
+
+    def _check_combine(self, target: _Target, route: _Route) -> None:
+        first = target.routes[0].entry
+        if not self.rules.combine:
+            raise ConfigurationError(
+                f"map entries {first} and {route.entry} feed one pin; take one away, or say combine = sum, min, max or newest"
+            )
+        if self.rules.combine == "sum" and target.kind in _TEXT:
+            raise ConfigurationError(f"map entries {first} and {route.entry}: there is no sum of {target.kind}")
+
+
+def legible(mapping: Mapping, outputs: Sequence[PortSpec]) -> str:
+    """The map as a table, one line for each entry."""
+    rows = []
+    for entry in mapping.entries:
+        source, target = mapping.inputs[entry.source], outputs[entry.target]
+        factor = "" if entry.mult is None else f"x {entry.mult!r}"
+        offset = "" if entry.off is None else f"{entry.off:+}"
+        kinds = f"{source.kind(entry.source_pin)} -> {target.kind(entry.target_pin)}"
+        rows.append(
+            (f"{source.name}:{entry.source_pin}", f"{factor} {offset}".strip(), f"{target.name}:{entry.target_pin}", kinds)
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(3)]
+    return "\n".join(
+        f"{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  ->  {row[2]:<{widths[2]}}  {row[3]}".rstrip() for row in rows
+    )
+
+
+def _output(spec: PortSpec, targets: dict[str, _Target]) -> _Output:
+    sources = frozenset(route.entry.source for target in targets.values() for route in target.routes)
+    return _Output(spec, list(targets.values()), sources)
+
+
+def _port(specs: Sequence[PortSpec], number: int, word: str, entry: Entry) -> PortSpec:
+    if number >= len(specs):
+        names = ", ".join(spec.name for spec in specs) or "none"
+        raise ConfigurationError(f"map entry {entry}: there is no {word} {number}; there are {names}")
+    return specs[number]
+
+
+def _check_factor(route: _Route) -> None:
+    entry = route.entry
+    if entry.mult is not None and route.kind in ("char", "wchar"):
+        raise ConfigurationError(f"map entry {entry}: a character cannot be multiplied; leave the factor out")
+
+
+def _time_of(sample: Any) -> int | None:
+    return int(sample.tm) if has_tm(type(sample)) else None
+
+
+def _with_values(sample: Any, changes: ReadOnlyMap[str, Any]) -> Any:
+    """A copy of a record with the values at these field paths changed."""
+    here: dict[str, Any] = {}
+    below: dict[str, dict[str, Any]] = {}
+    for path, value in changes.items():
+        name, dot, rest = path.partition(".")
+        if dot:
+            below.setdefault(name, {})[rest] = value
+        else:
+            here[name] = value
+    for name, inner in below.items():
+        here[name] = _with_values(getattr(sample, name), inner)
+    cls = type(sample)
+    return cls(**{part.name: here.get(part.name, getattr(sample, part.name)) for part in describe(cls).fields})

@@ -1,0 +1,132 @@
+"""What a user may write as a port, `TYPE` or `TYPE:LEN`, and the pins such a port has; it reads no samples.
+
+A sequence has the pins 0 to LEN - 1, a scalar pin 0, a record its fields by path. A path that the record does not have
+is looked for below its field `data`, so `position.x` is a pin of TimedPose2D.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, Final
+
+from aiorts.errors import ConfigurationError, RecordError, UnknownTypeError
+from aiorts.types import describe, find_type, path_type
+
+__all__ = ("MOST_PINS", "PortSpec", "is_scalar", "parse_port", "parse_type")
+
+MOST_PINS: Final = 1_000_000
+_LENGTH = re.compile(r"[1-9][0-9]{0,6}")
+_SCALAR_KINDS: Final = frozenset(
+    ("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f32", "f64", "bool", "char", "wchar", "str", "stamp")
+)
+_PLAIN: Final[dict[type, str]] = {bool: "bool", int: "i64", float: "f64", str: "str"}
+
+
+@dataclass(frozen=True, slots=True)
+class PortSpec:
+    """A port as its user stated it. `form` is "scalar", "sequence" or "record"; `element` the kind of its pins."""
+
+    name: str
+    type: type
+    form: str
+    element: str = ""
+    length: int = 0
+    plain: bool = False
+    """Whether the type is a bare int, float, bool or str, which has no fields."""
+
+    def pin_path(self, pin: int | str) -> str:
+        """The field path of a pin, "" for a bare value. ConfigurationError when there is no such pin."""
+        if isinstance(pin, int):
+            return self._numbered(pin)
+        if self.plain:
+            raise ConfigurationError(f"{self.name}:{pin}: a {self.type.__name__} has no fields; its only pin is 0")
+        try:
+            path_type(self.type, pin)
+        except RecordError as error:
+            below = f"data.{pin}"
+            if describe(self.type).field("data") is None or self._is_missing(below):
+                raise ConfigurationError(f"{self.name}:{pin}: {error}") from None
+            return below
+        return pin
+
+    def kind(self, pin: int | str) -> str:
+        """The kind of value at a pin ("f64", "str"). ConfigurationError when it is no single value."""
+        path = self.pin_path(pin)
+        if isinstance(pin, int):
+            return self.element
+        found: Any = path_type(self.type, path)
+        spelling = found.__name__ if isinstance(found, type) else str(found.spelling)
+        if not is_scalar(spelling):
+            raise ConfigurationError(f"{self.name}:{pin}: a pin is one value, this is {spelling}; name a field inside it")
+        return spelling
+
+    def _numbered(self, pin: int) -> str:
+        if self.form == "record":
+            raise ConfigurationError(
+                f"{self.name}:{pin}: {self.type.__name__} has named pins; write a field such as {self.name}:{_example(self.type)}"
+            )
+        if pin >= self.length:
+            raise ConfigurationError(f"{self.name}:{pin}: there is no such pin; the last one is {self.length - 1}")
+        if self.plain:
+            return ""
+        return "data" if self.form == "scalar" else f"data[{pin}]"
+
+    def _is_missing(self, path: str) -> bool:
+        try:
+            path_type(self.type, path)
+        except RecordError:
+            return True
+        return False
+
+
+def parse_port(text: str, name: str) -> PortSpec:
+    """A port of `TYPE` or, for a sequence, `TYPE:LEN`. ConfigurationError says what is wrong with which part."""
+    written, colon, length = text.strip().partition(":")
+    cls = parse_type(written, name)
+    form, element = _form(cls)
+    if form != "sequence":
+        if colon:
+            raise ConfigurationError(f"{name} = {text!r}: {cls.__name__} is no sequence; write {written} alone")
+        return PortSpec(name, cls, form, element, 1, plain=cls in _PLAIN)
+    if not colon:
+        raise ConfigurationError(f"{name} = {text!r}: a sequence needs its length; write {written}:LEN")
+    if _LENGTH.fullmatch(length) is None or int(length) > MOST_PINS:
+        raise ConfigurationError(f"{name} = {text!r}: expected a length from 1 to {MOST_PINS}, got {length[:20]!r}")
+    return PortSpec(name, cls, form, element, int(length))
+
+
+def parse_type(text: str, name: str) -> type:
+    """The type of a port by its name. ConfigurationError with near names when there is none."""
+    try:
+        cls = find_type(text.strip())
+    except UnknownTypeError as error:
+        raise ConfigurationError(f"{name}: {error}") from None
+    if cls not in _PLAIN and not hasattr(cls, "__dataclass_fields__"):
+        raise ConfigurationError(f"{name}: {cls.__name__} cannot be a port's type; a record can")
+    return cls
+
+
+def is_scalar(kind: str) -> bool:
+    """Whether values of this kind are single values, which `convert` makes."""
+    return kind in _SCALAR_KINDS
+
+
+def _form(cls: type) -> tuple[str, str]:
+    if cls in _PLAIN:
+        return "scalar", _PLAIN[cls]
+    field = describe(cls).field("data")
+    others = [other.name for other in describe(cls).fields if other.name not in ("tm", "data")]
+    if field is None or others:
+        return "record", ""
+    spelling = field.spelling
+    if is_scalar(spelling):
+        return "scalar", spelling
+    if spelling.startswith("seq[") and is_scalar(spelling[4:-1]):
+        return "sequence", spelling[4:-1]
+    return "record", ""
+
+
+def _example(cls: type) -> str:
+    names = [field.name for field in describe(cls).fields if field.name != "tm"]
+    return names[0] if names else "tm"

@@ -1,0 +1,115 @@
+"""How FlexiDump writes a sample: a line of text, JSON, CSV or bare values; it keeps no state and writes nowhere.
+
+Nothing that arrives can command a terminal: every character that does not print is shown by its number.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from aiorts.types import has_tm, read_path, to_plain
+
+__all__ = ("FORMATS", "line_of", "printable", "stamp_text")
+
+FORMATS: Final = ("text", "json", "csv", "values")
+
+
+def line_of(form: str, name: str, type_name: str, sample: Any, fields: Sequence[str] = ()) -> str:
+    """One line, without its end, for a sample of the port `name`.
+
+    Raises:
+        RecordError, InvalidNameError: the sample has no such field.
+    """
+    tm = int(sample.tm) if has_tm(type(sample)) else None
+    data = _data(sample, fields)
+    if form == "json":
+        line: dict[str, Any] = {"port": name, "type": type_name}
+        return _json({**line, **({} if tm is None else {"tm": tm}), "data": data})
+    if form == "csv":
+        return _csv([name, type_name, "" if tm is None else stamp_text(tm), *_leaves(data)])
+    if form == "values":
+        return " ".join(_value_text(value) for value in _leaves(data))
+    stamp = "" if tm is None else f" {stamp_text(tm)}"
+    return f"{printable(name)} {type_name}{stamp}: {_shown(data, fields)}"
+
+
+def stamp_text(tm: int) -> str:
+    """Nanoseconds as seconds with nine decimals."""
+    return f"{tm // 1_000_000_000}.{tm % 1_000_000_000:09d}"
+
+
+def printable(text: str) -> str:
+    """The text with every character that does not print, line ends and escapes included, as \\xNN or \\uNNNN."""
+    if text.isprintable():
+        return text
+    return "".join(character if character.isprintable() else _number_of(character) for character in text)
+
+
+def _number_of(character: str) -> str:
+    code = ord(character)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def _data(sample: Any, fields: Sequence[str]) -> Any:
+    if fields:
+        return {path: _plain(_read(sample, path)) for path in fields}
+    plain = to_plain(sample)
+    if not isinstance(plain, dict):
+        return plain
+    rest = {key: value for key, value in plain.items() if key != "tm"}
+    return rest["data"] if list(rest) == ["data"] else rest
+
+
+def _read(sample: Any, path: str) -> Any:
+    if hasattr(sample, "data") and not hasattr(sample, path.partition(".")[0].partition("[")[0]):
+        path = f"data.{path}"
+    return read_path(sample, path)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, bool | int | float | str | bytes) or hasattr(value, "__dataclass_fields__"):
+        return to_plain(value)
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(getattr(value, "name", value))
+
+
+def _json(value: Any) -> str:
+    text = json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(", ", ": "))
+    # JSON escapes the first 32 characters itself; the rest of what does not print is written as JSON would.
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
+
+
+def _shown(data: Any, fields: Sequence[str]) -> str:
+    if fields:
+        return " ".join(f"{path}={_shown(data[path], ())}" for path in fields)
+    return _json(data)
+
+
+def _leaves(data: Any) -> Iterator[Any]:
+    if isinstance(data, dict):
+        for value in data.values():
+            yield from _leaves(value)
+    elif isinstance(data, list):
+        for value in data:
+            yield from _leaves(value)
+    else:
+        yield data
+
+
+def _value_text(value: Any) -> str:
+    return printable(value) if isinstance(value, str) else _json(value)
+
+
+def _csv(values: Sequence[Any]) -> str:
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="").writerow([_value_text(value) for value in values])
+    return buffer.getvalue()
