@@ -98,16 +98,14 @@ class PeriodicContext(Context):
 
     def _begin_cycle(self) -> Sequence[Member]:
         if self._schedule is not None:
-            self._schedule.begin(self._now_ns())
+            missed = self._schedule.begin(self._now_ns())
+            if missed is not None:
+                self._publish(Overrun(self.name, *missed))
         return super()._begin_cycle()
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
-        plan = self._schedule
-        if plan is not None:
-            due, now = plan.due_ns, self._now_ns()
-            skipped = plan.end(now)
-            if skipped is not None:
-                self._publish(Overrun(self.name, skipped, now - due))
+        if self._schedule is not None:
+            self._schedule.end(self._now_ns())
 
     def _set_rate_now(self, rate: float) -> None:
         if self._schedule is not None:

@@ -1,9 +1,9 @@
 """When the ticks of a rate are due; pure arithmetic on nanoseconds, nothing here waits or asks the time.
 
 Tick n is due at `start + n / rate`, computed with integers from the rate's exact ratio, so that nothing accumulates
-at any length. A cycle that is not done when the next is due is an overrun. The policy "skip" runs the newest tick
-that is due and counts the others as skipped; "catch_up" runs the missed ticks at once, as far as they are at most
-one second old, and the newest in any case.
+at any length. A cycle that is not done when the next is due is an overrun, and so is one that begins when the next is
+due already. The policy "skip" then runs the newest tick that is due and counts the others as skipped; "catch_up" runs
+the missed ticks at once, as far as they are at most one second old, and the newest in any case.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ def _check_ceiling(max_rate: object) -> None:
         or not isinstance(max_rate, int | float)
         or not MIN_RATE <= max_rate <= _HIGHEST_CEILING
     ):
-        raise ConfigurationError(f"max_rate = {max_rate!r}: expected a number of Hz from {MIN_RATE} to {_HIGHEST_CEILING}")
+        raise ConfigurationError(
+            f"max_rate = {max_rate!r}: expected a number of Hz from {MIN_RATE} to {_HIGHEST_CEILING}"
+        )
 
 
 class Schedule:
@@ -64,32 +66,47 @@ class Schedule:
         self.skipped = self.overruns = self.lateness_max_ns = self.lateness_total_ns = 0
         self._tick = 0
         self._start_ns = 0
+        self._over = False
         self._set_ratio()
 
     def start(self, now_ns: int) -> None:
         """Tick 0 is due now."""
         self._start_ns = self.due_ns = now_ns
         self._tick = 0
+        self._over = False
 
-    def begin(self, now_ns: int) -> None:
-        """The tick that is due begins."""
+    def begin(self, now_ns: int) -> tuple[int, int] | None:
+        """The tick that is due begins, or a newer one when that has been missed.
+
+        Returns:
+            None when all is in time; after an overrun the ticks that are left out and how long the first of them, or
+            else the one that begins, has been due, in nanoseconds.
+        """
+        behind = now_ns - self.due_ns
+        skipped = self._leave_out(now_ns) if behind >= self._least_ns else 0
         late = now_ns - self.due_ns
         if late > 0:
             self.lateness_total_ns += late
             self.lateness_max_ns = max(self.lateness_max_ns, late)
+        if not skipped and not self._over:
+            return None
+        self._over = False
+        self.overruns += 1
+        return skipped, max(0, behind)
 
-    def end(self, now_ns: int) -> int | None:
-        """The tick is done. None when that was in time, else how many ticks are skipped."""
+    def end(self, now_ns: int) -> None:
+        """The tick is done."""
         self._tick += 1
         self.due_ns = self._due(self._tick)
-        if now_ns <= self.due_ns:
-            return None
+        self._over = now_ns > self.due_ns
+
+    def _leave_out(self, now_ns: int) -> int:
+        """Go on to the tick that is run now; how many are left out."""
         resume = self._newest(now_ns)
         if self.overrun == "catch_up":
             # The first one that is not older than what is caught up with.
             resume = min(resume, self._newest(now_ns - _CATCH_UP_NS - 1) + 1)
         skipped = max(0, resume - self._tick)
-        self.overruns += 1
         self.skipped += skipped
         self._tick += skipped
         self.due_ns = self._due(self._tick)
@@ -109,6 +126,7 @@ class Schedule:
     def _set_ratio(self) -> None:
         numerator, denominator = self.rate.as_integer_ratio()
         self._period = (1_000_000_000 * denominator, numerator)
+        self._least_ns = 1_000_000_000 * denominator // numerator
 
     def _newest(self, now_ns: int) -> int:
         """The newest tick that is due."""

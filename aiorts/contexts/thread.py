@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from aiorts.clock import Hold, SimulatedClock
+from aiorts.clock import current_clock
 from aiorts.contexts.periodic import PeriodicContext
 from aiorts.contexts.schedule import MAX_RATE
 from aiorts.errors import ClosedError, HookAbandoned, StateError
+from aiorts.kernel.blocking import PortLock, blocking_for
 from aiorts.kernel.bulkhead import bad_return
 from aiorts.kernel.bus import HookAfter, HookBefore
 from aiorts.kernel.hooks import HookKind, is_plain
@@ -33,6 +36,8 @@ __all__ = ("ThreadContext",)
 _ON_LOOP: Final = ("on_initialize", "on_finalize")
 """Hooks that belong to no context and run on the kernel's loop."""
 _FOR_EVER: Final = Wait(None)
+_LEAST_NS: Final = 1_000_000
+"""What a cycle without a rate takes at least of a clock that stands still while hooks run."""
 
 
 class ThreadContext(PeriodicContext):
@@ -55,13 +60,39 @@ class ThreadContext(PeriodicContext):
         timing: bool = True,
     ) -> None:
         super().__init__(1.0 if rate is None else rate, overrun=overrun, max_rate=max_rate, name=name, timing=timing)
+        self._plan = self._schedule
+        self._aborted = False
+        self._begun_ns = -1
         if rate is None:
             self._schedule = None
 
     def _next_cause(self) -> Wait | None:
-        if self._schedule is None and not any(member.active for member in self._members):
+        if self._schedule is not None:
+            return super()._next_cause()
+        # Without a rate one that is in error runs `on_error` once; again and again would be a busy loop.
+        if not self._aborted and not any(member.active for member in self._members):
             return _FOR_EVER
-        return super()._next_cause()
+        if self._now_ns() <= self._begun_ns:
+            # A simulated clock has not moved: hooks that wait for nothing would keep it from ever moving.
+            return Wait(self._begun_ns + _LEAST_NS)
+        return None
+
+    def _begin_cycle(self) -> Sequence[Member]:
+        self._begun_ns = self._now_ns()
+        self._aborted = False
+        return super()._begin_cycle()
+
+    def _member_aborted(self, member: Member) -> None:
+        self._aborted = True
+
+    def _max_rate(self) -> float:
+        return super()._max_rate() if self._plan is None else self._plan.max_rate
+
+    def _set_rate_now(self, rate: float) -> None:
+        if self._schedule is None and self._plan is not None:
+            self._schedule = self._plan
+            self._schedule.start(self._now_ns())
+        super()._set_rate_now(rate)
 
     def _check_can_add(self, component: Component) -> None:
         super()._check_can_add(component)
@@ -86,10 +117,6 @@ class ThreadContext(PeriodicContext):
             member.component._host.threaded = False
             member.component._host.thread_id = None
 
-    def _inside(self) -> bool:
-        driver = self._driver
-        return isinstance(driver, _ThreadDriver) and driver.thread is threading.current_thread()
-
 
 class _ThreadDriver:
     """Carries out the steps of a context's life in a thread."""
@@ -100,13 +127,14 @@ class _ThreadDriver:
         self.ended: asyncio.Future[None] = kernel.loop.create_future()
         self._kernel = kernel
         self._steps = context._life.steps()
-        self._changed = threading.Condition()
+        self._changed = PortLock()
         self._kicked = False
         self._gone = False
+        self._hurried = False
         self._member: Member | None = None
-        self._clock = kernel.clock
-        # A simulated clock stands still while the thread works; who wakes it holds the clock on its behalf.
-        self._hold: Hold | None = self._hold_clock()
+        self._blocking = blocking_for(kernel.clock, kernel.loop, kernel._timers.call_at)
+        for member in context._members:
+            member.component._host.stopping = False
         self.thread = threading.Thread(target=self._run, name=f"aiorts {context.name}", daemon=True)
         self.thread.start()
 
@@ -119,27 +147,36 @@ class _ThreadDriver:
         """Somebody wants something: do not wait on. From any thread."""
         with self._changed:
             self._kicked = True
-            if self._hold is None:
-                self._hold = self._hold_clock()
             self._changed.notify_all()
 
     def hurry(self, budget: StopBudget) -> None:
         """A stop began: wake reads that block, and after the budget go on without the thread."""
-        for member in self.context._members:
+        if self._hurried:
+            return
+        self._hurried = True
+        for member in tuple(self.context._members):
             member.component._host.stopping = True
             for port in member.component.ports.values():
                 for connector in port.connectors:
                     connector.in_._wake_waiter()
                 if isinstance(port, InPort):
                     port._wake_waiter()
-        timer = self._kernel.loop.call_later(budget.limit + budget.grace, self._abandon)
-        self.ended.add_done_callback(lambda _: timer.cancel())
+        cancel = self._in_real_seconds(budget.limit + budget.grace, self._abandon)
+        self.ended.add_done_callback(lambda _: cancel())
+
+    def _in_real_seconds(self, seconds: float, callback: Callable[[], None]) -> Callable[[], None]:
+        """Call back on the loop; returns what cancels it. A thread takes real time, whatever the loop's own is."""
+        loop = self._kernel.loop
+        if current_clock() is None:
+            return loop.call_later(seconds, callback).cancel
+        timer = threading.Timer(seconds, lambda: loop.call_soon_threadsafe(callback))
+        timer.daemon = True
+        timer.start()
+        return timer.cancel
 
     # -- the thread ------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        for member in self.context._members:
-            member.component._host.thread_id = threading.get_ident()
         fault: BaseException | None = None
         outcome: BaseException | None = None
         try:
@@ -151,25 +188,28 @@ class _ThreadDriver:
             fault = error
         if not self._gone:
             self._kernel._on_loop(lambda: self._end(fault))
-        self._let_clock_go()
+        self._blocking.end()
 
     def _carry_out(self, step: Step) -> BaseException | None:
         if isinstance(step, Batch):
             for member, hook in step.hooks:
                 error = self._call(member, hook, (member.failure,) if hook == "on_error" else ())
-                if error is not None:
-                    self.context._life.failed(member, hook, error)
                 if self._gone:
                     return None
+                if error is not None:
+                    self.context._life.failed(member, hook, error)
         elif isinstance(step, Wait):
             self._wait(step.deadline_ns)
         elif isinstance(step, Call):
             return self._call(step.member, step.hook, step.args)
+        else:
+            time.sleep(0)
         return None
 
     def _call(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         context, component = self.context, member.component
         component._host.thread_id = threading.get_ident()
+        component._host.blocking = self._blocking
         kind, function = member.hooks[hook]
         watched = context._hooks_wanted()
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
@@ -187,6 +227,8 @@ class _ThreadDriver:
                 error = bad_return(member, hook, result)
         except BaseException as raised:  # noqa: BLE001 - the border round a hook
             error = raised
+        if self._gone:
+            return None
         self._member = component._running = None
         member.hook = ""
         if context._stopping and isinstance(error, ClosedError):
@@ -198,46 +240,16 @@ class _ThreadDriver:
         return error
 
     def _wait(self, deadline_ns: int | None) -> None:
-        clock = self._clock
         with self._changed:
-            if not self._kicked:
-                if isinstance(clock, SimulatedClock):
-                    self._wait_simulated(deadline_ns)
-                elif deadline_ns is None:
-                    self._changed.wait_for(lambda: self._kicked)
-                else:
-                    rest = (deadline_ns - clock.monotonic_ns()) / 1e9 / clock.speed
-                    self._changed.wait_for(lambda: self._kicked, max(0.0, rest))
+            self._blocking.until(self._changed, lambda: self._kicked, deadline_ns)
             self._kicked = False
-
-    def _wait_simulated(self, deadline_ns: int | None) -> None:
-        """Virtual time is the loop's: its timer kicks, and the clock is let go only once that timer is set."""
-        if deadline_ns is None:
-            self._let_clock_go()
-        else:
-            deadline = deadline_ns
-
-            def arm() -> None:
-                self._kernel._timers.call_at(deadline, self.kick)
-                self._let_clock_go()
-
-            self._kernel.loop.call_soon_threadsafe(arm)
-        self._changed.wait_for(lambda: self._kicked)
-
-    def _hold_clock(self) -> Hold | None:
-        return self._clock.hold() if isinstance(self._clock, SimulatedClock) else None
-
-    def _let_clock_go(self) -> None:
-        with self._changed:
-            hold, self._hold = self._hold, None
-        if hold is not None:
-            hold.release()
 
     # -- the end ---------------------------------------------------------------------------------------------------
 
     def _end(self, fault: BaseException | None) -> None:
         for member in self.context._members:
             member.component._host.stopping = False
+            member.component._host.blocking = None
         self.context._life_ended(fault)
         # The thread has nothing left to do but return.
         self.thread.join()
@@ -252,12 +264,11 @@ class _ThreadDriver:
         member = self._member
         if member is not None:
             error = HookAbandoned(
-                f"{member.component.name}.{member.hook}: blocks its thread and did not return when its context "
-                "stopped; "
-                "the thread was left behind"
+                f"{member.component.name}.{member.hook}: did not return when its context stopped; its thread was "
+                "left behind"
             )
             member.abandoned = True
             self.context._life._record(member, member.hook, error)
-        self._let_clock_go()
+        self._blocking.end()
         self.context._life_ended(None)
         self.ended.set_result(None)

@@ -2,60 +2,64 @@
 
 The context awaits each hook in its own plain task: no task switch, no cancel scope, no task group that one stray
 CancelledError could end. Whether the kernel cancelled is known from the watch's own count, not from
-`task.cancelling()`. A hook over its deadline is cancelled once for each grace step; one that ignores them all is left
-behind with its task, and the context goes on in a new one: repeated delivery, as cancel scopes do it, would pin a
-core.
+`task.cancelling()`; who else cancels the task is decided in `_DriverTask.cancel`. A hook over its deadline is
+cancelled once for each grace step; one that ignores them all is left behind with its task, and the context goes on in
+a new one: repeated delivery, as cancel scopes do it, would pin a core.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Generator, Iterator
-from types import coroutine
-from typing import TYPE_CHECKING, Any, Final
+import logging
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import HookAbandoned, HookTimeout, StateError
 from aiorts.kernel.bus import HookAfter, HookBefore
+from aiorts.kernel.deadlines import CANCELLATIONS, GRACE, STOP_DEADLINE, StopBudget
 from aiorts.kernel.hooks import TAKES_ERROR, HookKind
 from aiorts.kernel.life import Batch, Call, Steps, Wait
+from aiorts.kernel.port import give_turn
+from aiorts.kernel.tasks import current_task, leave_behind, owner_of
 
 if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
     from aiorts.kernel.context import Context
     from aiorts.kernel.host import Cancellable
     from aiorts.kernel.member import Member
 
-__all__ = ("CANCELLATIONS", "GRACE", "STOP_DEADLINE", "StopBudget", "TaskDriver", "bad_return", "leave_behind")
+__all__ = ("CANCELLATIONS", "GRACE", "STOP_DEADLINE", "StopBudget", "TaskDriver", "bad_return")
 
-GRACE: Final = 0.5
-"""Seconds between two cancellations of a hook that is over its deadline."""
-CANCELLATIONS: Final = 4
-STOP_DEADLINE: Final = 2.0
-"""Seconds that a hook may still take once its context or kernel stops."""
-_HURRY: Final = 0.02
-"""The grace step once a stop has used up its time: many stuck components must not add up."""
-
-
-class StopBudget:
-    """How long hooks may still take while something stops: shared by all contexts that stop together."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, deadline: float = STOP_DEADLINE) -> None:
-        self._loop = loop
-        self._soft = loop.time() + deadline
-        self._hard = self._soft + CANCELLATIONS * GRACE
-
-    @property
-    def limit(self) -> float:
-        """Seconds until a hook that runs now is cancelled for the first time."""
-        return max(0.0, self._soft - self._loop.time())
-
-    @property
-    def grace(self) -> float:
-        """Seconds between cancellations."""
-        return GRACE if self._loop.time() < self._hard else _HURRY
+_LOG = logging.getLogger("aiorts.kernel")
 
 
 class _LeftBehind(BaseException):
     """This task was abandoned and its hook has returned after all: it must touch nothing any more."""
+
+
+class _DriverTask(asyncio.Task[None]):
+    """The task of a context: it knows what a cancellation by somebody else means."""
+
+    def __init__(self, driver: TaskDriver, life: Coroutine[Any, Any, None]) -> None:
+        self._aiorts_driver = driver
+        super().__init__(life, loop=driver.loop, name=f"aiorts {driver.context.name}")
+
+    def cancel(self, msg: Any | None = None) -> bool:
+        """By the host, or because the loop is torn down: the context stops in order. Else it is the hook's affair."""
+        driver = self._aiorts_driver
+        caller = current_task()
+        by_host = not driver.loop.is_running() or (caller is not None and owner_of(caller) is None)
+        if by_host:
+            driver.stop_for_host()
+        if driver.current is None:
+            # Between hooks there is nothing that a component could want to cancel.
+            return by_host
+        driver.cancelled_by_others = True
+        return super().cancel(msg)
+
+    def cancel_hook(self) -> None:
+        """The watch's cancellation."""
+        super().cancel()
 
 
 class _Watch:
@@ -93,7 +97,7 @@ class _Watch:
     def _expire(self) -> None:
         if self.cancels < CANCELLATIONS:
             self.cancels += 1
-            self.driver.task.cancel()
+            self.driver.task.cancel_hook()
             budget = self.driver.budget
             later = self.driver.loop.call_later if self.stopping else self.driver.call_later
             self.timer = later(GRACE if budget is None else budget.grace, self._expire)
@@ -118,20 +122,18 @@ class TaskDriver:
         self.deadline: float | None = context.deadline
         self.budget: StopBudget | None = None
         self.hooks_run = 0
+        self._stopped_by_host = False
+        self.cancelled_by_others = False
         self._call_at = call_at
         self._steps = steps
         self._batch: Iterator[tuple[Member, str]] | None = None
         self._member: Member | None = None
         self._watch: _Watch | None = None
         self._sleeper: asyncio.Future[None] | None = None
+        self._turn: asyncio.Future[bool] | None = None
         self._kicked = False
         self.ended: asyncio.Future[None] = loop.create_future()
-        self.task = self._spawn(None)
-
-    def _spawn(self, outcome: BaseException | None) -> asyncio.Task[None]:
-        task = self.loop.create_task(self._drive(outcome), name=f"aiorts {self.context.name}")
-        task._aiorts_driver = self  # type: ignore[attr-defined] # read by embedding.owner_of
-        return task
+        self.task = _DriverTask(self, self._drive(None))
 
     @property
     def current(self) -> Member | None:
@@ -155,6 +157,17 @@ class TaskDriver:
                 self._watch.arm()
             elif self._watch is not None:
                 self._watch.rearm()
+            elif self._turn is not None:
+                self.loop.call_later(budget.limit, _resolve, self._turn, False)
+
+    def stop_for_host(self) -> None:
+        """The application cancelled the context's task: an odd way to stop it, but a clear one."""
+        context = self.context
+        if not context._stopping:
+            _LOG.warning("context %s: its task was cancelled by the application; it stops", context.name)
+            context._stopping = self._stopped_by_host = True
+            self.hurry(StopBudget(self.loop))
+            self.kick()
 
     # -- the task --------------------------------------------------------------------------------------------------
 
@@ -179,12 +192,13 @@ class TaskDriver:
         except _LeftBehind:
             return
         except BaseException as error:
-            # The kernel's own fault, or the host ends all tasks: say so, never hang a stop.
+            # The kernel's own fault: say so, never hang a stop.
             if asyncio.current_task() is self.task:
                 self._end(error)
             raise
 
     def _end(self, error: BaseException | None) -> None:
+        self._steps.close()
         self.context._life_ended(error)
         if not self.ended.done():
             self.ended.set_result(None)
@@ -214,37 +228,59 @@ class TaskDriver:
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         kind, function = member.hooks[hook]
-        context = self.context
+        context, component = self.context, member.component
         watched = context._hooks_wanted()
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
-        component = member.component
-        if component._lock is not None:
-            await component._lock.acquire()
+        if component._running is not None or component._gate.waiting:
+            busy = await self._wait_for_turn(member, hook)
+            if busy is not None or member.abandoned:
+                return busy
         started_ns = context._now_ns() if context.timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
+        self._member = component._running = member
+        member.hook = hook
         self.hooks_run += 1
         error = await self._contain(member, hook, kind, function, args)
-        if component._lock is not None:
-            component._lock.release()
+        self._member = component._running = None
+        member.hook = ""
+        if component._gate.waiting:
+            component._gate.pass_on()
         if context.timing:
             member.timed(hook).add(context._now_ns() - started_ns)
         if watched:
             context._publish(HookAfter(component.name, context.name, hook, error))
         return error
 
+    async def _wait_for_turn(self, member: Member, hook: str) -> BaseException | None:
+        """Another context is inside the component: wait for it; while this one stops, no longer than it may."""
+        component = member.component
+        turn = self._turn = self.loop.create_future()
+        timer = None
+        if self.budget is not None:
+            timer = self.loop.call_later(self.budget.limit, _resolve, turn, False)
+        try:
+            if await component._gate.wait(turn):
+                return None
+        finally:
+            self._turn = None
+            if timer is not None:
+                timer.cancel()
+        inside = component._running
+        where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
+        return HookTimeout(f"{component.name}.{hook}: did not run: the component was busy in {where}")
+
     async def _contain(
         self, member: Member, hook: str, kind: int, function: Callable[..., Any], args: tuple[Any, ...]
     ) -> BaseException | None:
         """Run the hook; whatever comes out of it is this component's affair."""
-        component = member.component
+        if kind == HookKind.ABSENT:
+            return None
         task = self.task
         if self.deadline is not None or self.budget is not None:
             self._watch = _Watch(self)
             self._watch.arm()
-        self._member = component._running = member
-        member.hook = hook
         error: BaseException | None = None
         result = None
         try:
@@ -255,43 +291,52 @@ class TaskDriver:
             error = raised
         if self.task is not task:
             raise _LeftBehind
-        self._member = component._running = None
-        member.hook = ""
         watch = self._watch
         if watch is not None:
             watch.disarm()
             self._watch = None
+        if self.cancelled_by_others and error is None and self.task.cancelling():
+            error = await self._take_cancellation()
         if error is not None or (watch is not None and watch.cancels):
             return self._judge(member, hook, error, watch)
         return None if result is None else bad_return(member, hook, result)
 
+    async def _take_cancellation(self) -> BaseException | None:
+        """A hook that cancelled its own task and returned before it could be told must not hit who comes next."""
+        try:
+            await give_turn()
+        except asyncio.CancelledError as error:
+            return error
+        self._uncancel()
+        return None
+
+    def _uncancel(self) -> None:
+        self.cancelled_by_others = False
+        while self.task.cancelling():
+            self.task.uncancel()
+
     def _judge(
         self, member: Member, hook: str, error: BaseException | None, watch: _Watch | None
     ) -> BaseException | None:
-        """What became of a hook that raised or was cancelled: the component's error, or the host's cancellation."""
-        where = f"{member.component.name}.{hook}"
-        cancels = watch.cancels if watch is not None else 0
-        for _ in range(cancels):
-            self.task.uncancel()
-        if cancels and (error is None or isinstance(error, asyncio.CancelledError)):
-            if watch is not None and watch.stopping:
-                late = HookTimeout(
-                    f"{where}: still ran {STOP_DEADLINE} s after its context was told to stop; it was cancelled"
-                )
-            else:
-                late = HookTimeout(f"{where}: did not return within {self.deadline} s; it was cancelled")
-            late.__cause__ = error
-            return late if error is not None or not (watch and watch.stopping) else None
+        """What became of a hook that raised or was cancelled: the component's error, unless the host wanted it."""
         if isinstance(error, GeneratorExit) and asyncio._get_running_loop() is None:
             raise error  # the loop is gone and this task with it
-        if isinstance(error, asyncio.CancelledError) and self.task.cancelling():
-            if self.context._host_gone():
-                raise error
-            while self.task.cancelling():
-                self.task.uncancel()
-        if isinstance(error, KeyboardInterrupt):
-            self.context._interrupted(error)
-        return error
+        wanted = self.cancelled_by_others and self._stopped_by_host
+        self._uncancel()
+        if watch is None or not watch.cancels:
+            return None if wanted and isinstance(error, asyncio.CancelledError) else error
+        where = f"{member.component.name}.{hook}"
+        if watch.stopping and error is None:
+            return None
+        if error is not None and not isinstance(error, asyncio.CancelledError):
+            return error
+        late = HookTimeout(
+            f"{where}: still ran when the time its context had to stop was over; it was cancelled"
+            if watch.stopping
+            else f"{where}: did not return within {self.deadline} s; it was cancelled"
+        )
+        late.__cause__ = error
+        return late
 
     # -- leaving a hook behind -------------------------------------------------------------------------------------
 
@@ -306,36 +351,34 @@ class TaskDriver:
             "and never runs again"
         )
         leave_behind(self.task)
-        self._member, self._watch = None, None
-        for other in member.component._members:
+        component = member.component
+        component._abandoned = error
+        for other in component._members:
             other.abandoned = True
-        member.component._running = None
+        self._member, self._watch = None, None
+        component._running = None
         member.hook = ""
+        self.cancelled_by_others = False
+        component._gate.pass_on()
+        if self.context._hooks_wanted():
+            self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:
             self.context._life.failed(member, hook, error)
-            self.task = self._spawn(None)
+            self.task = _DriverTask(self, self._drive(None))
         else:
-            self.task = self._spawn(error)
+            self.task = _DriverTask(self, self._drive(error))
 
 
-def leave_behind(task: asyncio.Task[Any]) -> None:
-    """Take a task that cannot be ended out of the loop's books, or `asyncio.run` would wait for it for ever."""
-    asyncio._unregister_task(task)
-    task._log_destroy_pending = False  # type: ignore[attr-defined] # it is known and was reported
-
-
-def bad_return(member: Member, hook: str, result: object) -> BaseException:
+def bad_return(whose: Member | Component, hook: str, result: object) -> BaseException:
     """The error for a hook that returned something."""
     if asyncio.iscoroutine(result):
         result.close()
+    component: Any = getattr(whose, "component", whose)
     advice = "write `async def`, or await inside" if isinstance(result, Awaitable) else "a hook returns nothing"
     takes = "self, error" if hook in TAKES_ERROR else "self"
-    return StateError(
-        f"{member.component.name}.{hook}({takes}): returned {type(result).__name__} {result!r:.60}; {advice}"
-    )
+    return StateError(f"{component.name}.{hook}({takes}): returned {type(result).__name__} {result!r:.60}; {advice}")
 
 
-@coroutine
-def give_turn() -> Generator[None, None, None]:
-    """Let everything else that is ready run once."""
-    yield
+def _resolve(future: asyncio.Future[bool], outcome: bool) -> None:
+    if not future.done():
+        future.set_result(outcome)

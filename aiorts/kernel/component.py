@@ -6,13 +6,16 @@ in which order is the system's affair.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Awaitable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 from aiorts.errors import DeclarationError, StateError, WiringError
+from aiorts.kernel.gate import Gate
 from aiorts.kernel.hooks import hook_kinds
 from aiorts.kernel.host import PortHost
+from aiorts.kernel.joint import between_cycles
 from aiorts.kernel.log import ComponentLog, LogFields
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort, Port, Turns
@@ -77,7 +80,9 @@ class Component:
         self._members: list[Member] = []
         self._running: Member | None = None
         self._last_error: BaseException | None = None
-        self._lock: Any = None
+        self._gate = Gate(self)
+        self._abandoned: BaseException | None = None
+        """Why it never runs again: a hook ignored every cancellation and was left behind."""
         self._finished = False
         self._log: ComponentLog | None = None
         self._params = Parameters(self._host.name, self._parameter_specs)
@@ -140,7 +145,8 @@ class Component:
     def log(self) -> ComponentLog:
         """This component's logger on stdlib logging: kernel, component, hook and tick are fields of each record."""
         if self._log is None:
-            self._log = ComponentLog(self._log_fields, self.kernel.clock.monotonic_ns)
+            kernel = self.kernel
+            self._log = ComponentLog(self._log_fields, kernel.clock.monotonic_ns, shared=kernel._log_budget)
         return self._log
 
     def _log_fields(self) -> LogFields:
@@ -210,7 +216,7 @@ class Component:
         bound: InPort[Any] | OutPort[Any] = port.bind(self._host, name)
         self._host.ports[name] = bound
         if self._kernel is not None:
-            self._kernel._port_added(self, bound)
+            self._kernel._roster.port_added(self, bound)
         return bound
 
     def remove_port(self, name: str) -> None:
@@ -226,12 +232,12 @@ class Component:
             raise WiringError(f"{self.name}.{name}: no such port; there are {', '.join(self._host.ports) or 'none'}")
         if self._kernel is not None:
             for connector in port.connectors:
-                self._kernel._disconnect(connector)
+                self._kernel._connections.end(connector)
         del self._host.ports[name]
         if isinstance(port, InPort):
             port._wake_waiter()
         if self._kernel is not None:
-            self._kernel._port_removed(self, port)
+            self._kernel._roster.port_removed(self, port)
 
     async def configure(self, **changes: object) -> None:
         """Change parameters: all of them between two cycles, or, when any value is bad, none.
@@ -240,24 +246,29 @@ class Component:
 
         Raises:
             ConfigurationError: names every change that was refused; the old values stay.
+            TransitionTimeout: no cycle ended within 5 s; the old values stay.
         """
+        if self._kernel is not None:
+            self._kernel.check_thread(f"{self.name}.configure")
         checked = self._params.check(changes)
         if self._kernel is None:
             self._put(checked)
         else:
-            await self._kernel._between_cycles(self, lambda: self._put(checked))
+            await between_cycles(self._kernel, self, lambda: self._put(checked))
 
     def _put(self, checked: Mapping[str, Any]) -> None:
         self._params._put(checked)
         for name, value in checked.items():
             setattr(self, name, value)
         if self._kernel is not None and checked:
-            self._kernel._parameters_changed(self, checked)
+            self._kernel._roster.parameters_changed(self, checked)
 
     # -- what a hook may ask for -----------------------------------------------------------------------------------
 
     def finish(self) -> None:
         """Say that this source has nothing more: it is deactivated after this cycle."""
+        if self._kernel is not None and self._host.thread_id != threading.get_ident():
+            self._kernel.check_thread(f"{self.name}.finish")
         self._finished = True
         if self._running is not None:
             self._running.finish()
@@ -330,6 +341,9 @@ class Component:
 def _nothing() -> Hook:
     """What a hook that nobody wrote returns: super().on_x() can be awaited all the same."""
     return _DONE
+
+
+Component._hook_kinds = hook_kinds(Component, Component)
 
 
 class _Done:

@@ -19,23 +19,36 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from aiorts.model.buffer import FullPolicy, Verdict, decide
-from aiorts.model.policy import Choice, Dataflow, Push, Stamp, Subscription, admits, choose
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import InPort, OutPort
 
-__all__ = ("Connector", "PeriodicConnector", "Waiting")
+__all__ = ("Connector", "Waiting")
 
 _UNLOCKED: AbstractContextManager[Any] = nullcontext()
+
+# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+_NEW = Push.NEW
+_SKIP = Push.SKIP
+_BLOCK = FullPolicy.BLOCK
+_READ = Stamp.READ
+_SEND = Stamp.SEND
+_RECEIVED = Stamp.RECEIVED
+_REFUSE = Verdict.REFUSE
+_REPLACE_OLDEST = Verdict.REPLACE_OLDEST
 
 
 @dataclass(eq=False, slots=True)
 class Waiting:
-    """A sample whose writer waits for room; the reader that makes room moves it and resolves the future."""
+    """A sample whose writer waits for room: the reader that makes room moves it. A writer in a thread has no future
+    and waits on the in-port's lock."""
 
+    connector: Connector
     sample: Any
-    future: asyncio.Future[None]
+    future: asyncio.Future[None] | None
+    done: bool = False
 
 
 class Connector:
@@ -49,6 +62,7 @@ class Connector:
     """
 
     __slots__ = (
+        "_arrived_at",
         "_clock_ns",
         "_dropped",
         "_full",
@@ -87,10 +101,12 @@ class Connector:
         # Pull: the writer keeps its latest unread sample, the reader asks for it; nobody is woken by data.
         self._quiet = profile.dataflow is Dataflow.PULL
         chosen = Push.ALL if profile.subscription is Subscription.FLUSH else profile.push
-        self._push = Push.NEW if self._quiet else chosen
+        self._push = _NEW if self._quiet else chosen
         self._skip = profile.skip
         self._stamp = profile.stamp
         self._written = 0
+        self._arrived_at = 0
+        """When the newest sample arrived, counted at an in-port with several connectors."""
         self._dropped: dict[str, int] = {}
         self._waiting: deque[Waiting] = deque()
         self._loop = loop
@@ -100,12 +116,29 @@ class Connector:
 
     @property
     def statistics(self) -> ConnectorStatistics:
-        """The ledger at this moment."""
+        """The ledger at this moment.
+
+        Raises:
+            ThreadError: read in another thread than the loop's, where neither end belongs to a ThreadContext.
+        """
+        host = self.in_._host
+        if self.in_._lock is None and host is not None:
+            host.check_loop_thread(f"{self.name}: statistics")
         with self._guard():
-            buffered = self._buffered
-            dropped = dict(self._dropped)
-            delivered = self._written - sum(dropped.values()) - buffered
-            return ConnectorStatistics(self._written, delivered, buffered, MappingProxyType(dropped))
+            return ConnectorStatistics(
+                self._written, self.delivered, self._buffered, MappingProxyType(dict(self._dropped))
+            )
+
+    @property
+    def delivered(self) -> int:
+        """Samples that were read: what was written, less what was dropped and what is still buffered."""
+        with self._guard():
+            return self._written - sum(self._dropped.values()) - self._buffered
+
+    @property
+    def unread(self) -> int:
+        """Samples of this connector that the reader can read now."""
+        return len(self._queue)
 
     @property
     def _buffered(self) -> int:
@@ -126,7 +159,7 @@ class Connector:
         return (
             not self.closed
             and not self._quiet
-            and self._push is not Push.SKIP
+            and self._push is not _SKIP
             and self._stamp is None
             and not self._waiting
             and self.in_._open
@@ -135,7 +168,7 @@ class Connector:
 
     def must_wait(self) -> bool:
         """Whether a sample written now would have to wait for room."""
-        if self._full is not FullPolicy.BLOCK or self._push is Push.NEW or self.closed or not self.in_._open:
+        if self._full is not _BLOCK or self._push is _NEW or self.closed or not self.in_._open:
             return False
         if not admits(self._push, self._skip, self._written + 1):
             return False
@@ -165,14 +198,14 @@ class Connector:
         """The oldest sample of the queue; the caller holds the lock and knows that there is one."""
         sample = self._queue.popleft()
         self._admit_waiting()
-        return sample if self._stamp is not Stamp.READ else _stamped(sample, self._clock_ns())
+        return sample if self._stamp is not _READ else _stamped(sample, self._clock_ns())
 
     def take_newest(self) -> Any:
         """The newest sample of the queue, older ones superseded; the caller holds the lock and knows that there is
         one."""
         sample = self._queue.pop()
         self.discard("superseded")
-        return sample if self._stamp is not Stamp.READ else _stamped(sample, self._clock_ns())
+        return sample if self._stamp is not _READ else _stamped(sample, self._clock_ns())
 
     def discard(self, reason: str) -> None:
         """Drop what is queued; the caller holds the lock."""
@@ -187,35 +220,33 @@ class Connector:
             if self.closed:
                 return
             self.closed = True
-            self._discard_all("disconnected")
-            waiting, self._waiting = self._waiting, deque()
-            for entry in waiting:
-                self._written += 1
-                self._drop("disconnected")
-                self._resolve(entry)
+            self._end_all("disconnected")
 
     def suspend(self) -> None:
-        """The reader takes nothing any more: drop what is queued or waits."""
-        self._discard_all("inactive")
+        """The reader takes nothing any more: drop what is queued or waits; the caller holds the lock."""
+        self._end_all("inactive")
+
+    def _end_all(self, reason: str) -> None:
+        self._discard_all(reason)
         waiting, self._waiting = self._waiting, deque()
         for entry in waiting:
             self._written += 1
-            self._drop("inactive")
+            self._drop(reason)
             self._resolve(entry)
+        self.in_._room_made()
 
     # -- waiting for room ------------------------------------------------------------------------------------------
 
-    def wait_for_room(self, sample: Any) -> Waiting | None:
+    def wait_for_room(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting | None:
         """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
         with self._guard():
             if self.must_wait():
-                entry = Waiting(sample, self._loop.create_future())
+                entry = Waiting(self, sample, future)
                 self._waiting.append(entry)
-                self.out._refresh()
-                self.in_._refresh()
+                self._waiting_changed()
                 return entry
-        self.offer(sample)
-        return None
+            self.offer(sample)
+            return None
 
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""
@@ -224,24 +255,40 @@ class Connector:
                 return False
             self._waiting.remove(entry)
             if not self._waiting:
-                self.out._refresh()
-                self.in_._refresh()
+                self._waiting_changed()
             return True
 
     def _admit_waiting(self) -> None:
-        moved = False
-        while self._waiting and len(self._queue) < self._length:
-            entry = self._waiting.popleft()
+        """Move in who waits, as far as there is room. A sample has its number when it comes in, not when it queued up:
+        one that gave up in the meantime was never written."""
+        waiting = self._waiting
+        if not waiting:
+            return
+        while waiting:
+            sent = admits(self._push, self._skip, self._written + 1)
+            if sent and len(self._queue) >= self._length:
+                break
+            entry = waiting.popleft()
             self._written += 1
-            self._push_in(entry.sample)
+            if sent:
+                self._push_in(self._stamp_in(entry.sample))
+            else:
+                self._drop("skipped")
             self._resolve(entry)
-            moved = True
-        if moved and not self._waiting:
-            self.out._refresh()
-            self.in_._refresh()
+        if not waiting:
+            self._waiting_changed()
         self.in_._room_made()
 
+    def _waiting_changed(self) -> None:
+        """The fast path is off while somebody waits; across threads it always is."""
+        if self.in_._lock is None:
+            self.out._choose_path()
+            self.in_._choose_path()
+
     def _resolve(self, entry: Waiting) -> None:
+        entry.done = True
+        if entry.future is None:
+            return  # a thread: woken by `_room_made` of whoever called
         if self.in_._lock is None:
             if not entry.future.done():
                 entry.future.set_result(None)
@@ -262,7 +309,7 @@ class Connector:
             self._queue.clear()
 
     def _store(self, sample: Any) -> bool:
-        if self._push is Push.NEW and self._queue:
+        if self._push is _NEW and self._queue:
             self._drop("superseded", len(self._queue))
             self._queue.clear()
             self._push_in(self._stamp_in(sample), counted=True)
@@ -271,10 +318,10 @@ class Connector:
 
     def _store_bounded(self, sample: Any) -> bool:
         verdict = decide(len(self._queue), self._length, self._full)
-        if verdict is Verdict.REFUSE:
+        if verdict is _REFUSE:
             self._drop("rejected")
             return False
-        replaces = verdict is Verdict.REPLACE_OLDEST
+        replaces = verdict is _REPLACE_OLDEST
         if replaces:
             self._queue.popleft()
             self._drop("overwritten")
@@ -282,110 +329,12 @@ class Connector:
         return True
 
     def _stamp_in(self, sample: Any) -> Any:
-        return _stamped(sample, self._clock_ns()) if self._stamp in (Stamp.SEND, Stamp.RECEIVED) else sample
+        return _stamped(sample, self._clock_ns()) if self._stamp in (_SEND, _RECEIVED) else sample
 
     def _push_in(self, sample: Any, *, counted: bool = False) -> None:
         """Append; `counted` when the in-port already has a token for a sample of this connector that went away."""
         self._queue.append(sample)
         self.in_._arrived(self, counted)
-
-
-class PeriodicConnector(Connector):
-    """A connector whose samples wait in a backlog and move at each period of `push_rate` on the kernel's clock.
-
-    Periods are counted from the connection: the n-th is over at `start + n / push_rate`, so they do not drift. No
-    timer runs while the backlog is empty. With full = block a sample that finds no room stays in the backlog.
-    """
-
-    __slots__ = ("_backlog", "_denominator", "_now_ns", "_numerator", "_start_ns", "_timer", "_timers")
-
-    def __init__(
-        self,
-        profile: ConnectorProfile,
-        out: OutPort[Any],
-        in_: InPort[Any],
-        loop: asyncio.AbstractEventLoop,
-        clock_ns: Callable[[], int],
-        *,
-        timers: Any,
-        clock_now_ns: Callable[[], int],
-    ) -> None:
-        super().__init__(profile, out, in_, loop, clock_ns)
-        assert profile.push_rate is not None  # noqa: S101 - options were checked
-        self._numerator, self._denominator = profile.push_rate.as_integer_ratio()
-        self._backlog: deque[Any] = deque()
-        self._timers = timers
-        self._now_ns = clock_now_ns
-        self._start_ns = clock_now_ns()
-        self._timer: Any = None
-
-    @property
-    def direct(self) -> bool:
-        return False
-
-    @property
-    def _buffered(self) -> int:
-        return len(self._queue) + len(self._backlog)
-
-    def must_wait(self) -> bool:
-        return False
-
-    def offer(self, sample: Any) -> bool:
-        with self._guard():
-            if self.closed:
-                return True
-            self._written += 1
-            if not self.in_._open:
-                self._drop("inactive")
-                return True
-            if len(self._backlog) >= self.profile.out_length:
-                if self._full is FullPolicy.REJECT:
-                    self._drop("rejected")
-                    return False
-                self._backlog.popleft()
-                self._drop("overwritten")
-            self._backlog.append(sample)
-        if self._timer is None:
-            self.out._on_loop(self._arm)
-        return True
-
-    def _arm(self) -> None:
-        if self._timer is not None or self.closed:
-            return
-        elapsed = self._now_ns() - self._start_ns
-        period = elapsed * self._numerator // (1_000_000_000 * self._denominator) + 1
-        deadline = self._start_ns + -(-period * 1_000_000_000 * self._denominator // self._numerator)
-        self._timer = self._timers.call_at(deadline, self._period_over)
-
-    def _period_over(self) -> None:
-        self._timer = None
-        with self._guard():
-            backlog = self._backlog
-            # Every sample that entered the backlog was counted, so the oldest one's number follows from the newest's.
-            first = self._written - len(backlog) + 1
-            for choice in choose(self._push, self._skip, first, len(backlog)):
-                if choice is Choice.SEND:
-                    if self._full is FullPolicy.BLOCK and len(self._queue) >= self._length:
-                        break
-                    self._store_bounded(backlog.popleft())
-                else:
-                    backlog.popleft()
-                    self._drop(choice.value)
-            more = bool(backlog)
-        if more:
-            self._arm()
-
-    def _discard_all(self, reason: str) -> None:
-        super()._discard_all(reason)
-        if self._backlog:
-            self._drop(reason, len(self._backlog))
-            self._backlog.clear()
-
-    def close(self) -> None:
-        super().close()
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
 
 
 def _set_done(future: asyncio.Future[None]) -> None:

@@ -115,9 +115,8 @@ class Context:
     def __repr__(self) -> str:
         members = ", ".join(f"{m.component.name}: {m.state}" for m in self._members)
         rate = "" if self.rate is None else f" {self.rate} Hz"
-        return (
-            f"<{type(self).__name__} {self.name or '?'}{rate} {'running' if self.running else 'stopped'} [{members}]>"
-        )
+        how = "running" if self.running else "stopped"
+        return f"<{type(self).__name__} {self.name or '?'}{rate} {how} [{members}]>"
 
     # -- requests --------------------------------------------------------------------------------------------------
 
@@ -211,9 +210,8 @@ class Context:
             raise StateError(f"{component.name}: is in {self.name} already")
         for other in component.contexts:
             if other.kind == "thread" or self.kind == "thread":
-                raise StateError(
-                    f"{component.name}: is in {other.name}; a component of a thread context can be in no other"
-                )
+                where = f"{component.name}: is in {other.name}"
+                raise StateError(f"{where}; a component of a thread context can be in no other")
 
     def _make_driver(self, kernel: Kernel) -> Driver:
         return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later)
@@ -228,8 +226,6 @@ class Context:
         component = member.component
         self._members.append(member)
         component._members.append(member)
-        if len(component._members) > 1 and component._lock is None:
-            component._lock = asyncio.Lock()
         self._updating = any(m.updates for m in self._members)
         for port in component.ports.values():
             self._port_added(member, port)
@@ -323,8 +319,8 @@ class Context:
         for component in components:
             self._check_can_add(component)
             self._attach(self._new_member(component))
-        wishes = [self._requests.transition(member, Transition.ACTIVATE) for member in self._members] if activate else []
-        asked = self._requests.submit(kernel, wishes)
+        first = self._members if activate else ()
+        asked = self._requests.submit(kernel, [self._requests.transition(m, Transition.ACTIVATE) for m in first])
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
         await asyncio.wait([self._began, self._driver.ended], return_when=asyncio.FIRST_COMPLETED)
@@ -377,9 +373,6 @@ class Context:
         kernel = self._require_kernel()
         kernel._on_loop(lambda: kernel.bus.publish(event))
 
-    def _host_gone(self) -> bool:
-        return self._require_kernel()._host_gone()
-
     def _interrupted(self, error: KeyboardInterrupt) -> None:
         self._require_kernel()._interrupted(error)
 
@@ -391,9 +384,8 @@ class Context:
     def _check(self, what: str) -> Kernel:
         kernel = self._kernel
         if kernel is None or self._driver is None:
-            raise StateError(
-                f"{self.name or type(self).__name__}: cannot {what}: the context does not run; kernel.start it"
-            )
+            where = self.name or type(self).__name__
+            raise StateError(f"{where}: cannot {what}: the context does not run; kernel.start it")
         kernel.check_thread(f"{self.name}.{what}")
         return kernel
 

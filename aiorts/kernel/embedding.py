@@ -2,8 +2,8 @@
 
 The task factory is called, never replaced, and each task that a component's hook makes is marked with that component;
 so is what such a task makes in turn. A marked task that fails and whose exception nobody has asked for half a second
-later is that component's failure. The exception handler is called likewise, after anything that belongs to a
-component's task was reported there.
+later is that component's failure; as long as the hook or the task that made it still runs, it may yet ask. The
+exception handler is called likewise, after anything that belongs to a component's task was reported there.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.kernel.tasks import current_task, owner_of
+
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
 
-__all__ = ("Guest", "enter", "leave", "owner_of")
+__all__ = ("Guest", "enter", "leave", "settle")
 
 _ATTRIBUTE: Final = "_aiorts_guest"
 UNCLAIMED_AFTER: Final = 0.5
@@ -28,6 +30,7 @@ class Guest:
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
         self.kernels: list[Kernel] = []
+        self._unclaimed: dict[asyncio.Task[Any], asyncio.TimerHandle] = {}
         self._factory = loop.get_task_factory()
         self._handler = loop.get_exception_handler()
         self._our_factory: Any = self._make_task
@@ -47,33 +50,47 @@ class Guest:
             task: Any = self._factory(loop, coroutine, **options)
         else:
             task = asyncio.Task(coroutine, loop=loop, **options)
-        owner = owner_of(_current_task())
-        if owner is not None and self.kernels:
+        creator = current_task()
+        owner = owner_of(creator)
+        if owner is not None and owner._kernel in self.kernels:
             task._aiorts_component = owner
-            if owner._kernel is not None:
-                owner._kernel._adopt(task)
+            task._aiorts_creator = _creator(creator)
+            owner._kernel._roster.adopt(task)
             task.add_done_callback(self._task_done)
         return task
 
     def _task_done(self, task: asyncio.Task[Any]) -> None:
         # Asking for the exception would count as claiming it, so only the mark is looked at.
         if not task.cancelled() and getattr(task, "_log_traceback", False):
-            self.loop.call_later(UNCLAIMED_AFTER, self._claim, task)
+            self._unclaimed[task] = self.loop.call_later(UNCLAIMED_AFTER, self._look_again, task)
 
-    def _claim(self, task: asyncio.Task[Any]) -> None:
+    def _look_again(self, task: asyncio.Task[Any]) -> None:
+        if getattr(task, "_log_traceback", False) and _still_runs(task):
+            self._unclaimed[task] = self.loop.call_later(UNCLAIMED_AFTER, self._look_again, task)
+        else:
+            self._blame(task)
+
+    def _blame(self, task: asyncio.Task[Any]) -> None:
+        self._unclaimed.pop(task).cancel()
         if not getattr(task, "_log_traceback", False):
             return  # somebody has awaited it, or asked for its exception
         error = task.exception()
-        owner: Component | None = getattr(task, "_aiorts_component", None)
-        if error is not None and owner is not None and owner._kernel is not None:
-            owner._kernel._task_failed(owner, task, error)
+        owner: Component = task._aiorts_component  # type: ignore[attr-defined] # marked by _make_task
+        if error is not None and owner._kernel is not None:
+            owner._kernel._roster.task_failed(owner, task.get_name(), error)
+
+    def settle(self, kernel: Kernel) -> None:
+        """Nobody of `kernel` will ask any more: what failed is reported now."""
+        for task in tuple(self._unclaimed):
+            if task._aiorts_component._kernel is kernel:  # type: ignore[attr-defined] # marked by _make_task
+                self._blame(task)
 
     def _handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         task: Any = context.get("task") or context.get("future")
         error = context.get("exception")
         owner: Component | None = getattr(task, "_aiorts_component", None)
         if owner is not None and owner._kernel is not None and error is not None:
-            owner._kernel._task_failed(owner, task, error)
+            owner._kernel._roster.task_failed(owner, task.get_name(), error)
             return
         if self._handler is not None:
             self._handler(loop, context)
@@ -100,20 +117,22 @@ def leave(kernel: Kernel, loop: asyncio.AbstractEventLoop) -> None:
             delattr(loop, _ATTRIBUTE)
 
 
-def owner_of(task: asyncio.Task[Any] | None) -> Component | None:
-    """The component whose hook (or whose task) this is."""
-    if task is None:
-        return None
-    component: Component | None = getattr(task, "_aiorts_component", None)
-    if component is not None:
-        return component
+def settle(kernel: Kernel, loop: asyncio.AbstractEventLoop) -> None:
+    """Report the failed tasks of the kernel's components that nobody has asked for yet."""
+    guest: Guest | None = getattr(loop, _ATTRIBUTE, None)
+    if guest is not None:
+        guest.settle(kernel)
+
+
+def _creator(task: Any) -> Any:
+    """Who made a task, so that one can tell whether it still runs: one run of a hook, or a task."""
     driver = getattr(task, "_aiorts_driver", None)
-    member = driver.current if driver is not None else None
-    return None if member is None else member.component
+    return task if driver is None else (driver, driver.hooks_run)
 
 
-def _current_task() -> asyncio.Task[Any] | None:
-    try:
-        return asyncio.current_task()
-    except RuntimeError:
-        return None
+def _still_runs(task: Any) -> bool:
+    creator = task._aiorts_creator
+    if isinstance(creator, tuple):
+        driver, run = creator
+        return driver.hooks_run == run and driver.current is not None
+    return not creator.done()

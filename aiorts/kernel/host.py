@@ -10,10 +10,11 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from aiorts.errors import ClosedError, ThreadError
+from aiorts.errors import ClosedError, StateError, ThreadError
 
 if TYPE_CHECKING:
     from aiorts.clock import Clock
+    from aiorts.kernel.blocking import Blocking, PortLock
     from aiorts.kernel.ports import Port, Turns
 
 __all__ = ("Cancellable", "KernelSide", "PortHost")
@@ -46,7 +47,7 @@ class KernelSide(Protocol):
 class PortHost:
     """The owner of ports: a name, a share of uninterrupted turns, and the way to the kernel's loop and clock."""
 
-    __slots__ = ("alive", "kernel", "name", "ports", "stopping", "thread_id", "threaded", "turns")
+    __slots__ = ("alive", "blocking", "kernel", "name", "ports", "stopping", "thread_id", "threaded", "turns")
 
     def __init__(self, name: str, turns: Turns) -> None:
         self.name = name
@@ -58,6 +59,8 @@ class PortHost:
         """Whether the component runs in a thread of its own."""
         self.stopping = False
         """Whether that thread is asked to end: what blocks there gives up."""
+        self.blocking: Blocking | None = None
+        """How that thread waits at a port; None until it runs."""
         self.thread_id: int | None = None
         """The thread of a ThreadContext that this component runs in; None means the kernel's loop."""
 
@@ -87,21 +90,20 @@ class PortHost:
         """`seconds` from now on the kernel's clock; None is never."""
         return None if seconds is None else self._kernel().clock.monotonic_ns() + round(seconds * 1e9)
 
-    def wait_in_thread(
-        self, lock: threading.Condition, ready: Callable[[], bool], deadline_ns: int | None
-    ) -> bool:
+    def wait_in_thread(self, lock: PortLock, ready: Callable[[], bool], deadline_ns: int | None) -> bool:
         """Block this thread, which is not the loop's, until `ready`; False when the deadline has passed before."""
-        clock = self._kernel().clock
+        blocking = self.blocking
+        if blocking is None:
+            raise StateError(f"{self.name}: only a hook of a ThreadContext may block, in that context's thread")
         with lock:
-            while not ready():
-                if deadline_ns is None:
-                    lock.wait()
-                    continue
-                rest = deadline_ns - clock.monotonic_ns()
-                if rest <= 0:
-                    return False
-                lock.wait(rest / 1e9 / clock.speed)
-            return True
+            return blocking.until(lock, ready, deadline_ns)
+
+    def check_loop_thread(self, what: str) -> None:
+        """Raise ThreadError unless this is the thread of the kernel's loop."""
+        if not self.on_loop_thread():
+            raise ThreadError(
+                f"{what} asked for in thread {threading.current_thread().name!r}; ask on the kernel's loop"
+            )
 
     def check_port_thread(self, path: str) -> None:
         """Raise ThreadError unless this is the thread that the component runs in."""

@@ -7,7 +7,6 @@ keeps one token, the connector, for each unread sample, so that reading in order
 from __future__ import annotations
 
 import asyncio
-import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 from anyio import WouldBlock
 
 from aiorts.errors import BusyError, ClosedError, ReadTimeout, StateError
+from aiorts.kernel.blocking import PortLock
 from aiorts.kernel.port import UNLOCKED, UNSUSPENDED, Port, give_turn
 from aiorts.model.policy import Stamp
 
@@ -35,8 +35,8 @@ class InPort(Port[T]):
 
     __slots__ = (
         "_armed",
+        "_arrivals",
         "_last",
-        "_newest",
         "_open",
         "_sole",
         "_sole_delivered",
@@ -64,7 +64,8 @@ class InPort(Port[T]):
         self._last: T | None = None
         self._took = False
         self._tokens: deque[Connector] | None = None
-        self._newest: Connector | None = None
+        self._arrivals = 0
+        """Samples that arrived while there were several connectors."""
         self._source: Connector | None = None
         self._sole: Connector | None = None
         self._sole_delivered = 0
@@ -136,6 +137,12 @@ class InPort(Port[T]):
     def drain(self) -> list[T]:
         """Every unread sample, oldest first."""
         self._bound()
+        if queue := self._fast:
+            samples = list(queue)
+            queue.clear()
+            self._last = samples[-1]
+            self._took = True
+            return samples
         samples = []
         with self._guard():
             while self._unread():
@@ -202,6 +209,15 @@ class InPort(Port[T]):
             tokens.popleft()
         return None
 
+    def _newest(self) -> Connector | None:
+        """The connector whose sample arrived last of all that are unread; the caller holds the lock."""
+        newest: Connector | None = None
+        for connector in self._connectors:
+            # What a connector still holds ends with its last arrival: reading takes the oldest.
+            if connector._queue and (newest is None or connector._arrived_at > newest._arrived_at):
+                newest = connector
+        return newest
+
     def _read_general(self) -> T:
         self._bound()
         with self._guard():
@@ -218,10 +234,7 @@ class InPort(Port[T]):
     def _latest_general(self) -> T | None:
         self._bound()
         with self._guard():
-            connector = self._newest if self._tokens is not None else self._next()
-            if connector is None or not connector._queue:
-                # The newest arrival was taken or dropped already: the last one in line is the newest that is left.
-                connector = next((token for token in reversed(self._tokens or ()) if token._queue), None)
+            connector = self._newest()
             if connector is None:
                 return self._last
             sample = cast("T", connector.take_newest())
@@ -280,7 +293,8 @@ class InPort(Port[T]):
     def _arrived(self, connector: Connector, counted: bool) -> None:
         """A sample of `connector` is in its queue; the writer holds the lock."""
         if self._tokens is not None:
-            self._newest = connector
+            self._arrivals += 1
+            connector._arrived_at = self._arrivals
             if not counted:
                 self._tokens.append(connector)
         if self._lock is not None:
@@ -310,7 +324,7 @@ class InPort(Port[T]):
     def _make_locked(self) -> None:
         """From now on more than one thread uses this port's queues."""
         if self._lock is None:
-            self._lock = threading.Condition()
+            self._lock = PortLock()
             self._refresh()
             for connector in self._connectors:
                 connector.out._refresh()
@@ -343,7 +357,6 @@ class InPort(Port[T]):
             waiter.set_result(None)
 
     def _refresh(self) -> None:
-        """Decide whether the fast path is on, and whether arrivals must be kept in order."""
         connectors = self._connectors
         self._source = self.last_source
         self._sole = connectors[0] if len(connectors) == 1 else None
@@ -352,10 +365,13 @@ class InPort(Port[T]):
             self._tokens = deque(connector for connector in connectors for _ in connector._queue)
         elif len(connectors) <= 1 and self._tokens is not None:
             self._tokens = None
+        self._choose_path()
+
+    def _choose_path(self) -> None:
         self._fast = None
-        if len(connectors) != 1 or self._lock is not None or self._host is None or self._host.debug:
+        if len(self._connectors) != 1 or self._lock is not None or self._host is None or self._host.debug:
             return
-        only = connectors[0]
+        only = self._connectors[0]
         if only._waiting or only._stamp is Stamp.READ:
             return
         self._fast = only._queue

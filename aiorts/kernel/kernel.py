@@ -8,35 +8,26 @@ there.
 from __future__ import annotations
 
 import asyncio
-import logging
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 from aiorts.clock import Clock, SystemClock, current_clock
-from aiorts.errors import ClosedError, DeclarationError, InvalidNameError, StateError, ThreadError, WiringError
-from aiorts.kernel import embedding, wiring
-from aiorts.kernel.bulkhead import StopBudget, leave_behind
-from aiorts.kernel.bus import (
-    Bus,
-    ComponentAdded,
-    ComponentRemoved,
-    Connected,
-    Disconnected,
-    HookFailed,
-    ParametersChanged,
-    PortAdded,
-    PortRemoved,
-)
+from aiorts.errors import ClosedError, StateError, ThreadError
+from aiorts.kernel import embedding, joint
+from aiorts.kernel.bulkhead import StopBudget
+from aiorts.kernel.bus import Bus
 from aiorts.kernel.component import Component
+from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
+from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import InPort, Port
-from aiorts.kernel.solo import run_alone
+from aiorts.kernel.roster import Roster
+from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
-from aiorts.model.names import Path, check_name
+from aiorts.model.names import check_name
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
@@ -46,12 +37,10 @@ __all__ = ("Kernel",)
 
 C = TypeVar("C", bound=Component)
 X = TypeVar("X", bound=Context)
-_LOG = logging.getLogger("aiorts.kernel")
 
 
 class Kernel:
-    """Owner of a system in this process. `async with Kernel() as kernel:` or `await Kernel().open()` and `await
-    kernel.aclose()`.
+    """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
 
     Args:
         name: for logs and paths.
@@ -69,75 +58,84 @@ class Kernel:
         self.name = check_name(name, "kernel")
         self.debug = debug
         self.bus = Bus()
+        self.exit_status = 0
+        """What `request_stop` said."""
         self._clock = clock
         self._contain_interrupts = contain_interrupts
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread_id: int | None = None
-        self._opener: asyncio.Task[Any] | None = None
-        self._components: dict[str, Component] = {}
+        self._roster = Roster(self)
+        self._connections = Connections(self)
         self._contexts: dict[str, Context] = {}
-        self._connectors: dict[str, Connector] = {}
+        self._log_budget = SharedBudget(self.name, self._summarize_soon)
+        self._summary: Cancellable | None = None
         self._timers: Any = None
-        self._tasks: set[asyncio.Task[Any]] = set()
-        self._serial = 0
         self._closed = False
-        self._stop_requested: asyncio.Event = asyncio.Event()
+        self._closing: asyncio.Task[None] | None = None
+        self._closing_begun: asyncio.Future[StopBudget]
+        self._stop_requested = asyncio.Event()
         self._finished: set[str] = set()
-        self.exit_status = 0
-        """What `request_stop` said."""
+        self._interrupt: KeyboardInterrupt | None = None
         self._remove_probe: Callable[[], None] | None = None
 
     # -- opening and closing ---------------------------------------------------------------------------------------
 
     async def open(self) -> Self:
-        """Take the running loop; returns the kernel itself."""
+        """Take the running loop; returns the kernel itself. StateError when it is or was open: make another."""
         if self._loop is not None:
             raise StateError(f"{self.name}: is open already, or was; make another Kernel")
-        self._loop = asyncio.get_running_loop()
-        self._thread_id = threading.get_ident()
-        self._opener = asyncio.current_task()
-        if self._clock is None:
-            self._clock = current_clock() or SystemClock()
-        self._timers = timers_for(self._clock)
+        loop = asyncio.get_running_loop()
+        clock = self._clock or current_clock() or SystemClock()
+        self._timers = timers_for(clock)
+        self._loop, self._clock, self._thread_id = loop, clock, threading.get_ident()
+        self._closing_begun = loop.create_future()
         self._timers.acquire()
-        add_probe = getattr(self._clock, "add_probe", None)
+        add_probe = getattr(clock, "add_probe", None)
         if add_probe is not None:
-            self._remove_probe = add_probe(self._activity)
-        embedding.enter(self, self._loop)
+            self._remove_probe = add_probe(lambda: sum(context._activity() for context in self._contexts.values()))
+        embedding.enter(self, loop)
         return self
 
     async def aclose(self) -> None:
         """Stop contexts, disconnect, finalise components, each in reverse order, within 5 s; idempotent.
 
-        A hook gets 2 s, then it is cancelled four times at 0.5 s, then left behind and reported.
+        A hook gets 2 s, then it is cancelled four times at 0.5 s, then left behind and reported. A caller that is
+        cancelled is cancelled when all is closed. Called by a component of this kernel it is queued and returns at
+        once.
         """
-        if self._loop is None or self._closed:
+        if self._loop is None:
             return
         self.check_thread("aclose")
         if asyncio.get_running_loop() is not self._loop:
             raise ThreadError(f"{self.name}: aclose() on another loop than the one it was opened on")
-        self._closed = True
+        if self._closing is None:
+            self._closed = True
+            self._closing = kernel_task(self._loop, self._close(), f"aiorts close {self.name}")
+        caller = owner_of(current_task())
+        if caller is None or caller._kernel is not self:
+            await see_through(self._closing)
+
+    async def _close(self) -> None:
+        budget = StopBudget(self.loop)
         self._stop_requested.set()
-        budget = StopBudget(self._loop)
-        for context in self._contexts.values():
+        self._closing_begun.set_result(budget)
+        contexts = tuple(self._contexts.values())
+        for context in contexts:
             if context._driver is not None:
                 context._driver.hurry(budget)
         try:
-            await self._tear_down(budget)
+            for context in reversed(contexts):
+                await context._stop(budget)
+            self._connections.end_all()
+            await self._roster.close(budget)
         finally:
+            if self._summary is not None:
+                self._summary.cancel()
+            self._log_budget.summarize()
             self._timers.release()
-            embedding.leave(self, self._loop)
+            embedding.leave(self, self.loop)
             if self._remove_probe is not None:
                 self._remove_probe()
-
-    async def _tear_down(self, budget: StopBudget) -> None:
-        for context in reversed(tuple(self._contexts.values())):
-            await context._stop(budget)
-        for connector in reversed(tuple(self._connectors.values())):
-            self._disconnect(connector)
-        for component in reversed(tuple(self._components.values())):
-            await self._finalize(component, budget)
-        await self._end_tasks(budget)
 
     async def __aenter__(self) -> Self:
         return await self.open()
@@ -154,6 +152,7 @@ class Kernel:
 
     async def wait_stop_requested(self) -> int:
         """Wait until somebody asks for the end; the exit status given."""
+        self.check_thread("wait_stop_requested")
         await self._stop_requested.wait()
         return self.exit_status
 
@@ -174,7 +173,7 @@ class Kernel:
     @property
     def components(self) -> Mapping[str, Component]:
         """The components, by name, in order of creation."""
-        return MappingProxyType(self._components)
+        return MappingProxyType(self._roster.components)
 
     @property
     def contexts(self) -> Mapping[str, Context]:
@@ -184,7 +183,7 @@ class Kernel:
     @property
     def connectors(self) -> Mapping[str, Connector]:
         """The connectors, by name, in order of connection."""
-        return MappingProxyType(self._connectors)
+        return MappingProxyType(self._connections.connectors)
 
     def find(self, path: str) -> Component | Port[Any]:
         """The component or port of a path such as "pid0" or "pid0.command".
@@ -192,26 +191,13 @@ class Kernel:
         Raises:
             InvalidNameError: not a path. WiringError: there is no such component or port; says what there is.
         """
-        where = Path.parse(path)
-        component = self._components.get(where.component)
-        if component is None:
-            raise WiringError(
-                f"{path}: no component {where.component!r}; there are {', '.join(self._components) or 'none'}"
-            )
-        if where.port is None:
-            return component
-        port = component.ports.get(where.port)
-        if port is None:
-            raise WiringError(
-                f"{path}: {where.component} has no port {where.port!r}; it has {', '.join(component.ports) or 'none'}"
-            )
-        return port
+        return self._roster.find(path)
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else "open" if self._loop is not None else "not open"
         return (
-            f"<Kernel {self.name} {state} {len(self._components)} components {len(self._contexts)} contexts "
-            f"{len(self._connectors)} connectors>"
+            f"<Kernel {self.name} {state} {len(self.components)} components {len(self._contexts)} contexts "
+            f"{len(self.connectors)} connectors>"
         )
 
     def _repr_html_(self) -> str:
@@ -238,14 +224,9 @@ class Kernel:
         Raises:
             PluginError: no such type. ConfigurationError: a parameter is bad. What `on_initialize` raises.
         """
-        self.check_thread("create")
+        self._require_open("create")
         cls: type[Component] = load_extension("components", kind) if isinstance(kind, str) else kind
-        if not (isinstance(cls, type) and issubclass(cls, Component)):
-            raise DeclarationError(f"{kind!r}: expected a class derived from Component, got {cls!r}")
-        component = cls(name)
-        if name == "" and not component._named:
-            component._rename(self._free_name(cls.__name__))
-        return await self.add(component, **params)
+        return await self._roster.create(cls, name, params)
 
     async def add(self, component: C, **params: object) -> C:
         """Take a component in and run its `on_initialize`; returns it.
@@ -255,82 +236,25 @@ class Kernel:
                 then it is not added.
         """
         self._require_open("add")
-        if not isinstance(component, Component):
-            raise DeclarationError(f"{component!r}: expected a Component instance, got {type(component).__name__}")
-        if not hasattr(component, "_host"):
-            raise DeclarationError(f"{type(component).__name__}: super().__init__(name) was not called in its __init__")
-        if component._kernel is not None:
-            raise StateError(f"{component.name}: belongs to {component._kernel.name} already")
-        if not component._named:
-            component._rename(self._free_name(type(component).__name__))
-        self._check_free(component)
-        component._put(component.params.check(params))
-        component._kernel = self
-        component._host.kernel = self
-        self._components[component.name] = component
-        try:
-            await self._initialize(component)
-        except BaseException:
-            self._forget(component)
-            raise
-        for port in component.ports.values():
-            self.bus.publish(PortAdded(component.name, port.profile))
-        self.bus.publish(ComponentAdded(component.name))
-        return component
+        return await self._roster.add(component, params)
 
     async def remove(self, component: Component) -> None:
-        """Take a component out: out of its contexts, its ports disconnected, `on_finalize` run."""
-        self._check_mine(component)
-        for context in component.contexts:
-            await context.remove(component)
-        await self._finalize(component, None)
+        """Take a component out: out of its contexts, its ports disconnected, `on_finalize` run.
 
-    def _check_free(self, component: Component) -> None:
-        if component.name in self._components:
-            raise InvalidNameError(
-                f"{component.name}: there is a component of that name in {self.name}; choose another"
-            )
-        limit = type(component).max_instance
-        if limit is not None:
-            count = sum(type(other) is type(component) for other in self._components.values())
-            if count >= limit:
-                raise StateError(
-                    f"{component.name}: {type(component).__name__} allows {limit} instances, {count} exist"
-                )
+        Once begun it goes on though the caller is cancelled. Awaited from a hook of the component, or of one that
+        shares a context with it, it is queued and returns at once.
+
+        Raises:
+            StateError: it is not of this kernel. TransitionTimeout: a context did not let go of it; it stays.
+        """
+        self._check_mine(component, "remove")
+        await self._roster.remove(component)
 
     def _free_name(self, stem: str) -> str:
         stem, number = stem.lower(), 0
-        while f"{stem}{number}" in self._components or f"{stem}{number}" in self._contexts:
+        while f"{stem}{number}" in self.components or f"{stem}{number}" in self._contexts:
             number += 1
         return f"{stem}{number}"
-
-    async def _initialize(self, component: Component) -> None:
-        error = await run_alone(self, component, "on_initialize", None)
-        if error is not None:
-            self.bus.publish(HookFailed(component.name, "", "on_initialize", error))
-            raise error
-
-    async def _finalize(self, component: Component, budget: StopBudget | None) -> None:
-        for port in component.ports.values():
-            for connector in port.connectors:
-                self._disconnect(connector)
-        error = await run_alone(self, component, "on_finalize", budget or StopBudget(self.loop))
-        if error is not None:
-            component._last_error = error
-            self.bus.publish(HookFailed(component.name, "", "on_finalize", error))
-            component.log.error("on_finalize failed: %s: %s", type(error).__name__, error, exc_info=error)
-        component.log.flush()
-        for task in [task for task in self._tasks if getattr(task, "_aiorts_component", None) is component]:
-            task.cancel()
-        self._forget(component)
-        self.bus.publish(ComponentRemoved(component.name))
-
-    def _forget(self, component: Component) -> None:
-        self._components.pop(component.name, None)
-        component._host.alive = False
-        for port in component.ports.values():
-            if isinstance(port, InPort):
-                port._wake_waiter()
 
     # -- connecting ------------------------------------------------------------------------------------------------
 
@@ -363,38 +287,14 @@ class Kernel:
             WiringError: says which ports or options do not go together and why; nothing was connected.
         """
         self._require_open("connect")
-        plans = wiring.plan(self, (one, two, *more), options)
-        made = []
-        for out, in_, profile in plans:
-            name = self._connector_name(profile.name, f"{out.path}-{in_.path}", len(plans))
-            connector = wiring.wire(self, out, in_, replace(profile, name=name))
-            self._connectors[name] = connector
-            made.append(connector)
-            self.bus.publish(Connected(connector.profile))
+        made = self._connections.make((one, two, *more), options)
         return tuple(made) if more else made[0]
-
-    def _connector_name(self, given: str, path: str, count: int) -> str:
-        base = given or path
-        if given and count == 1 and given in self._connectors:
-            raise WiringError(f"{path}: there is a connector named {given!r}")
-        name, number = base, 2
-        while name in self._connectors:
-            name, number = f"{base}-{number}", number + 1
-        return name
 
     async def disconnect(self, connector: Connector) -> None:
         """End a connector: what is queued in it is dropped as disconnected, who waits for room goes on. Idempotent."""
         self._require_open("disconnect")
-        if not connector.closed and self._connectors.get(connector.name) is not connector:
-            raise WiringError(f"{connector.name}: is not a connector of {self.name}")
-        self._disconnect(connector)
-
-    def _disconnect(self, connector: Connector) -> None:
-        if connector.closed:
-            return
-        wiring.unwire(connector)
-        del self._connectors[connector.name]
-        self.bus.publish(Disconnected(connector.profile))
+        self._connections.check_mine(connector)
+        self._connections.end(connector)
 
     # -- contexts --------------------------------------------------------------------------------------------------
 
@@ -404,26 +304,17 @@ class Kernel:
         Args:
             activate: have the members active before the first cycle.
 
+        Called by a hook of one of the components it does not wait for what that hook is in the way of. A caller that
+        is cancelled leaves no context behind.
+
         Raises:
             StateError: the context runs already, or a component cannot run in it.
             ComponentError: with `activate`, `on_activated` raised; the context runs all the same.
         """
         self._require_open("start")
-        if not isinstance(context, Context):
-            raise DeclarationError(f"{context!r}: expected an execution context such as PeriodicContext(rate=100.0)")
-        if context.running:
-            raise StateError(f"{context.name}: runs already")
-        for component in components:
-            self._check_mine(component)
-            context._check_can_add(component)
-        if len(set(map(id, components))) != len(components):
-            raise StateError(f"{context.name or context.kind}: a component was given twice")
-        if not context.name:
-            context.name = self._free_name(context.kind or type(context).__name__)
-        if context.name in self._contexts:
-            raise InvalidNameError(f"{context.name}: there is a context of that name in {self.name}; choose another")
+        joint.check_start(self, context, components)
         self._contexts[context.name] = context
-        await context._start(self, components, activate=activate)
+        await joint.start(self, context, components, activate=activate)
         return context
 
     async def stop(self, context: Context) -> None:
@@ -458,14 +349,13 @@ class Kernel:
 
     def _require_open(self, what: str) -> None:
         self.check_thread(what)
-        if self._loop is None:
-            raise ClosedError(f"{self.name}: cannot {what}: is not open; use `async with` or await open()")
-        if self._closed:
-            raise ClosedError(f"{self.name}: cannot {what}: is closed")
+        if self._loop is None or self._closed:
+            why = "is closed" if self._closed else "is not open; use `async with` or await open()"
+            raise ClosedError(f"{self.name}: cannot {what}: {why}")
 
-    def _check_mine(self, component: Component) -> None:
-        self._require_open("use a component")
-        if self._components.get(component.name) is not component:
+    def _check_mine(self, component: Component, what: str) -> None:
+        self._require_open(what)
+        if self.components.get(component.name) is not component:
             raise StateError(f"{component.name}: does not belong to {self.name}; await kernel.add(...) first")
 
     # -- called by components, contexts and ports ------------------------------------------------------------------
@@ -476,21 +366,8 @@ class Kernel:
 
     def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable:
         """Call back after `seconds` of the kernel's clock."""
-        timer: Cancellable = self._timers.call_at(self.clock.monotonic_ns() + round(seconds * 1e9), callback)
-        return timer
-
-    def _activity(self) -> int:
-        return sum(context._activity() for context in self._contexts.values())
-
-    def _port_added(self, component: Component, port: Port[Any]) -> None:
-        for member in component._members:
-            member.context._port_added(member, port)
-        self.bus.publish(PortAdded(component.name, port.profile))
-
-    def _port_removed(self, component: Component, port: Port[Any]) -> None:
-        for member in component._members:
-            member.context._port_removed(member, port)
-        self.bus.publish(PortRemoved(component.name, port.profile))
+        self.check_thread("call_later")
+        return cast("Cancellable", self._timers.call_at(self.clock.monotonic_ns() + round(seconds * 1e9), callback))
 
     def _lock_ports(self, port: Port[Any]) -> None:
         """More than one thread will use what hangs on this port."""
@@ -499,21 +376,6 @@ class Kernel:
         for connector in port.connectors:
             connector.in_._make_locked()
 
-    async def _between_cycles(self, component: Component, change: Callable[[], None]) -> None:
-        """Run `change` while no hook of the component runs; from one of its own hooks: afterwards."""
-        contexts = component.contexts
-        if not contexts:
-            change()
-        elif component._lock is None:
-            await contexts[0]._between_cycles(change)
-        elif any(context._inside() for context in contexts):
-            self._adopt(self.loop.create_task(_locked(component, change)))
-        else:
-            await _locked(component, change)
-
-    def _parameters_changed(self, component: Component, values: Mapping[str, Any]) -> None:
-        self._on_loop(lambda: self.bus.publish(ParametersChanged(component.name, tuple(values.items()))))
-
     def _context_ended(self, context: Context) -> None:
         if self._contexts.get(context.name) is context:
             del self._contexts[context.name]
@@ -521,47 +383,16 @@ class Kernel:
     def _source_finished(self, component: Component) -> None:
         self._finished.add(component.name)
 
-    def _host_gone(self) -> bool:
-        return self._opener is None or self._opener.done()
-
     def _interrupted(self, error: KeyboardInterrupt) -> None:
-        if not self._contain_interrupts:
-            self.loop.call_soon(_raise, error)
+        """From any thread; once for each interrupt."""
+        if not self._contain_interrupts and self._interrupt is not error:
+            self._interrupt = error
+            self.loop.call_soon_threadsafe(throw, error)
 
-    def _adopt(self, task: asyncio.Task[Any]) -> None:
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+    def _summarize_soon(self) -> None:
+        """Log lines of this second were dropped: say so when it is over. From any thread."""
+        self._on_loop(self._arm_summary)
 
-    def _task_failed(self, component: Component, task: asyncio.Task[Any], error: BaseException) -> None:
-        """A task that a component started has failed and nobody asked for its exception."""
-        error.add_note(f"in task {task.get_name()!r} started by component {component.name}")
-        for member in component._members:
-            member.context._life.failed(member, "on_execute", error)
-        if not component._members:
-            component._last_error = error
-            self.bus.publish(HookFailed(component.name, "", "task", error))
-            component.log.error(
-                "its task %s failed: %s: %s", task.get_name(), type(error).__name__, error, exc_info=error
-            )
-
-    async def _end_tasks(self, budget: StopBudget) -> None:
-        tasks = [task for task in self._tasks if not task.done()]
-        for task in tasks:
-            owner: Component | None = getattr(task, "_aiorts_component", None)
-            if owner is not None:
-                _LOG.warning("%s: left task %s running; it is cancelled", owner.name, task.get_name())
-            task.cancel()
-        if tasks:
-            _, stuck = await asyncio.wait(tasks, timeout=max(0.1, budget.limit))
-            for task in stuck:
-                _LOG.error("task %s ignored its cancellation and was left behind", task.get_name())
-                leave_behind(task)
-
-
-async def _locked(component: Component, change: Callable[[], None]) -> None:
-    async with component._lock:
-        change()
-
-
-def _raise(error: BaseException) -> None:
-    raise error
+    def _arm_summary(self) -> None:
+        if not self._closed:
+            self._summary = self.call_later(1.0, self._log_budget.summarize)

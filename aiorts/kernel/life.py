@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import ComponentError, StateError
 from aiorts.kernel.bus import HookFailed, MemberAdded, MemberRemoved, StateChanged
@@ -20,7 +21,12 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.member import Member
 
-__all__ = ("TURN", "Action", "Batch", "Call", "Life", "Step", "Steps", "Turn", "Wait")
+__all__ = ("TURN", "Action", "Batch", "Call", "Life", "Step", "Steps", "Turn", "Wait", "chain")
+
+_LINKS: Final = 8
+"""Causes that an error keeps, itself included; the failure it belongs to comes after them."""
+_FRAMES: Final = 40
+"""Frames kept of an exception that is raised again and again."""
 
 
 @dataclass(slots=True)
@@ -118,8 +124,12 @@ class Life:
         way = transition(member.state, event)
         if member.left:
             done(StateError(f"{member.component.name}: is no longer in {self._context.name}"))
-        elif way is None or (member.failure is not None and member.state is not LifeCycleState.ERROR):
-            done(StateError(self._refusal(member, event)))
+        elif (
+            member.abandoned or way is None or (member.failure is not None and member.state is not LifeCycleState.ERROR)
+        ):
+            refused = StateError(self._refusal(member, event))
+            refused.__cause__ = member.failure
+            done(refused)
         elif event is Event.ACTIVATE:
             done(_because(member, "on_activated", (yield from self._activate(member))))
         elif event is Event.DEACTIVATE:
@@ -129,7 +139,10 @@ class Life:
             done(_because(member, "on_reset", (yield from self._reset(member))))
 
     def _refusal(self, member: Member, event: Event) -> str:
-        advice = ADVICE.get((member.state, event), "it is about to go to error; reset it first")
+        if member.abandoned:
+            advice = "one of its hooks was left behind and it never runs again; remove it"
+        else:
+            advice = ADVICE.get((member.state, event), "it is about to go to error; reset it first")
         return f"{member.component.name} in {self._context.name}: cannot {event} from {member.state}: {advice}"
 
     def _activate(self, member: Member) -> Generator[Step, BaseException | None, BaseException | None]:
@@ -161,7 +174,7 @@ class Life:
 
     def fail(self, member: Member) -> Steps:
         """The transition into error after a failure."""
-        if not member.left and member.state is not LifeCycleState.ERROR:
+        if member.failure is not None and not member.left and member.state is not LifeCycleState.ERROR:
             yield from self._abort(member, member.state)
 
     def _abort(self, member: Member, left: LifeCycleState) -> Steps:
@@ -169,6 +182,8 @@ class Life:
         hooks = TRANSITIONS[left, Event.FAIL].hooks
         self._enter(member, LifeCycleState.ERROR)
         self._context._set_ports_open(member)
+        if isinstance(member.failure, KeyboardInterrupt):
+            self._context._interrupted(member.failure)
         for hook in hooks:
             assert member.failure is not None  # noqa: S101 - set by whoever reported the failure
             error = yield Call(member, hook, (member.failure,) if hook == "on_aborting" else ())
@@ -177,10 +192,11 @@ class Life:
         self._context._member_aborted(member)
 
     def finish(self, member: Member) -> Steps:
-        """The end of a source that said it is done."""
-        if member.active:
-            yield from self._deactivate(member)
-        self._context._member_ended(member)
+        """The end of a source that said it is done; said before it was activated anew it means nothing."""
+        if member.finishing:
+            if member.active:
+                yield from self._deactivate(member)
+            self._context._member_ended(member)
 
     # -- members that come and go, and the end ---------------------------------------------------------------------
 
@@ -227,20 +243,51 @@ class Life:
 
     def failed(self, member: Member, hook: str, error: BaseException) -> None:
         """A hook raised: record it and do what the table says."""
-        self._record(member, hook, error)
-        if ON_FAILURE[hook] is Failure.ABORT and member.state is not LifeCycleState.ERROR:
+        self._fail(member, hook, error, ON_FAILURE[hook])
+
+    def task_failed(self, member: Member, error: BaseException) -> None:
+        """A task that the component started failed."""
+        self._fail(member, "task", error, Failure.ABORT)
+
+    def _fail(self, member: Member, hook: str, error: BaseException, leads_to: Failure) -> None:
+        aborts = leads_to is Failure.ABORT and member.state is not LifeCycleState.ERROR
+        first = member.failure is None
+        self._record(member, hook, error, leads_to, aborts=aborts)
+        if aborts and first:
             self._context._submit(Action(lambda: self.fail(member)))
 
-    def _record(self, member: Member, hook: str, error: BaseException) -> None:
+    def _record(
+        self,
+        member: Member,
+        hook: str,
+        error: BaseException,
+        leads_to: Failure | None = None,
+        *,
+        aborts: bool | None = None,
+    ) -> None:
         """Keep the error. What fails while a failure is dealt with is chained to that failure, not to each other."""
         component = member.component
-        if member.failure is not None:
-            _chain(error, member.failure)
-        elif ON_FAILURE[hook] is not Failure.RECORD:
+        leads_to = ON_FAILURE[hook] if leads_to is None else leads_to
+        chain(error, member.failure)
+        if member.failure is None and leads_to is not Failure.RECORD:
             member.failure = error
         component._last_error = error
         self._context._publish(HookFailed(component.name, self._context.name, hook, error))
-        self._context._log_failure(member, hook, error)
+        self._log(member, hook, error)
+        if aborts is None:
+            aborts = leads_to is Failure.ABORT
+        if isinstance(error, KeyboardInterrupt) and not aborts:
+            self._context._interrupted(error)
+
+    def _log(self, member: Member, hook: str, error: BaseException) -> None:
+        """As from inside the hook, which has returned already: the line tells hook and tick."""
+        component = member.component
+        before = component._running, member.hook
+        component._running, member.hook = member, hook
+        try:
+            self._context._log_failure(member, hook, error)
+        finally:
+            component._running, member.hook = before
 
     def _enter(self, member: Member, state: LifeCycleState) -> None:
         old, member.state = member.state, state
@@ -263,15 +310,39 @@ def _second_pass(members: Iterable[Member]) -> Iterator[tuple[Member, str]]:
             yield member, "on_state_update"
 
 
-def _chain(error: BaseException, cause: BaseException) -> None:
-    """Make `cause` the cause of `error` unless it has one, or the two would form a ring."""
-    link: BaseException | None = cause
-    while link is not None:
-        if link is error:
-            return
-        link = link.__cause__
-    if error.__cause__ is None:
-        error.__cause__ = cause
+def chain(error: BaseException, cause: BaseException | None) -> None:
+    """Make `cause` the last link of the causes of `error`, and keep both bounded however often they are raised."""
+    if error is cause:
+        # Raised again and again, an exception collects the frames of every raise.
+        error.__traceback__ = _shortened(error.__traceback__)
+        return
+    known = set(map(id, _links(cause)))
+    links = _links(error)
+    if known.isdisjoint(map(id, links)):
+        links[-1].__cause__ = cause
+        links[-1].__context__ = None
+
+
+def _links(error: BaseException | None) -> list[BaseException]:
+    """An exception and its causes, the first few."""
+    links: list[BaseException] = []
+    while error is not None and len(links) < _LINKS and not any(link is error for link in links):
+        links.append(error)
+        error = error.__cause__ or error.__context__
+    return links
+
+
+def _shortened(trace: TracebackType | None) -> TracebackType | None:
+    frames = []
+    while trace is not None:
+        frames.append(trace)
+        trace = trace.tb_next
+    if len(frames) <= _FRAMES:
+        return frames[0] if frames else None
+    kept = None
+    for frame in reversed(frames[-_FRAMES:]):
+        kept = TracebackType(kept, frame.tb_frame, frame.tb_lasti, frame.tb_lineno)
+    return kept
 
 
 def _because(member: Member, hook: str, error: BaseException | None) -> BaseException | None:

@@ -3,7 +3,8 @@
 Every record carries `kernel`, `component`, `hook`, `tick` and `repeated` as attributes. A line with the same level and
 template as one of the last second is counted instead of emitted, and the count comes with the next line, so nothing is
 lost in silence: calls = lines + repeated + dropped, once `flush()` was called. Output over 200 kB in a second is
-dropped and counted too, so a component that logs in a tight loop harms nobody. Importing this configures no logging.
+dropped and counted too, so a component that logs in a tight loop harms nobody; and so is what all components of a
+kernel together say beyond `SharedBudget`. Importing this configures no logging.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import logging
 import sys
 import threading
+from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -28,10 +30,13 @@ if TYPE_CHECKING:
     )
     _Key: TypeAlias = tuple[int, str]
 
-__all__ = ("BYTES_PER_SECOND", "ComponentLog", "LOGGER_NAME", "LogFields")
+__all__ = ("BYTES_PER_SECOND", "ComponentLog", "LOGGER_NAME", "LogFields", "SharedBudget")
 
 LOGGER_NAME: Final = "aiorts.component"
 BYTES_PER_SECOND: Final = 200_000
+SHARED_BYTES_PER_SECOND: Final = 700_000
+SHARED_LINES_PER_SECOND: Final = 900
+"""What all components of one kernel may log together: bytes, and lines of tracebacks."""
 _SECOND_NS: Final = 1_000_000_000
 # What a formatter adds to a line (time, level, names), and what one frame of a traceback takes.
 _LINE_BYTES: Final = 100
@@ -63,6 +68,64 @@ class _Folded:
         self.count = 0
 
 
+class SharedBudget:
+    """What the components of one kernel may log together in a second; what is over it is told in one line.
+
+    One component gets no more than it leaves to the others, so that a quiet one is heard while others storm. Lines are
+    counted for tracebacks only. `later` is called once for each second in which something was dropped, and has
+    `summarize` called when it is over. Safe to use from several threads.
+    """
+
+    __slots__ = ("_bytes", "_dropped", "_later", "_lines", "_lock", "_name", "_second_ns", "_silenced")
+
+    def __init__(self, name: str, later: Callable[[], object]) -> None:
+        self._name = name
+        self._later = later
+        self._lock = threading.Lock()
+        self._second_ns = 0
+        self._bytes: Counter[str] = Counter()
+        self._lines: Counter[str] = Counter()
+        self._dropped = 0
+        self._silenced: set[str] = set()
+
+    def afford(self, now_ns: int, size: int, lines: int, component: str) -> bool:
+        """Charge a record of so many bytes, with a traceback of so many lines; when it does not fit, count it."""
+        with self._lock:
+            if now_ns - self._second_ns >= _SECOND_NS:
+                self._second_ns = now_ns
+                self._bytes.clear()
+                self._lines.clear()
+            left = SHARED_BYTES_PER_SECOND - self._bytes.total()
+            lines_left = SHARED_LINES_PER_SECOND - self._lines.total()
+            if self._bytes[component] + size <= left and (not lines or self._lines[component] + lines <= lines_left):
+                self._bytes[component] += size
+                self._lines[component] += lines
+                return True
+            first = not self._dropped
+            self._dropped += 1
+            self._silenced.add(component)
+        if first:
+            self._later()
+        return False
+
+    def summarize(self) -> None:
+        """Tell what was dropped since the last time, if anything was."""
+        with self._lock:
+            dropped, self._dropped = self._dropped, 0
+            components, self._silenced = len(self._silenced), set()
+        if dropped:
+            logging.getLogger(LOGGER_NAME).warning(
+                "%s: its components logged more than %s traceback lines or %s kB in a second: %s more lines of %s "
+                "components dropped; kernel.components has every state and last_error",
+                self._name,
+                SHARED_LINES_PER_SECOND,
+                SHARED_BYTES_PER_SECOND // 1000,
+                dropped,
+                components,
+                extra={**LogFields(self._name, "")._asdict(), "repeated": 0, "dropped": dropped},
+            )
+
+
 class ComponentLog:
     """A component's logger, with the methods and keyword arguments of `logging.LoggerAdapter`.
 
@@ -70,14 +133,20 @@ class ComponentLog:
     nanoseconds. Safe to use from several threads.
     """
 
-    __slots__ = ("_dropped", "_fields", "_keys", "_lock", "_now_ns", "_second_ns", "_spent", "logger")
+    __slots__ = ("_dropped", "_fields", "_keys", "_lock", "_now_ns", "_second_ns", "_shared", "_spent", "logger")
 
     def __init__(
-        self, fields: Callable[[], LogFields], now_ns: Callable[[], int], *, logger: logging.Logger | None = None
+        self,
+        fields: Callable[[], LogFields],
+        now_ns: Callable[[], int],
+        *,
+        logger: logging.Logger | None = None,
+        shared: SharedBudget | None = None,
     ) -> None:
         self.logger = logging.getLogger(LOGGER_NAME) if logger is None else logger
         self._fields = fields
         self._now_ns = now_ns
+        self._shared = shared
         self._lock = threading.Lock()
         self._keys: dict[_Key, _Folded] = {}  # ordered by the time of emission
         self._second_ns = now_ns()
@@ -161,8 +230,9 @@ class ComponentLog:
         for (old_level, template), count in old:
             if self._afford(now, _LINE_BYTES + min(len(template), _TEMPLATE_SHOWN), count):
                 self._emit_count(old_level, template, count)
-        size = _line_bytes(key[1], args) + _attached_bytes(exc_info, stack_info)
-        if self._afford(now, size, 1 + repeated):
+        attached = _attached_bytes(exc_info, stack_info)
+        traceback = 2 + 3 * (attached // _FRAME_BYTES) if attached else 0
+        if self._afford(now, _line_bytes(key[1], args) + attached, 1 + repeated, traceback):
             text = f"{key[1]}{_times(repeated)}" if repeated else msg
             self.logger.log(
                 level,
@@ -186,8 +256,8 @@ class ComponentLog:
                 counted.append((key, folded.count))
         return counted
 
-    def _afford(self, now: int, size: int, lines: int) -> bool:
-        """Charge the line to this second's budget; when it does not fit, count it as dropped."""
+    def _afford(self, now: int, size: int, lines: int, traceback: int = 0) -> bool:
+        """Charge the line to this second's budgets; when it does not fit, count it as dropped."""
         with self._lock:
             told = 0
             if now - self._second_ns >= _SECOND_NS:
@@ -200,6 +270,8 @@ class ComponentLog:
                 self._dropped += lines
         if told:
             self._emit_dropped(told)
+        if fits and self._shared is not None:
+            return self._shared.afford(now, size, traceback, self._fields().component)
         return fits
 
     def _emit_count(self, level: int, template: str, count: int) -> None:

@@ -7,7 +7,6 @@ is on; nothing on it asks again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -18,6 +17,8 @@ from aiorts.kernel.port import UNSUSPENDED, Port, give_turn
 from aiorts.model.policy import Push
 
 if TYPE_CHECKING:
+    import asyncio
+
     from aiorts.kernel.connector import Connector, Waiting
     from aiorts.kernel.host import PortHost
     from aiorts.kernel.in_port import InPort
@@ -35,7 +36,7 @@ class OutPort(Port[T]):
         stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is what the writer said.
     """
 
-    __slots__ = ("_class", "_only", "_reader", "_room", "stamp")
+    __slots__ = ("_class", "_only", "_reader", "_room", "_shapes", "stamp")
 
     direction: ClassVar[str] = "out"
 
@@ -58,6 +59,8 @@ class OutPort(Port[T]):
         self._only: Connector | None = None
         self._reader: InPort[Any] | None = None
         self._room = 0
+        self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
+        """Shapes that a sample must have, and which port says so: this one or a reader."""
 
     def bind(self, host: PortHost, name: str) -> OutPort[T]:
         """A live port of `host` made after this declaration."""
@@ -70,6 +73,11 @@ class OutPort(Port[T]):
             stamp=self.stamp,
         )
         port._attach(host, name)
+        if port.stamp is not None and not port._type.has_tm:
+            raise DeclarationError(
+                f"{port.path}: stamp = {port.stamp}: {port.type.__name__} has no field tm to put it in"
+            )
+        port._refresh()
         return port
 
     def write_nowait(self, sample: T) -> bool:
@@ -135,15 +143,22 @@ class OutPort(Port[T]):
         host = self._bound()
         if host.on_loop_thread():
             raise StateError(f"{self.path}: write_blocking would block the event loop; await write() here")
-        sample = self._checked(sample)
-        done, late = True, []
-        for connector in self._connectors:
-            limit = connector.profile.timeout if timeout is None else timeout
-            if not _wait_in_thread(connector, limit, lambda: host.stopping):
-                connector.refuse("timeout")
-                late.append(connector)
-            else:
-                done &= connector.offer(sample)
+        if not host.threaded:
+            raise StateError(f"{self.path}: write_blocking is for components of a ThreadContext")
+        done, entries = self._offer(self._checked(sample), None)
+        waits = []
+        for entry in entries:
+            limit = entry.connector.profile.timeout if timeout is None else timeout
+            waits.append((entry, limit, host.deadline_ns(limit)))
+        late = []
+        try:
+            for entry, limit, until_ns in waits:
+                if not self._wait_in_thread(entry, until_ns) and entry.connector.give_up(entry):
+                    entry.connector.refuse("timeout")
+                    late.append((entry.connector, limit))
+        finally:
+            for entry in entries:
+                entry.connector.give_up(entry)
         _raise_late(self.path, late)
         return done
 
@@ -161,61 +176,81 @@ class OutPort(Port[T]):
         return done
 
     async def _write_waiting(self, sample: T) -> bool:
-        sample = self._checked(sample)
-        done = True
-        entries: list[tuple[Connector, Waiting]] = []
-        for connector in self._connectors:
-            if connector.must_wait():
-                entry = connector.wait_for_room(sample)
-                if entry is not None:
-                    entries.append((connector, entry))
-            else:
-                done &= connector.offer(sample)
+        done, entries = self._offer(self._checked(sample), self._bound().loop)
         if entries:
             await self._wait_for(entries)
         return done
 
-    async def _wait_for(self, entries: list[tuple[Connector, Waiting]]) -> None:
+    def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
+        """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""
+        done = True
+        entries = []
+        for connector in self._connectors:
+            if connector.must_wait():
+                entry = connector.wait_for_room(sample, None if loop is None else loop.create_future())
+                if entry is not None:
+                    entries.append(entry)
+            else:
+                done &= connector.offer(sample)
+        return done, entries
+
+    async def _wait_for(self, entries: list[Waiting]) -> None:
         """Wait until each entry was moved or its time is over; whatever happens, no entry is left behind."""
         host = self._bound()
-        late: list[Connector] = []
+        late: list[tuple[Connector, float | None]] = []
 
-        def expire(connector: Connector, entry: Waiting) -> None:
-            if connector.give_up(entry):
-                connector.refuse("timeout")
-                late.append(connector)
-            if not entry.future.done():
+        def expire(entry: Waiting, limit: float) -> None:
+            if entry.connector.give_up(entry):
+                entry.connector.refuse("timeout")
+                late.append((entry.connector, limit))
+            if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)
 
         timers = [
-            host.call_later(connector.profile.timeout, partial(expire, connector, entry))
-            for connector, entry in entries
-            if connector.profile.timeout is not None
+            host.call_later(entry.connector.profile.timeout, partial(expire, entry, entry.connector.profile.timeout))
+            for entry in entries
+            if entry.connector.profile.timeout is not None
         ]
         try:
-            for _, entry in entries:
-                await entry.future
+            for entry in entries:
+                if entry.future is not None:
+                    await entry.future
         finally:
             for timer in timers:
                 timer.cancel()
-            for connector, entry in entries:
-                connector.give_up(entry)
+            for entry in entries:
+                entry.connector.give_up(entry)
         _raise_late(self.path, late)
+
+    def _wait_in_thread(self, entry: Waiting, until_ns: int | None) -> bool:
+        """Block this thread until `entry` was moved; False when its time is over.
+
+        Raises:
+            ClosedError: the thread's context stops.
+        """
+        host, lock = self._bound(), entry.connector.in_._lock
+        assert lock is not None  # noqa: S101 - a connector of a threaded component has one
+        in_time = host.wait_in_thread(lock, lambda: entry.done or host.stopping, until_ns)
+        if in_time and not entry.done:
+            raise ClosedError(f"{self.path}: its context stops")
+        return in_time
 
     def _checked(self, sample: T) -> T:
         """The sample as it will travel: of the port's type and shape, stamped, immutable."""
         host = self._bound()
+        self._raise_if_removed()
         port_type = self._type
         if not isinstance(sample, self.type):
             raise PortTypeError(
                 f"{self.path}: expected a {self.type.__name__}, got {sample.__class__.__name__} ({_short(sample)}); "
                 "nothing was sent"
             )
-        if self.shape is not None:
+        for port, shape in self._shapes:
             try:
-                port_type.check_shape(sample)
+                port_type.check_shape(sample, shape)
             except RecordError as error:
-                raise PortTypeError(f"{self.path}: {error}; nothing was sent") from error
+                reason = "" if port is self else f" (the shape of {port.path})"
+                raise PortTypeError(f"{self.path}: {error}{reason}; nothing was sent") from error
         if host.debug:
             sample = port_type.copy(sample)
         elif port_type.mutable or sample.__class__ is not self.type:
@@ -226,10 +261,14 @@ class OutPort(Port[T]):
         return stamped
 
     def _refresh(self) -> None:
-        """Decide whether the fast path is on."""
+        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in self._connectors))
+        self._shapes = tuple((port, port.shape) for port in ports if port.shape is not None)
+        self._choose_path()
+
+    def _choose_path(self) -> None:
         self._fast = None
         host = self._host
-        if host is None or len(self._connectors) != 1 or self.stamp is not None or self.shape is not None:
+        if host is None or len(self._connectors) != 1 or self.stamp is not None or self._shapes:
             return
         only = self._connectors[0]
         if self._type.mutable or host.debug or not only.direct or only.in_._tokens is not None:
@@ -240,25 +279,9 @@ class OutPort(Port[T]):
         self._fast = only._queue
 
 
-def _wait_in_thread(connector: Connector, limit: float | None, stopping: Callable[[], bool]) -> bool:
-    """Block this thread until `connector` has room; False when `limit` seconds are over.
-
-    Raises:
-        ClosedError: the thread's context stops.
-    """
-    lock = connector.in_._lock
-    if lock is None:
-        return True
-    with lock:
-        room = lock.wait_for(lambda: not connector.must_wait() or stopping(), limit)
-    if stopping():
-        raise ClosedError(f"{connector.out.path}: its context stops")
-    return room
-
-
-def _raise_late(path: str, late: list[Connector]) -> None:
+def _raise_late(path: str, late: list[tuple[Connector, float | None]]) -> None:
     if late:
-        names = ", ".join(f"{connector.in_.path} ({connector.profile.timeout} s)" for connector in late)
+        names = ", ".join(f"{connector.in_.path} ({limit:g} s)" for connector, limit in late)
         raise WriteTimeout(f"{path}: no room in time at {names}; the other readers have the sample")
 
 

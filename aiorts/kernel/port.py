@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import nullcontext
@@ -14,6 +13,7 @@ from aiorts.kernel.port_types import PortType
 from aiorts.model.profile import PortProfile
 
 if TYPE_CHECKING:
+    from aiorts.kernel.blocking import PortLock
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import PortHost
 
@@ -90,7 +90,7 @@ class Port(Generic[T]):
         self._host: PortHost | None = None
         self._connectors: tuple[Connector, ...] = ()
         self._fast: deque[T] | None = None
-        self._lock: threading.Condition | None = None
+        self._lock: PortLock | None = None
         self._turns = Turns()
 
     def _attach(self, host: PortHost, name: str) -> None:
@@ -163,4 +163,9 @@ class Port(Generic[T]):
             host.loop.call_soon_threadsafe(callback)
 
     def _refresh(self) -> None:
+        """The connectors are others now, or what they are asked to do."""
+        raise NotImplementedError
+
+    def _choose_path(self) -> None:
+        """Decide whether the fast path is on."""
         raise NotImplementedError

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -45,7 +44,9 @@ class PortType:
 
     def copy(self, sample: Any) -> Any:
         """A copy that shares nothing the writer could still change."""
-        return deepcopy(sample)
+        from aiorts.types import detached
+
+        return detached(self.snapshot(sample))
 
     def stamped(self, sample: Any, tm: int) -> Any:
         """A copy with another time stamp."""

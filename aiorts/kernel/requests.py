@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from aiorts.errors import ClosedError, StateError, TransitionTimeout
-from aiorts.kernel.life import Action, Done, Steps
+from aiorts.kernel.life import TURN, Action, Done, Steps
 
 if TYPE_CHECKING:
     from aiorts.kernel.context import Context
@@ -80,7 +80,7 @@ class Requests:
         if self.inside():
             for what, steps in wishes:
                 logged = _Logged(self._context, what)
-                self._context._submit(Action(partial(steps, logged), logged))
+                self._context._submit(Action(partial(_after_a_turn, steps, logged), logged))
             return
         asked = self.submit(kernel, wishes)
         try:
@@ -115,6 +115,12 @@ class Requests:
             return True
         member = driver.current
         return member is not None and any(other.context is self._context for other in member.component._members)
+
+
+def _after_a_turn(steps: Callable[[Done], Steps], done: Done) -> Steps:
+    """Hooks that ask for one another's transitions without end must not keep the loop from everything else."""
+    yield TURN
+    yield from steps(done)
 
 
 async def _settled(kernel: Kernel, asked: Sequence[_Asked], timeout: float | None) -> None:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import HookAbandoned, HookTimeout, StateError
-from aiorts.kernel.bulkhead import CANCELLATIONS, GRACE, StopBudget, leave_behind
+from aiorts.errors import ClosedError, HookAbandoned, HookTimeout
+from aiorts.kernel.bulkhead import CANCELLATIONS, StopBudget, bad_return
 from aiorts.kernel.bus import HookAfter, HookBefore
 from aiorts.kernel.hooks import HookKind
+from aiorts.kernel.tasks import kernel_task, leave_behind, see_through
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -22,7 +23,11 @@ __all__ = ("run_alone",)
 
 
 async def run_alone(kernel: Kernel, component: Component, hook: str, budget: StopBudget | None) -> BaseException | None:
-    """Run one hook; what it raised, or None. With a budget it is cancelled when that is used up."""
+    """Run one hook; what it raised, or None.
+
+    With a budget it is cancelled when that is used up, without when the kernel closes; and when the caller is
+    cancelled, whose cancellation goes on once the hook has ended.
+    """
     watched = kernel.bus.hooks_wanted
     if watched:
         kernel.bus.publish(HookBefore(component.name, "", hook))
@@ -35,32 +40,35 @@ async def run_alone(kernel: Kernel, component: Component, hook: str, budget: Sto
 
 
 async def _contain(kernel: Kernel, component: Component, hook: str, budget: StopBudget | None) -> BaseException | None:
-    task = kernel.loop.create_task(_run(component, hook), name=f"aiorts {component.name}.{hook}")
-    task._aiorts_component = component  # type: ignore[attr-defined] # read by embedding.owner_of
+    where = f"{component.name}.{hook}"
+    task = kernel_task(kernel.loop, _run(component, hook), f"aiorts {where}")
+    task._aiorts_component = component  # type: ignore[attr-defined] # read by tasks.owner_of
+    closing = kernel._closing_begun
+    waited: list[asyncio.Future[Any]] = [task] if budget is not None else [task, closing]
     try:
-        if budget is None:
-            await asyncio.wait([task])
-        else:
-            await asyncio.wait([task], timeout=max(0.05, budget.limit))
+        await asyncio.wait(
+            waited, timeout=None if budget is None else budget.limit, return_when=asyncio.FIRST_COMPLETED
+        )
     except asyncio.CancelledError:
-        # The caller was cancelled: so is the hook, and its end is waited for a little.
-        await _cancel(task, StopBudget(kernel.loop, 0.0))
+        await see_through(kernel_task(kernel.loop, _cancel(task, StopBudget(kernel.loop, 0.0)), f"aiorts end {where}"))
         raise
     if task.done():
-        error = task.result()
-        if isinstance(error, KeyboardInterrupt):
-            kernel._interrupted(error)
-        return error
-    if await _cancel(task, budget):
-        return HookTimeout(f"{component.name}.{hook}: did not return in time; it was cancelled")
-    return HookAbandoned(f"{component.name}.{hook}: ignored {CANCELLATIONS} cancellations; it was left behind")
+        return task.result()
+    rest = budget or closing.result()
+    ended = await see_through(kernel_task(kernel.loop, _cancel(task, rest), f"aiorts end {where}"))
+    if not ended:
+        component._abandoned = HookAbandoned(f"{where}: ignored {CANCELLATIONS} cancellations; it was left behind")
+        return component._abandoned
+    if budget is None:
+        return ClosedError(f"{where}: the kernel closed before it returned; it was cancelled")
+    return HookTimeout(f"{where}: did not return in time; it was cancelled")
 
 
-async def _cancel(task: asyncio.Task[Any], budget: StopBudget | None) -> bool:
+async def _cancel(task: asyncio.Task[Any], budget: StopBudget) -> bool:
     """Cancel once for each grace step; False when the task was left behind."""
     for _ in range(CANCELLATIONS):
         task.cancel()
-        done, _pending = await asyncio.wait([task], timeout=GRACE if budget is None else budget.grace)
+        done, _pending = await asyncio.wait([task], timeout=budget.grace)
         if done:
             return True
     leave_behind(task)
@@ -77,8 +85,4 @@ async def _run(component: Component, hook: str) -> BaseException | None:
         if isinstance(error, GeneratorExit) and asyncio._get_running_loop() is None:
             raise
         return error
-    if result is None:
-        return None
-    if asyncio.iscoroutine(result):
-        result.close()
-    return StateError(f"{component.name}.{hook}: returned {result!r:.60}; a hook returns nothing")
+    return None if result is None else bad_return(component, hook, result)

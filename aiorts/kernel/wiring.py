@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import WiringError
-from aiorts.kernel.connector import Connector, PeriodicConnector
+from aiorts.kernel.backlog import PeriodicConnector
+from aiorts.kernel.connector import Connector
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Stamp, Subscription
@@ -40,15 +41,17 @@ def plan(
     base, limits = connector_profile(where, options, "", paths)
     allow = limits.get("allow_duplicate", False)
     pairs = [(out, in_) for out in outs for in_ in ins]
-    for out, in_ in pairs:
+    for number, (out, in_) in enumerate(pairs):
         _check_pair(out, in_)
-        if not allow and any(connector.in_ is in_ for connector in out.connectors):
+        if allow:
+            continue
+        if (out, in_) in pairs[:number] or any(connector.in_ is in_ for connector in out.connectors):
             raise WiringError(
                 f"{out.path} -> {in_.path}: connected already; allow_duplicate=True makes a second connector"
             )
     _check_stamp(base, pairs)
-    for port, more in [*((out, len(ins)) for out in outs), *((in_, len(outs)) for in_ in ins)]:
-        _check_limit(port, more, limits)
+    for port in dict.fromkeys(ports):
+        _check_limit(port, sum(port in pair for pair in pairs), limits)
     return [(out, in_, base) for out, in_ in pairs]
 
 
@@ -93,10 +96,10 @@ def _check_alive(kernel: Kernel, port: Port[Any]) -> None:
     if host is None or host.kernel is not kernel:
         whose = "is a declaration" if host is None else "belongs to another kernel, or to none yet"
         raise WiringError(
-            f"{port.path or port!r}: {whose}; connect the ports of components that were added to this kernel"
+            f"{port.path or repr(port)}: {whose}; connect the ports of components that were added to this kernel"
         )
-    if host.ports.get(port.name) is not port:
-        raise WiringError(f"{port.path}: this port was removed")
+    if port._removed():
+        raise WiringError(f"{port.path}: this port or its component was removed")
 
 
 def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:

@@ -51,9 +51,12 @@ _WHEN_FULL = {
 }
 
 
+_STORE = Verdict.STORE
+
+
 def decide(buffered: int, length: int, full: FullPolicy) -> Verdict:
     """What to do with a sample offered to a buffer that holds `buffered` of at most `length` samples."""
-    return Verdict.STORE if buffered < length else _WHEN_FULL[full]
+    return _STORE if buffered < length else _WHEN_FULL[full]
 
 
 @dataclass

@@ -7,7 +7,6 @@ that is unknown is kept and reported; one without is a typing mistake and refuse
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from enum import StrEnum
@@ -27,7 +26,7 @@ MAX_RATE: Final = 1_000_000.0
 
 E = TypeVar("E", bound=StrEnum)
 
-_ALIASES: Final[tuple[tuple[str, str], ...]] = (
+_EITHER_SIDE: Final[tuple[tuple[str, str], ...]] = (
     # OpenRTM key, ours. Later rows win over earlier ones.
     ("dataflow_type", "dataflow"),
     ("subscription_type", "subscription"),
@@ -36,19 +35,19 @@ _ALIASES: Final[tuple[tuple[str, str], ...]] = (
     ("publisher.skip_count", "skip"),
     ("publisher.push_rate", "push_rate"),
     ("push_rate", "push_rate"),
-    ("buffer.length", "length"),
-    ("buffer.length", "out_length"),
     ("buffer.write.full_policy", "full"),
     ("buffer.write.timeout", "timeout"),
     ("buffer.read.empty_policy", "empty"),
-    ("outport.buffer.length", "out_length"),
-    ("outport.buffer.write.full_policy", "full"),
-    ("outport.buffer.write.timeout", "timeout"),
-    ("inport.buffer.length", "length"),
-    ("inport.buffer.write.full_policy", "full"),
-    ("inport.buffer.write.timeout", "timeout"),
-    ("inport.buffer.read.empty_policy", "empty"),
     ("timestamp_policy", "stamp"),
+)
+_ALIASES: Final[tuple[tuple[str, str], ...]] = (
+    *_EITHER_SIDE,
+    ("buffer.length", "length"),
+    ("buffer.length", "out_length"),
+    *((f"outport.{alias}", key) for alias, key in _EITHER_SIDE),
+    *((f"inport.{alias}", key) for alias, key in _EITHER_SIDE),
+    ("outport.buffer.length", "out_length"),
+    ("inport.buffer.length", "length"),
     ("fan_in", "fan_in"),
     ("fan_out", "fan_out"),
     ("connection_limit", "connection_limit"),
@@ -209,7 +208,7 @@ class _Reader:
             return None if may_be_none or key not in self._own else default
         expected = f"a number from {low:g} to {high:g}"
         number = float(self._parsed(key, value, float, expected))
-        if not (math.isfinite(number) and low <= number <= high):
+        if not low <= number <= high:  # also refuses NaN
             raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}")
         return number
 

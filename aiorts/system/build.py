@@ -1,10 +1,11 @@
-"""Makes the system of a system file in a kernel: types, parameters, contexts and options are checked first, all of them.
+"""Makes the system of a system file in a kernel; types, parameters, contexts and options are all checked before.
 
 Only what depends on ports is found out later, because a component may make its ports when it is created.
 """
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -60,11 +61,16 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     A component whose `on_activated` raises is in error, as it would be later on; the others go on.
 
     Raises:
-        AiortsError: what `prepare` raises; a port does not exist or does not fit. What `on_initialize` of a component raises.
+        AiortsError: what `prepare` raises; a port does not exist or does not fit.
+        BaseException: what `on_initialize` of a component raises, with the component's name as a note.
     """
     plan = prepare(system) if isinstance(system, SystemFile) else system
     for entry in plan.system.components.values():
-        await kernel.create(plan.types[entry.name], entry.name, **plan.params[entry.name])
+        try:
+            await kernel.create(plan.types[entry.name], entry.name, **plan.params[entry.name])
+        except BaseException as error:
+            error.add_note(entry.name)
+            raise
     for connection in plan.system.connections:
         ports = [_port(plan.system, kernel, connection, path) for path in connection.ports]
         try:
@@ -74,16 +80,39 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     for context in plan.system.contexts.values():
         members = [kernel.components[name] for name in context.members]
         await kernel.start(plan.contexts[context.name], *members)
-    for context in plan.system.contexts.values():
-        if context.activate:
-            await _activate(plan.contexts[context.name])
+    for name in _readers_first(plan.system):
+        for context in plan.system.contexts.values():
+            if context.activate and name in context.members:
+                await _activate(plan.contexts[context.name], kernel.components[name])
 
 
-async def _activate(context: Context) -> None:
-    try:
-        await context.activate()
-    except ComponentError:
-        pass  # it is in error, logged and on the bus; that is its own affair
+async def _activate(context: Context, component: Component) -> None:
+    with contextlib.suppress(ComponentError):  # it is in error, logged and on the bus: its own affair
+        await context.activate(component)
+
+
+def _readers_first(system: SystemFile) -> list[str]:
+    """The components, each after those it sends to, so that the first sample of a source finds its reader active.
+
+    Where data goes round in a circle the order of the file decides.
+    """
+    readers: dict[str, list[str]] = {name: [] for name in system.components}
+    for connection in system.connections:
+        writer, *others = (path.partition(".")[0] for path in connection.ports)
+        readers[writer] += others
+    ordered: dict[str, None] = {}
+    for root in system.components:
+        seen, stack = {root}, [(root, iter(readers[root]))]
+        while stack:
+            name, rest = stack[-1]
+            following = next((one for one in rest if one not in seen and one not in ordered), None)
+            if following is None:
+                stack.pop()
+                ordered.setdefault(name)
+            else:
+                seen.add(following)
+                stack.append((following, iter(readers[following])))
+    return list(ordered)
 
 
 def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, path: str) -> Port[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType
@@ -39,6 +39,8 @@ def load(path: str | Path, overrides: Iterable[str] = ()) -> SystemFile:
             data = file.read(LARGEST + 1)
     except OSError as error:
         raise SystemFileError(f"{where}: cannot be read: {error.strerror or error}") from None
+    except ValueError as error:
+        raise SystemFileError(f"{str(where)!r}: cannot be read: {error}") from None
     if len(data) > LARGEST:
         raise SystemFileError(f"{where}: larger than {LARGEST} bytes; a system file is not")
     try:
@@ -53,7 +55,8 @@ def component_type(system: SystemFile, entry: ComponentEntry) -> type[Component]
     """The class of a component.
 
     Raises:
-        SystemFileError: there is no such file or class. PluginError: no package offers it, or its file cannot be loaded.
+        SystemFileError: there is no such file or class.
+        PluginError: no package offers it, or its file cannot be loaded.
     """
     where = f"{system.path}: components.{entry.name}.type"
     if ":" not in entry.type:
@@ -110,7 +113,9 @@ def _module(system: SystemFile, name: str, where: str) -> ModuleType:
         del sys.modules[module_name]
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(f"{where}: {_place(error, path)} cannot be loaded: {type(error).__name__}: {error}") from error
+        raise PluginError(
+            f"{where}: {_place(error, path)} cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
     return module
 
 
@@ -124,7 +129,9 @@ def _file(system: SystemFile, name: str, where: str) -> Path:
             raise SystemFileError(f"{where}: {name!r} is outside the system file's folder; move the file below it")
         if path.is_file():
             return path
-    near = get_close_matches(Path(name).name, sorted({file.name for folder in system.plugin_paths for file in folder.glob("*.py")}), n=1)
+    near = get_close_matches(
+        Path(name).name, sorted({file.name for folder in system.plugin_paths for file in folder.glob("*.py")}), n=1
+    )
     raise SystemFileError(f"{where}: no file {name!r} below {root}{f'; did you mean {near[0]!r}?' if near else ''}")
 
 

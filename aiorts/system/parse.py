@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Any, Final, NoReturn
 
 from aiorts.errors import InvalidNameError, SystemFileError
-from aiorts.model.names import check_name
 from aiorts.model.names import Path as PortPath
+from aiorts.model.names import check_name
 from aiorts.system.values import ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
 
 __all__ = ("LARGEST", "parse", "parse_override")
@@ -26,8 +26,8 @@ LARGEST: Final = 1024 * 1024
 _TOP: Final = ("schema", "plugins", "components", "connections", "contexts")
 _DEEPEST: Final = 32
 # tomllib takes time that grows with the square of a key's parts, and its recursion ends the interpreter's patience.
-_LONG_KEY: Final = re.compile(rf"(?:[\w\-\"']+[ \t]*\.[ \t]*){{{_DEEPEST}}}")
-_DEEP: Final = re.compile(r"(?:[\[{{][ \t\r\n]*){{{0}}}".format(_DEEPEST))
+_LONG_KEY: Final = re.compile(r"(?:\.[\w\-\"' \t]*+){%d}" % _DEEPEST)
+_DEEP: Final = re.compile(r"(?:[\[{][ \t\r\n]*+){%d}" % _DEEPEST)
 _WORDS: Final[dict[type, str]] = {
     str: "text",
     bool: "true or false",
@@ -67,7 +67,9 @@ def _toml(text: str, path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SystemFileError(f"{path}: not valid TOML: {error}") from None
+        end = f"(at line {text.rstrip().count(chr(10)) + 1}, the end of the file)"
+        what = str(error).replace("(at end of document)", end)
+        raise SystemFileError(f"{path}: not valid TOML: {what}") from None
     except (ValueError, RecursionError) as error:
         raise SystemFileError(f"{path}: not valid TOML: {str(error) or 'nested too deeply'}") from None
 
@@ -141,8 +143,8 @@ class _Parser:
             parsed = PortPath.parse(path)
         except InvalidNameError as error:
             self._fail(where, str(error))
-        if parsed.port is None:
-            self._fail(where, f"{path!r} names no port; write COMPONENT.PORT")
+        if not parsed.port or parsed.kernel:
+            self._fail(where, f"{path!r} names no port of this system; write COMPONENT.PORT")
         if parsed.component not in components:
             self._unknown(where, "component", parsed.component, components)
 

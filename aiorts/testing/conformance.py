@@ -1,4 +1,4 @@
-"""What all conformance suites have in common: named checks, each a promise, and the error that says which one was broken.
+"""What all conformance suites share: named checks, each a promise, and the error that says which one was broken.
 
 A suite is a table of checks, run in order; the first that fails ends it. A check that ends in any exception has failed.
 """

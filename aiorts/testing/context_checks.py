@@ -1,21 +1,21 @@
-"""The conformance suite of execution contexts: what every kind promises, checked in virtual time with recording members.
+"""The conformance suite of execution contexts: what every kind promises, played in virtual time.
 
-Members have plain `def` hooks only, so that a context which runs in a thread is held to the same promises.
+Members have plain `def` hooks wherever that serves, so that a context which runs in a thread is held to the same.
 """
 
 from __future__ import annotations
 
 import asyncio
-import threading
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import StateError
-from aiorts.kernel import Component, Kernel
-from aiorts.model.lifecycle import HOOKS, LifeCycleState
+from aiorts.kernel import Kernel
+from aiorts.model.lifecycle import LifeCycleState
 from aiorts.testing.conformance import Suite, expect
-from aiorts.testing.driving import is_ticked, one_cycle, period_ns
+from aiorts.testing.driving import is_ticked, period_ns
 from aiorts.testing.simulation import simulate
+from aiorts.testing.stage import AskedInside, Asking, Inside, Recorder, Stage, Waiting
 
 if TYPE_CHECKING:
     from aiorts.clock import SimulatedClock
@@ -41,82 +41,6 @@ def check_context(make: MakeContext, *, only: Iterable[str] | None = None, skip:
         ConformanceError: names the check that failed, what was expected, what happened.
     """
     _SUITE.run(type(make()).__name__, make, only, skip)
-
-
-class Recorder(Component):
-    """Writes down each hook that runs; `during` is called in every `on_execute`."""
-
-    def __init__(self, name: str, calls: list[str], during: Callable[[], object] = lambda: None) -> None:
-        super().__init__(name)
-        self.calls = calls
-        self.during = during
-
-    def _record(self, hook: str) -> None:
-        self.calls.append(f"{self.name}.{hook}")
-
-    def on_startup(self) -> None:
-        self._record("on_startup")
-
-    def on_shutdown(self) -> None:
-        self._record("on_shutdown")
-
-    def on_activated(self) -> None:
-        self._record("on_activated")
-
-    def on_deactivated(self) -> None:
-        self._record("on_deactivated")
-
-    def on_execute(self) -> None:
-        self._record("on_execute")
-        self.during()
-
-    def on_state_update(self) -> None:
-        self._record("on_state_update")
-
-    def on_rate_changed(self) -> None:
-        self._record("on_rate_changed")
-
-    def on_aborting(self, error: BaseException) -> None:
-        self._record("on_aborting")
-
-    def on_error(self, error: BaseException) -> None:
-        self._record("on_error")
-
-    def on_reset(self) -> None:
-        self._record("on_reset")
-
-
-class Stage:
-    """One context of the kind under check with two recording members, running in virtual time."""
-
-    def __init__(self, kernel: Kernel, context: Context, clock: SimulatedClock) -> None:
-        self.kernel = kernel
-        self.context = context
-        self.clock = clock
-        self.calls: list[str] = []
-        self.a = Recorder("a", self.calls)
-        self.b = Recorder("b", self.calls)
-
-    async def start(self, *, activate: bool = True) -> None:
-        """Start the context and let its first cycle pass; then activate both members."""
-        await self.kernel.add(self.a)
-        await self.kernel.add(self.b)
-        await self.kernel.start(self.context, self.a, self.b)
-        await self.clock.advance(0)
-        if activate:
-            await self.context.activate()
-            await self.clock.advance(0)
-            # An event context runs its members when they become active only if they have a cause; others wait.
-            self.calls.clear()
-
-    async def cycle(self) -> list[str]:
-        """Drive one cycle; the hooks that ran."""
-        self.calls.clear()
-        trigger = getattr(self.context, "trigger", None)
-        if trigger is not None:
-            trigger()
-        await one_cycle(self.context, self.clock)
-        return self.calls.copy()
 
 
 def _staged(check: Callable[[Stage], Coroutine[Any, Any, None]]) -> Callable[[MakeContext], None]:
@@ -198,58 +122,25 @@ async def obeys_at_once_between_cycles(stage: Stage) -> None:
     ran = [call for call in stage.calls if not call.endswith("on_startup")]
     expect(ran == ["a.on_activated", "a.on_deactivated"], "on_activated, then on_deactivated", ran)
     passed = stage.clock.monotonic_ns() - now_ns
-    expect(passed == 0 and stage.context.ticks == ticks, "no time, no tick", f"{passed} ns, {stage.context.ticks - ticks}")
+    expect(
+        passed == 0 and stage.context.ticks == ticks, "no time, no tick", f"{passed} ns, {stage.context.ticks - ticks}"
+    )
 
 
 @_staged
 async def finishes_a_cycle_before_it_obeys(stage: Stage) -> None:
     """A request that comes in the middle of a cycle takes effect after it, not in it."""
-    asked = _AskedInside(stage)
-    stage.a.during = asked
+    asked = AskedInside(stage)
+    if _takes_coroutines(stage.context):
+        stage.a = Asking("a", stage.calls, asked)
+    else:
+        stage.a.during = asked.from_thread
     await stage.start()
-    ran = await stage.cycle()
+    await stage.cycle()
     await asked.answered()
     ran = stage.calls
     expect(ran[: len(FULL_CYCLE)] == FULL_CYCLE, f"the whole cycle first, {FULL_CYCLE}", ran)
     expect("b.on_deactivated" in ran, "b.on_deactivated after the cycle", ran)
-
-
-class _AskedInside:
-    """Called within a hook, in whatever thread: asks once for the deactivation of b, and sees that it is submitted."""
-
-    def __init__(self, stage: Stage) -> None:
-        self._stage = stage
-        self._loop = asyncio.get_running_loop()
-        self._thread = threading.get_ident()
-        self._request: asyncio.Future[None] | None = None
-        self._once = False
-
-    def __call__(self) -> None:
-        if self._once:
-            return
-        self._once = True
-        request = self._stage.context.deactivate(self._stage.b)
-        if threading.get_ident() != self._thread:
-            submitted = threading.Event()
-            self._loop.call_soon_threadsafe(self._submit, request, submitted)
-            submitted.wait(5.0)
-        else:
-            # Stepped by hand to its first wait: submitted while this hook runs, as a second task would do it.
-            task = asyncio.ensure_future(_first_step(request))
-            self._request = task
-
-    def _submit(self, request: Coroutine[Any, Any, None], submitted: threading.Event) -> None:
-        self._request = asyncio.ensure_future(request)
-        self._loop.call_soon(submitted.set)
-
-    async def answered(self) -> None:
-        """Wait until the request has taken effect."""
-        if self._request is not None:
-            await self._request
-
-
-async def _first_step(request: Coroutine[Any, Any, None]) -> None:
-    await request
 
 
 @_staged
@@ -258,45 +149,15 @@ async def never_enters_a_hook_twice(stage: Stage) -> None:
     inside = Inside()
     stage.a.during = stage.b.during = inside.plain
     if _takes_coroutines(stage.context):
-        stage.a, stage.b = (Waiting(name, stage.calls, inside) for name in "ab")
+        stage.a, stage.b = Waiting("a", stage.calls, inside), Waiting("b", stage.calls, inside)
     await stage.start()
     drives = [asyncio.ensure_future(stage.cycle()) for _ in range(3)] if is_ticked(stage.context) else [stage.cycle()]
     for drive in drives:
         await drive
     await stage.clock.advance(1.0)
+    await stage.context.stop()
     expect(inside.entered >= 2, "hooks that ran", inside.entered)
     expect(inside.most == 1, "one hook at a time", f"{inside.most} at once")
-
-
-class Inside:
-    """How many hooks run at once, and at most."""
-
-    def __init__(self) -> None:
-        self.now = self.most = self.entered = 0
-
-    def plain(self) -> None:
-        """Enter and leave."""
-        self.enter()
-        self.now -= 1
-
-    def enter(self) -> None:
-        """A hook begins."""
-        self.now += 1
-        self.entered += 1
-        self.most = max(self.most, self.now)
-
-
-class Waiting(Recorder):
-    """Its on_execute waits for virtual time."""
-
-    def __init__(self, name: str, calls: list[str], inside: Inside) -> None:
-        super().__init__(name, calls)
-        self._inside = inside
-
-    async def on_execute(self) -> None:  # type: ignore[override] # a hook may be either
-        self._inside.enter()
-        await self.sleep(0.0035)
-        self._inside.now -= 1
 
 
 def _takes_coroutines(context: Context) -> bool:
@@ -408,4 +269,3 @@ async def ends_in_reverse_order(stage: Stage) -> None:
 
 CONTEXT_CHECKS: Mapping[str, str] = _SUITE.promises
 """What `check_context` demands: name of the check -> promise."""
-_ = HOOKS

@@ -63,7 +63,9 @@ async def while_time_passes(clock: SimulatedClock, work: Coroutine[Any, Any, T])
             if task.done() or deadline is None:
                 return await task
             if deadline > limit:
-                raise StateError(f"{clock!r}: a hook still waits after an hour of virtual time; give it what it waits for")
+                raise StateError(
+                    f"{clock!r}: a hook still waits after an hour of virtual time; give it what it waits for"
+                )
             await clock.advance_to(max(deadline, clock.monotonic_ns()))
     finally:
         task.cancel()
@@ -74,5 +76,7 @@ async def _pass_time_until(clock: SimulatedClock, context: Context, ticks: int) 
     while context.ticks < ticks:
         deadline = clock.next_deadline()
         if deadline is None:
-            raise StateError(f"{context!r}: has a rate and waits for no time; does it run, and on the clock of its kernel?")
+            raise StateError(
+                f"{context!r}: has a rate and waits for no time; does it run, and on the clock of its kernel?"
+            )
         await clock.advance_to(max(deadline, clock.monotonic_ns()))

@@ -21,11 +21,11 @@ _LENGTH: Final = 1_000_000
 class Tap:
     """What one out-port has written, and when (nanoseconds of the kernel clock's `monotonic_ns`)."""
 
-    def __init__(self, out: OutPort[Any], now_ns: Callable[[], int], note: Callable[[Any], object] | None) -> None:
+    def __init__(self, out: OutPort[Any], now_ns: Callable[[], int], note: Callable[[Any], bytes] | None) -> None:
         self.out = out
         self.samples: list[Any] = []
         self.times: list[int] = []
-        self.notes: list[object] = []
+        self.notes: list[bytes] = []
         """What `note` made of each sample as it arrived."""
         self._now_ns = now_ns
         self._note = note
@@ -49,7 +49,7 @@ class Tap:
 class Instruments(Component):
     """What a rig puts into its kernel beside the components under test."""
 
-    def __init__(self, note: Callable[[Any], object] | None = None) -> None:
+    def __init__(self, note: Callable[[Any], bytes] | None = None) -> None:
         super().__init__("rig_instruments")
         self.taps: dict[OutPort[Any], Tap] = {}
         self._note = note

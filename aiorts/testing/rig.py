@@ -1,9 +1,9 @@
 """A rig: components in a kernel of their own, on simulated time; feeds ports, steps time, keeps what was written.
 
-    async with Rig(Pid("pid0"), rate=100.0) as rig:
-        rig.feed("measured", 1.0, 2.0)
-        await rig.tick()
-        assert rig.values("command") == [-2.0]
+async with Rig(Pid("pid0"), rate=100.0) as rig:
+    rig.feed("measured", 1.0, 2.0)
+    await rig.tick()
+    assert rig.values("command") == [-2.0]
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
-from aiorts.clock import SimulatedClock, current_clock
+from aiorts.clock import SimulatedClock, current_clock, to_ns
 from aiorts.contexts import ExternalContext
 from aiorts.errors import ClosedError, ComponentError, StateError, WiringError
 from aiorts.kernel import Component, InPort, Kernel, OutPort
 from aiorts.kernel.bus import HookFailed, PortAdded
 from aiorts.testing.driving import is_ticked, one_cycle, while_time_passes
 from aiorts.testing.instruments import Instruments, Tap, at_once
-from aiorts.testing.samples import sample_of, value_of
+from aiorts.testing.samples import difference, sample_of, value_of
+from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Coroutine, Iterator
+    from collections.abc import Coroutine, Iterator
     from types import TracebackType
 
     from aiorts.kernel import Connector, Context
@@ -69,12 +70,12 @@ class Rig:
         self._clock = clock
         self._debug = debug
         self._activate = activate
-        self._note: Callable[[Any], object] | None = None
         self._kernel: Kernel | None = None
         self._instruments: Instruments | None = None
         self._failures: list[HookFailed] = []
         self._reported = 0
         self._expecting = 0
+        self._is_open = False
         self._start_ns = self._ticks = 0
         self._in_ports: dict[InPort[Any], list[Any]] = {}
 
@@ -91,11 +92,12 @@ class Rig:
         except BaseException:
             await self._kernel.aclose()
             raise
+        self._is_open = True
         return self
 
     async def _set_up(self, kernel: Kernel) -> None:
         kernel.bus.subscribe(HookFailed, self._failures.append)
-        instruments = self._instruments = await kernel.add(Instruments(self._note))
+        instruments = self._instruments = await kernel.add(Instruments(None if self._debug else MsgpackCodec().encode))
         for component in self.components:
             await kernel.add(component)
             for port in component.ports.values():
@@ -112,7 +114,13 @@ class Rig:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        await self.kernel.aclose()
+        self._is_open = False
+        kernel = self.kernel
+        try:
+            for context in reversed(tuple(kernel.contexts.values())):
+                await while_time_passes(self.clock, context.stop())
+        finally:
+            await kernel.aclose()
         if error is None:
             self._raise_failure()
 
@@ -122,6 +130,11 @@ class Rig:
             self._tools.tap(port)
 
     # -- what there is ---------------------------------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it was opened and not closed."""
+        return self._is_open
 
     @property
     def kernel(self) -> Kernel:
@@ -225,10 +238,28 @@ class Rig:
             tap.clear()
         self._in_ports.clear()
 
+    def find_aliasing(self) -> list[str]:
+        """Samples that were changed after they were written, as "pid0.command: sample 3: TimedDoubleSeq.data[0]: ...".
+
+        Raises:
+            StateError: the rig is in debug mode, which copies each sample and so hides it; use Rig(..., debug=False).
+        """
+        if self._debug:
+            raise StateError("find_aliasing: the rig's debug mode copies each sample; use Rig(..., debug=False)")
+        codec, found = MsgpackCodec(), []
+        for tap in self._tools.taps.values():
+            for number, (sample, frame) in enumerate(zip(tap.samples, tap.notes, strict=True)):
+                changed = difference(sample, codec.decode(frame))
+                if changed is not None:
+                    found.append(f"{tap.out.path}: sample {number}: {changed} as written")
+        return found
+
     def _tap(self, out: OutPort[Any]) -> Tap:
         tap = self._tools.taps.get(out)
         if tap is None:
-            raise WiringError(f"{out.path}: takes {out.max_connectors} connectors and all are used; ask the readers instead")
+            raise WiringError(
+                f"{out.path}: all {out.max_connectors} connectors are used and none is left to listen; ask its readers"
+            )
         return tap
 
     # -- time and life cycle ---------------------------------------------------------------------------------------
@@ -246,12 +277,14 @@ class Rig:
             self._raise_failure()
 
     async def advance(self, seconds: float) -> None:
-        """Let virtual time pass, with all ticks that are due in it. Raises as `tick`, and ValueError as the clock does."""
-        end_ns = self.clock.monotonic_ns() + round(seconds * 1e9)
-        if self._rate is not None:
-            while self._due_ns(self._rate) <= end_ns:
-                await self.tick()
-        await self.clock.advance(max(0, end_ns - self.clock.monotonic_ns()) / 1e9 if seconds >= 0 else seconds)
+        """Let virtual time pass, with all ticks that are due in it. Raises as `tick`; ValueError for less than 0."""
+        step_ns = to_ns(seconds)
+        if step_ns < 0:
+            raise ValueError(f"seconds={seconds!r}: expected 0 or more, time does not go back")
+        end_ns = self.clock.monotonic_ns() + step_ns
+        while self._rate is not None and self._due_ns(self._rate) <= end_ns:
+            await self.tick()
+        await self.clock.advance_to(max(end_ns, self.clock.monotonic_ns()))
         self._raise_failure()
 
     async def activate(self, *components: Component) -> None:

@@ -32,6 +32,7 @@ from aiorts.types.basic import (
 from aiorts.types.convert import (
     convert,
 )
+from aiorts.types.detach import detached
 from aiorts.types.extended import (
     OAP,
     Acceleration2D,
@@ -389,5 +390,6 @@ __all__ = (
     "Field",
     "Structure",
     "describe",
+    "detached",
     "fields_of",
 )

@@ -39,10 +39,11 @@ class Checker(Component):
     def on_deactivated(self) -> None:
         if self.truths or self.poses:
             self.fault = self.fault or f"row {self.rows} has no {'pose' if self.truths else 'truth'}"
-        if not self.rows:
-            self.fault = "there was no row"
+        sent = sum(connector.statistics.written for connector in self.truth.connectors)
+        if self.rows != sent or not sent:
+            self.fault = self.fault or f"{self.rows} of {sent} rows arrived"
         if self.fault:
             print(f"heading not verified: {self.fault}")
             self.kernel.request_stop(1)
         else:
-            print(f"heading verified: {self.rows} of {self.rows} within {self.within:g} rad")
+            print(f"heading verified: {self.rows} of {sent} within {self.within:g} rad")

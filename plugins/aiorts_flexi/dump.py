@@ -13,12 +13,11 @@ from __future__ import annotations
 from typing import Any
 
 from aiorts import Component, InPort, Param
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ConfigurationError, InvalidNameError, RecordError
 from aiorts.types import has_tm, path_type, type_name
-
 from aiorts_flexi.ports import parse_type
 from aiorts_flexi.stream import LineStream
-from aiorts_flexi.text import FORMATS, line_of
+from aiorts_flexi.text import FORMATS, full_path, line_of
 
 __all__ = ("FlexiDump",)
 
@@ -30,12 +29,16 @@ class FlexiDump(Component):
     reads it has gone, it goes to error with BrokenPipeError.
     """
 
-    inputs = Param((), type=tuple[str, ...], doc="types of the in-ports")
-    names = Param((), type=tuple[str, ...], doc='names of the in-ports; "" or missing: input0, input1, ...')
+    inputs: tuple[str, ...] = Param((), type=tuple[str, ...], doc="types of the in-ports")
+    names: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc='names of the in-ports; "" or missing: input0, input1, ...'
+    )
     format = Param("text", choices=FORMATS, doc="text: NAME TYPE TIME: DATA; json, csv; values: data alone")
     rate_limit = Param(0.0, ge=0.0, unit="Hz", doc="lines in a second for each port at the most; 0 is all")
     rate_clock = Param("kernel", choices=("kernel", "tm"), doc="whose seconds: the kernel's, or those of the samples")
-    fields = Param((), type=tuple[str, ...], doc="field paths to show, such as position.x; none shows all")
+    fields: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc="field paths to show, such as position.x; none shows all"
+    )
 
     def on_initialize(self) -> None:
         if len(self.names) > len(self.inputs):
@@ -52,9 +55,9 @@ class FlexiDump(Component):
     def _add_input(self, name: str, cls: type[Any]) -> None:
         for path in self.fields:
             try:
-                path_type(cls, path)
-            except LookupError as error:
-                raise ConfigurationError(f"{self.name}.{name}: {error}") from None
+                path_type(cls, full_path(cls, path))
+            except (RecordError, InvalidNameError) as error:
+                raise ConfigurationError(f"{self.name}.{name}: fields: {error}") from None
         self.add_port(name, InPort(cls))
 
     def on_activated(self) -> None:
@@ -62,13 +65,15 @@ class FlexiDump(Component):
         self._hidden = 0
 
     async def on_execute(self) -> None:
-        lines = []
+        lines: list[str] = []
         for port in self.ports.values():
             if not isinstance(port, InPort):
                 continue
-            for sample in port.drain():
-                if self._is_due(port.name, sample):
-                    lines.append(line_of(self.format, port.name, type_name(type(sample)), sample, self.fields))
+            lines += [
+                line_of(self.format, port.name, type_name(type(sample)), sample, self.fields)
+                for sample in port.drain()
+                if self._is_due(port.name, sample)
+            ]
         if lines:
             await self._stream.write(lines)
 

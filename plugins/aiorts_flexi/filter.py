@@ -15,7 +15,6 @@ from collections import deque
 from typing import Any
 
 from aiorts import Component, InPort, OutPort, Param
-
 from aiorts_flexi.mapping import COMBINE, Mapping, Rules
 from aiorts_flexi.ports import parse_port
 
@@ -28,13 +27,15 @@ class FlexiFilter(Component):
     Its ports are made when it is created and stay; the rules may change while it runs.
     """
 
-    inputs = Param((), type=tuple[str, ...], doc="types of input0, input1, ...: TYPE, or TYPE:LEN for a sequence")
-    outputs = Param((), type=tuple[str, ...], doc="types of output0, output1, ...")
+    inputs: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc="types of input0, input1, ...: TYPE, or TYPE:LEN for a sequence"
+    )
+    outputs: tuple[str, ...] = Param((), type=tuple[str, ...], doc="types of output0, output1, ...")
     map = Param("0>0", doc="entries in[:pin] > [mult[off] >] out[:pin], separated by commas")
     rounding = Param("nearest", choices=("nearest", "truncate", "floor"), doc="from a fraction to an integer")
     overflow = Param("error", choices=("error", "saturate", "wrap"), doc="a number that the pin cannot hold")
     reset = Param("", doc='value of pins without new data; "" keeps their last one')
-    clamp = Param((), type=tuple[float, ...], doc="LO, HI: limits of every number")
+    clamp: tuple[float, ...] = Param((), type=tuple[float, ...], doc="LO, HI: limits of every number")
     nan = Param("pass", doc='"pass", "error" or a number to put in its place')
     combine = Param("", choices=COMBINE, doc='several entries to one pin; "" is an error')
     time = Param("oldest", choices=("oldest", "newest"), doc="time of a sample: of the oldest or newest of its sources")
@@ -43,9 +44,10 @@ class FlexiFilter(Component):
         self._in_specs = [parse_port(text, f"input{number}") for number, text in enumerate(self.inputs)]
         self._out_specs = [parse_port(text, f"output{number}") for number, text in enumerate(self.outputs)]
         self._remake()
-        self._in_ports = [self.add_port(spec.name, InPort(spec.type)) for spec in self._in_specs]
-        for spec in self._out_specs:
-            self.add_port(spec.name, OutPort(spec.type))
+        self._in_ports: list[InPort[Any]] = [self.add_port(s.name, InPort(s.type)) for s in self._in_specs]
+        self._out_ports: dict[str, OutPort[Any]] = {
+            s.name: self.add_port(s.name, OutPort(s.type)) for s in self._out_specs
+        }
 
     def on_activated(self) -> None:
         self._waiting: list[deque[Any]] = [deque() for _ in self._in_ports]
@@ -58,13 +60,7 @@ class FlexiFilter(Component):
             waiting.extend(port.drain())
         while samples := {number: waiting.popleft() for number, waiting in enumerate(self._waiting) if waiting}:
             for name, sample in self._mapping.apply(samples, self.clock.time_ns()):
-                port: OutPort[Any] = self._out_port(name)
-                await port.write(sample)
-
-    def _out_port(self, name: str) -> OutPort[Any]:
-        port = self.ports[name]
-        assert isinstance(port, OutPort)  # noqa: S101 - made in on_initialize
-        return port
+                await self._out_ports[name].write(sample)
 
     def _settings(self) -> tuple[str, Rules]:
         rules = Rules(self.rounding, self.overflow, self.reset, self.clamp, self.nan, self.combine, self.time)

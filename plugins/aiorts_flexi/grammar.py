@@ -52,7 +52,7 @@ class Entry:
 
 
 def parse_map(text: str) -> tuple[Entry, ...]:
-    """The entries of a map, in order. ConfigurationError names the first character that does not fit, and what would."""
+    """The entries of a map, in order. ConfigurationError names the first character that does not fit."""
     if len(text) > LONGEST_MAP:
         raise ConfigurationError(f"map of {len(text)} characters: expected at most {LONGEST_MAP}")
     scanner = _Scanner(text)

@@ -8,13 +8,13 @@ value. A pin without new data keeps its last value, or goes back to `reset` wher
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping as ReadOnlyMap, Sequence
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as ReadOnlyMap
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from aiorts.errors import ConfigurationError, ConversionError, RecordError
-from aiorts.types import convert, describe, has_tm, read_path, zero
-
+from aiorts.types import convert, describe, has_tm, read_path
 from aiorts_flexi.grammar import Entry, parse_map, parse_number
 from aiorts_flexi.ports import PortSpec
 
@@ -30,10 +30,13 @@ _TEXT: Final = ("str", "char", "wchar")
 class Rules:
     """How values are made.
 
-    rounding: "nearest", "truncate" or "floor", from a fraction to an integer. overflow: "error", "saturate" or "wrap".
-    reset: what pins without new data are set to; "" keeps them. clamp: (low, high) for numbers. nan: "pass", "error", or
-    a number to put in its place. combine: what several entries to one pin make; "" allows one. time: "oldest" or
-    "newest" of the sources of a sample.
+    rounding: "nearest", "truncate" or "floor", from a fraction to an integer.
+    overflow: "error", "saturate" or "wrap".
+    reset: what pins without new data are set to; "" keeps them.
+    clamp: (low, high) for numbers; () is none.
+    nan: "pass", "error", or a number to put in its place.
+    combine: what several entries to one pin make; "" allows one entry.
+    time: "oldest" or "newest" of the sources of a sample.
     """
 
     rounding: str = "nearest"
@@ -80,6 +83,8 @@ class _Output:
     spec: PortSpec
     targets: list[_Target]
     sources: frozenset[int]
+    base: Any = None
+    """For a record: what its fields hold that no entry sets."""
 
 
 class Mapping:
@@ -97,11 +102,6 @@ class Mapping:
         self._nan = None if rules.nan in NAN else float(parse_number(rules.nan, "nan"))
         self._outputs = self._make_outputs(outputs)
 
-    @property
-    def lossless_order(self) -> tuple[str, ...]:
-        """The out-ports that some entry feeds, in order."""
-        return tuple(output.spec.name for output in self._outputs)
-
     def clear(self) -> None:
         """Forget all values: what activation does."""
         for output in self._outputs:
@@ -110,10 +110,12 @@ class Mapping:
                 target.last.clear()
 
     def apply(self, samples: ReadOnlyMap[int, Any], now: int) -> list[tuple[str, Any]]:
-        """The samples to send for one round of samples by number of their in-port; `now` stamps what has no source time.
+        """The samples to send for one round: samples by the number of their in-port.
+
+        `now`, in ns, stamps what has no source with a time.
 
         Raises:
-            ConversionError: names the entry whose value cannot be converted under the rules; nothing of the round is sent.
+            ConversionError: names the entry whose value cannot be converted; nothing of the round is sent.
         """
         made = []
         for output in self._outputs:
@@ -186,7 +188,7 @@ class Mapping:
         if not self.rules.clamp or isinstance(value, str | bool):
             return value
         low, high = self.rules.clamp
-        return low if value < low else high if value > high else value
+        return low if value < low else min(value, high)
 
     def _combined(self, target: _Target) -> Any:
         values = [value for value, _ in target.last.values()]
@@ -197,7 +199,9 @@ class Mapping:
         try:
             return convert(sum(values), target.kind, overflow=self.rules.overflow, rounding=self._rounding)
         except ConversionError as error:
-            raise ConversionError(f"sum of {' and '.join(str(route.entry) for route in target.routes)}: {error}") from None
+            raise ConversionError(
+                f"sum of {' and '.join(str(route.entry) for route in target.routes)}: {error}"
+            ) from None
 
     # -- samples ---------------------------------------------------------------------------------------------------
 
@@ -214,7 +218,9 @@ class Mapping:
         if spec.plain:
             return output.targets[0].value
         if spec.form == "scalar":
-            return spec.type(stamp, output.targets[0].value) if has_tm(spec.type) else spec.type(output.targets[0].value)
+            return (
+                spec.type(stamp, output.targets[0].value) if has_tm(spec.type) else spec.type(output.targets[0].value)
+            )
         if spec.form == "sequence":
             values: list[Any] = [self._empty(spec.element)] * spec.length
             for target in output.targets:
@@ -223,7 +229,7 @@ class Mapping:
         changes = {spec.pin_path(target.pin): target.value for target in output.targets}
         if has_tm(spec.type) and "tm" not in changes:
             changes["tm"] = stamp
-        return _with_values(zero(spec.type), changes)
+        return _with_values(output.base, changes)
 
     def _empty(self, kind: str) -> Any:
         text = self.rules.reset
@@ -243,7 +249,9 @@ class Mapping:
             spec = _port(specs, entry.target, "out-port", entry)
             path, kind = spec.pin_path(entry.target_pin), spec.kind(entry.target_pin)
             if "[" in path and spec.form == "record":
-                raise ConfigurationError(f"map entry {entry}: an item of a sequence cannot be set; name a field without index")
+                raise ConfigurationError(
+                    f"map entry {entry}: an item of a sequence cannot be set; name a field without index"
+                )
             route = _Route(entry, source.pin_path(entry.source_pin), source.kind(entry.source_pin))
             _check_factor(route)
             targets = found.setdefault(entry.target, {})
@@ -260,7 +268,7 @@ class Mapping:
         first = target.routes[0].entry
         if not self.rules.combine:
             raise ConfigurationError(
-                f"map entries {first} and {route.entry} feed one pin; take one away, or say combine = sum, min, max or newest"
+                f"map entries {first} and {route.entry} feed one pin; take one away, or set combine (sum, min, ...)"
             )
         if self.rules.combine == "sum" and target.kind in _TEXT:
             raise ConfigurationError(f"map entries {first} and {route.entry}: there is no sum of {target.kind}")
@@ -275,7 +283,12 @@ def legible(mapping: Mapping, outputs: Sequence[PortSpec]) -> str:
         offset = "" if entry.off is None else f"{entry.off:+}"
         kinds = f"{source.kind(entry.source_pin)} -> {target.kind(entry.target_pin)}"
         rows.append(
-            (f"{source.name}:{entry.source_pin}", f"{factor} {offset}".strip(), f"{target.name}:{entry.target_pin}", kinds)
+            (
+                f"{source.name}:{entry.source_pin}",
+                f"{factor} {offset}".strip(),
+                f"{target.name}:{entry.target_pin}",
+                kinds,
+            )
         )
     widths = [max(len(row[column]) for row in rows) for column in range(3)]
     return "\n".join(
@@ -285,7 +298,16 @@ def legible(mapping: Mapping, outputs: Sequence[PortSpec]) -> str:
 
 def _output(spec: PortSpec, targets: dict[str, _Target]) -> _Output:
     sources = frozenset(route.entry.source for target in targets.values() for route in target.routes)
-    return _Output(spec, list(targets.values()), sources)
+    return _Output(spec, list(targets.values()), sources, _base(spec) if spec.form == "record" else None)
+
+
+def _base(spec: PortSpec) -> Any:
+    try:
+        return spec.type()
+    except (TypeError, RecordError) as error:
+        raise ConfigurationError(
+            f"{spec.name}: {spec.type.__name__} needs a default for every field, so that the map may set some: {error}"
+        ) from None
 
 
 def _port(specs: Sequence[PortSpec], number: int, word: str, entry: Entry) -> PortSpec:

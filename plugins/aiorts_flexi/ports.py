@@ -44,11 +44,15 @@ class PortSpec:
         try:
             path_type(self.type, pin)
         except RecordError as error:
-            below = f"data.{pin}"
-            if describe(self.type).field("data") is None or self._is_missing(below):
+            if describe(self.type).field("data") is None or self.form != "record":
                 raise ConfigurationError(f"{self.name}:{pin}: {error}") from None
-            return below
-        return pin
+        else:
+            return pin
+        try:
+            path_type(self.type, f"data.{pin}")
+        except RecordError as error:
+            raise ConfigurationError(f"{self.name}:{pin}: {error}") from None
+        return f"data.{pin}"
 
     def kind(self, pin: int | str) -> str:
         """The kind of value at a pin ("f64", "str"). ConfigurationError when it is no single value."""
@@ -58,26 +62,22 @@ class PortSpec:
         found: Any = path_type(self.type, path)
         spelling = found.__name__ if isinstance(found, type) else str(found.spelling)
         if not is_scalar(spelling):
-            raise ConfigurationError(f"{self.name}:{pin}: a pin is one value, this is {spelling}; name a field inside it")
+            raise ConfigurationError(
+                f"{self.name}:{pin}: a pin is one value, this is {spelling}; name a field inside it"
+            )
         return spelling
 
     def _numbered(self, pin: int) -> str:
         if self.form == "record":
             raise ConfigurationError(
-                f"{self.name}:{pin}: {self.type.__name__} has named pins; write a field such as {self.name}:{_example(self.type)}"
+                f"{self.name}:{pin}: {self.type.__name__} has named pins; "
+                f"write a field such as {self.name}:{_example(self.type)}"
             )
         if pin >= self.length:
             raise ConfigurationError(f"{self.name}:{pin}: there is no such pin; the last one is {self.length - 1}")
         if self.plain:
             return ""
         return "data" if self.form == "scalar" else f"data[{pin}]"
-
-    def _is_missing(self, path: str) -> bool:
-        try:
-            path_type(self.type, path)
-        except RecordError:
-            return True
-        return False
 
 
 def parse_port(text: str, name: str) -> PortSpec:

@@ -8,12 +8,13 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from aiorts.types import has_tm, read_path, to_plain
+from aiorts.types import fields_of, has_tm, read_path, to_plain
 
-__all__ = ("FORMATS", "line_of", "printable", "stamp_text")
+__all__ = ("FORMATS", "full_path", "line_of", "printable", "stamp_text")
 
 FORMATS: Final = ("text", "json", "csv", "values")
 
@@ -56,7 +57,7 @@ def _number_of(character: str) -> str:
 
 def _data(sample: Any, fields: Sequence[str]) -> Any:
     if fields:
-        return {path: _plain(_read(sample, path)) for path in fields}
+        return {path: _plain(read_path(sample, full_path(type(sample), path))) for path in fields}
     plain = to_plain(sample)
     if not isinstance(plain, dict):
         return plain
@@ -64,10 +65,11 @@ def _data(sample: Any, fields: Sequence[str]) -> Any:
     return rest["data"] if list(rest) == ["data"] else rest
 
 
-def _read(sample: Any, path: str) -> Any:
-    if hasattr(sample, "data") and not hasattr(sample, path.partition(".")[0].partition("[")[0]):
-        path = f"data.{path}"
-    return read_path(sample, path)
+def full_path(cls: type, path: str) -> str:
+    """A field path of `cls`, looked for below its field `data` when the record itself has no such field."""
+    first = re.split(r"[.\[]", path, maxsplit=1)[0]
+    names = {field.name for field in fields_of(cls)} if hasattr(cls, "__dataclass_fields__") else set()
+    return f"data.{path}" if first not in names and "data" in names and first not in ("sec", "nsec") else path
 
 
 def _plain(value: Any) -> Any:

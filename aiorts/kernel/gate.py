@@ -1,0 +1,54 @@
+"""A component in several contexts is entered by one at a time, in the order they came.
+
+Who is inside stands in `Component._running`; this file only lets the others wait. A component in one context finds
+its gate open and pays for looking, no more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+
+__all__ = ("Gate",)
+
+
+class Gate:
+    """The way into one component. On the kernel's loop only."""
+
+    __slots__ = ("_component", "waiting")
+
+    def __init__(self, component: Component) -> None:
+        self._component = component
+        self.waiting: deque[asyncio.Future[bool]] = deque()
+
+    @property
+    def open(self) -> bool:
+        """Whether nobody is inside and nobody came first."""
+        return self._component._running is None and not self.waiting
+
+    async def wait(self, turn: asyncio.Future[bool]) -> bool:
+        """Wait for one's turn and enter at once; False when somebody resolved `turn` so, as a deadline does."""
+        self.waiting.append(turn)
+        granted = False
+        try:
+            granted = await turn
+        finally:
+            self.waiting.remove(turn)
+            if not granted:
+                self.pass_on()
+        return granted
+
+    def pass_on(self) -> None:
+        """Let the first who waits come in, when nobody is inside."""
+        if self._component._running is not None:
+            return
+        for turn in self.waiting:
+            if turn.done():
+                # It was let in (or has given up and passes it on itself) and did not run yet.
+                return
+            turn.set_result(True)
+            return

@@ -1,0 +1,273 @@
+"""The components of one kernel: how they come in, what they leave behind, how they go; never two at once for one.
+
+Coming in is all or nothing. Going is a task of the kernel's own, so that whoever asked may be cancelled, be a hook of
+the component itself, or ask twice.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
+from aiorts.kernel import embedding
+from aiorts.kernel.bulkhead import CANCELLATIONS, StopBudget
+from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
+from aiorts.kernel.component import Component
+from aiorts.kernel.life import chain
+from aiorts.kernel.ports import InPort, Port
+from aiorts.kernel.solo import run_alone
+from aiorts.kernel.tasks import current_task, kernel_task, leave_behind, owner_of
+from aiorts.model.lifecycle import HOOKS
+from aiorts.model.names import Path
+
+if TYPE_CHECKING:
+    from aiorts.kernel.kernel import Kernel
+
+__all__ = ("Roster",)
+
+C = TypeVar("C", bound=Component)
+_LOG = logging.getLogger("aiorts.kernel")
+
+
+class Roster:
+    """Who belongs to a kernel, by name, in the order they came."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self.components: dict[str, Component] = {}
+        self.tasks: set[asyncio.Task[Any]] = set()
+        """Tasks that components started and that have not ended."""
+        self._arriving: dict[Component, asyncio.Future[None]] = {}
+        self._leaving: dict[Component, asyncio.Task[BaseException | None]] = {}
+
+    def find(self, path: str) -> Component | Port[Any]:
+        """See `Kernel.find`."""
+        where = Path.parse(path)
+        component = self.components.get(where.component)
+        if component is None:
+            raise WiringError(
+                f"{path}: no component {where.component!r}; there are {', '.join(self.components) or 'none'}"
+            )
+        if where.port is None:
+            return component
+        port = component.ports.get(where.port)
+        if port is None:
+            raise WiringError(
+                f"{path}: {where.component} has no port {where.port!r}; it has {', '.join(component.ports) or 'none'}"
+            )
+        return port
+
+    # -- coming in -------------------------------------------------------------------------------------------------
+
+    async def create(self, cls: type[Component], name: str, params: Mapping[str, object]) -> Component:
+        """Make a component of a class and take it in."""
+        if not (isinstance(cls, type) and issubclass(cls, Component)):
+            raise DeclarationError(f"{cls!r}: expected a class derived from Component")
+        component = cls(name)
+        if name == "" and not component._named:
+            component._rename(self._kernel._free_name(cls.__name__))
+        return await self.add(component, params)
+
+    async def add(self, component: C, params: Mapping[str, object]) -> C:
+        """Take a component in; if its `on_initialize` fails, as if it had never been there."""
+        kernel = self._kernel
+        self._check_class(component)
+        if not component._named:
+            component._rename(kernel._free_name(type(component).__name__))
+        self._check_free(component)
+        component._put(component.params.check(params))
+        component._kernel = kernel
+        component._host.kernel = kernel
+        self.components[component.name] = component
+        arrived = self._arriving[component] = kernel.loop.create_future()
+        try:
+            await self._initialize(component)
+        except BaseException:
+            self._forget(component)
+            raise
+        finally:
+            del self._arriving[component]
+            arrived.set_result(None)
+        for port in component.ports.values():
+            kernel.bus.publish(PortAdded(component.name, port.profile))
+        kernel.bus.publish(ComponentAdded(component.name))
+        return component
+
+    def _check_class(self, component: Component) -> None:
+        if not isinstance(component, Component):
+            raise DeclarationError(f"{component!r}: expected a Component instance, got {type(component).__name__}")
+        kind = type(component).__name__
+        if not hasattr(component, "_host"):
+            raise DeclarationError(f"{kind}: super().__init__(name) was not called in its __init__")
+        shadowed = [hook for hook in HOOKS if hook in vars(component)]
+        if shadowed:
+            raise DeclarationError(f"{kind}.{shadowed[0]}: set on the instance; hooks are written in the class")
+        if component._kernel is not None:
+            raise StateError(
+                f"{component.name}: belongs to {component._kernel.name} already, or did; a component is added once"
+            )
+
+    def _check_free(self, component: Component) -> None:
+        name, kind = component.name, type(component)
+        if name in self.components:
+            raise InvalidNameError(f"{name}: there is a component of that name in {self._kernel.name}; choose another")
+        limit = kind.max_instance
+        if limit is not None:
+            count = sum(type(other) is kind for other in self.components.values())
+            if count >= limit:
+                raise StateError(f"{name}: {kind.__name__} allows {limit} instances, {count} exist")
+
+    async def _initialize(self, component: Component) -> None:
+        error = await run_alone(self._kernel, component, "on_initialize", None)
+        if error is None:
+            return
+        self._kernel.bus.publish(HookFailed(component.name, "", "on_initialize", error))
+        if isinstance(error, KeyboardInterrupt):
+            self._kernel._interrupted(error)
+        if isinstance(error, Exception) and not isinstance(error, StopIteration | StopAsyncIteration):
+            raise error
+        # A CancelledError or SystemExit of the component must not pass for one of the caller's.
+        raise ComponentError(
+            f"{component.name}: on_initialize raised {type(error).__name__}: {error}; it was not created"
+        ) from error
+
+    # -- going -----------------------------------------------------------------------------------------------------
+
+    async def remove(self, component: Component) -> None:
+        """Take a component out; asked for by a hook that this would wait for, soon."""
+        if component in self._arriving:
+            raise StateError(f"{component.name}: cannot be removed while its on_initialize runs")
+        task = self._leaving.get(component)
+        if task is None:
+            task = kernel_task(self._kernel.loop, self._leave(component), f"aiorts remove {component.name}")
+            self._leaving[component] = task
+            task.add_done_callback(lambda _: self._leaving.pop(component, None))
+        if owner_of(current_task()) is component or any(context._inside() for context in component.contexts):
+            task.add_done_callback(_log_error)
+            return
+        error = await asyncio.shield(task)
+        if error is not None:
+            raise error
+
+    async def _leave(self, component: Component) -> BaseException | None:
+        try:
+            for context in component.contexts:
+                await context.remove(component)
+        except (StateError, TimeoutError, RuntimeError) as error:
+            if component.contexts:
+                return error
+        await self._finalize(component, StopBudget(self._kernel.loop))
+        return None
+
+    async def close(self, budget: StopBudget) -> None:
+        """Take everybody out, in reverse order; contexts have stopped and nobody comes in any more."""
+        while self._arriving or self._leaving:
+            coming_and_going: list[asyncio.Future[Any]] = [*self._arriving.values(), *self._leaving.values()]
+            await asyncio.wait(coming_and_going)
+            await asyncio.sleep(0)
+        embedding.settle(self._kernel, self._kernel.loop)
+        for component in reversed(tuple(self.components.values())):
+            await self._finalize(component, budget)
+        await self._end_tasks(self.tasks, budget)
+        embedding.settle(self._kernel, self._kernel.loop)
+
+    async def _finalize(self, component: Component, budget: StopBudget) -> None:
+        kernel = self._kernel
+        self._disconnect(component)
+        error = None
+        if component._abandoned is None:
+            error = await run_alone(kernel, component, "on_finalize", budget)
+        if error is not None:
+            chain(error, component._last_error)
+            component._last_error = error
+            kernel.bus.publish(HookFailed(component.name, "", "on_finalize", error))
+            component.log.error("on_finalize failed: %s: %s", type(error).__name__, error, exc_info=error)
+            if isinstance(error, KeyboardInterrupt):
+                kernel._interrupted(error)
+        await self._end_tasks([task for task in self.tasks if _is_of(task, component)], budget)
+        self._forget(component)
+        component.log.flush()
+        kernel.bus.publish(ComponentRemoved(component.name))
+
+    def _forget(self, component: Component) -> None:
+        self._disconnect(component)
+        self.components.pop(component.name, None)
+        component._host.alive = False
+        for port in component.ports.values():
+            if isinstance(port, InPort):
+                port._wake_waiter()
+        for task in self.tasks:
+            if _is_of(task, component):
+                task.cancel()
+
+    def _disconnect(self, component: Component) -> None:
+        for port in component.ports.values():
+            for connector in port.connectors:
+                self._kernel._connections.end(connector)
+
+    # -- what they change ------------------------------------------------------------------------------------------
+
+    def port_added(self, component: Component, port: Port[Any]) -> None:
+        """At run time."""
+        for member in component._members:
+            member.context._port_added(member, port)
+        self._kernel.bus.publish(PortAdded(component.name, port.profile))
+
+    def port_removed(self, component: Component, port: Port[Any]) -> None:
+        """Its connectors are gone already."""
+        for member in component._members:
+            member.context._port_removed(member, port)
+        self._kernel.bus.publish(PortRemoved(component.name, port.profile))
+
+    def parameters_changed(self, component: Component, values: Mapping[str, Any]) -> None:
+        """From the thread of the component's context."""
+        bus = self._kernel.bus
+        self._kernel._on_loop(lambda: bus.publish(ParametersChanged(component.name, tuple(values.items()))))
+
+    # -- what they started -----------------------------------------------------------------------------------------
+
+    def adopt(self, task: asyncio.Task[Any]) -> None:
+        """A task that a component started."""
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+
+    def task_failed(self, component: Component, name: str, error: BaseException) -> None:
+        """A task that a component started has failed and nobody asked for its exception."""
+        error.add_note(f"in task {name!r} started by component {component.name}")
+        if component._members:
+            for member in tuple(component._members):
+                member.context._life.task_failed(member, error)
+            return
+        component._last_error = error
+        self._kernel.bus.publish(HookFailed(component.name, "", "task", error))
+        component.log.error("its task %s failed: %s: %s", name, type(error).__name__, error, exc_info=error)
+
+    async def _end_tasks(self, tasks: Any, budget: StopBudget) -> None:
+        left = {task for task in tasks if not task.done() and task is not current_task()}
+        for task in left:
+            owner = owner_of(task)
+            if owner is not None:
+                _LOG.warning("%s: left task %s running; it is cancelled", owner.name, task.get_name())
+        for _ in range(CANCELLATIONS):
+            if not left:
+                return
+            for task in left:
+                task.cancel()
+            _, left = await asyncio.wait(left, timeout=budget.grace)
+        for task in left:
+            _LOG.error("task %s ignored %s cancellations and was left behind", task.get_name(), CANCELLATIONS)
+            self.tasks.discard(task)
+            leave_behind(task)
+
+
+def _is_of(task: asyncio.Task[Any], component: Component) -> bool:
+    return getattr(task, "_aiorts_component", None) is component
+
+
+def _log_error(task: asyncio.Task[BaseException | None]) -> None:
+    error = None if task.cancelled() else task.result()
+    if error is not None:
+        _LOG.warning("%s failed: %s", task.get_name().removeprefix("aiorts "), error)

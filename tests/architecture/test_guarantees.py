@@ -1,0 +1,126 @@
+"""What is promised in writing, where it stands, and which tests hold it: a promise nobody tests is not one.
+
+Each entry: the module and object in whose docstring the promise stands, its words, and tests of this suite.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parents[1]
+
+GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
+    (
+        "aiorts.kernel.life",
+        "",
+        "One cycle has three passes",
+        ("kernel/test_failing_hooks.py::test_all_twelve_hooks_run_in_their_order_and_are_announced_before_and_after",),
+    ),
+    (
+        "aiorts.kernel.life",
+        "",
+        "Requests and failures are actions; they run between cycles, in the order they came.",
+        ("kernel/test_reentrant_requests.py::test_request_from_a_hook_is_queued_and_done_within_a_period",),
+    ),
+    (
+        "aiorts.kernel.bulkhead",
+        "",
+        "one that ignores them all is left behind with its task, and the context goes on",
+        (
+            "kernel/test_stuck_hooks.py::"
+            "test_hook_over_its_deadline_is_cancelled_each_half_second_then_abandoned_and_the_neighbour_runs_on",
+        ),
+    ),
+    (
+        "aiorts.kernel.kernel",
+        "Kernel.aclose",
+        "each in reverse order, within 5 s; idempotent",
+        (
+            "kernel/test_stuck_hooks.py::test_kernel_with_many_stuck_components_in_several_contexts_closes_within_five_seconds",
+        ),
+    ),
+    (
+        "aiorts.kernel.kernel",
+        "Kernel.aclose",
+        "A caller that is cancelled is cancelled when all is closed.",
+        (
+            "kernel/test_reentrant_requests.py::"
+            "test_host_cancelled_in_the_body_closes_the_kernel_properly_however_often_it_is_cancelled",
+        ),
+    ),
+    (
+        "aiorts.kernel.kernel",
+        "Kernel.start",
+        "A caller that is cancelled leaves no context behind.",
+        ("kernel/test_reentrant_requests.py::test_caller_cancelled_at_any_moment_leaves_a_whole_system_that_goes_on",),
+    ),
+    (
+        "aiorts.kernel.component",
+        "Component.configure",
+        "all of them between two cycles, or, when any value is bad, none",
+        (
+            "kernel/test_declarations.py::test_parameters_change_between_cycles_only",
+            "kernel/test_declarations.py::test_bad_change_is_refused_whole_and_names_every_culprit",
+        ),
+    ),
+    (
+        "aiorts.kernel.embedding",
+        "",
+        "it wraps two things while it runs and leaves both as they were",
+        ("kernel/test_embedding.py::test_loop_and_process_are_as_found_when_the_last_kernel_closes",),
+    ),
+    (
+        "aiorts.kernel.embedding",
+        "",
+        "A marked task that fails and whose exception nobody has asked for half a second later is that component's",
+        ("kernel/test_own_tasks.py::test_failure_of_a_task_is_attributed_within_a_second_a_hundred_times",),
+    ),
+    (
+        "aiorts.kernel.gate",
+        "",
+        "A component in several contexts is entered by one at a time, in the order they came.",
+        (
+            "kernel/test_reentrant_requests.py::"
+            "test_component_in_two_contexts_is_never_entered_twice_even_when_it_joins_the_second_in_mid_hook",
+        ),
+    ),
+    (
+        "aiorts.kernel.log",
+        "",
+        "nothing is lost in silence: calls = lines + repeated + dropped",
+        (
+            "kernel/test_log_storm.py::test_thousand_components_that_fail_at_once_are_a_thousand_lines_at_most_then_a_summary",
+        ),
+    ),
+    (
+        "aiorts.kernel.hooks",
+        "",
+        "Anything else is refused here, with class and hook named, not when it first runs.",
+        ("kernel/test_declarations.py::test_hook_of_a_wrong_kind_or_signature_is_refused_when_the_class_is_made",),
+    ),
+]
+
+
+def one_line(text: str | None) -> str:
+    return " ".join((text or "").split())
+
+
+@pytest.mark.row(130)
+@pytest.mark.parametrize(("module", "name", "promise", "tests"), GUARANTEES, ids=lambda value: str(value)[:50])
+def test_promise_stands_where_users_read_it_and_tests_hold_it(
+    module: str, name: str, promise: str, tests: tuple[str, ...]
+) -> None:
+    found: object = import_module(module)
+    for part in name.split(".") if name else ():
+        found = getattr(found, part)
+    assert one_line(promise) in one_line(inspect.getdoc(found))
+    for test in tests:
+        file, function = test.split("::")
+        tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
+        names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
+        assert function in names

@@ -1,0 +1,389 @@
+"""`aiorts run` as a user meets it: how it ends, what it says, and that no mistake of theirs gives a traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from aiorts.cli.app import run_command
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ROOT = Path(__file__).parents[2]
+COMPONENTS = '''
+import os, sys, time
+from aiorts import Component, InPort, OutPort, Param
+from aiorts.types import TimedLong
+
+class Counter(Component):
+    """Sends `count` numbers and finishes."""
+    out = OutPort(TimedLong)
+    count = Param(5)
+    n = 0
+    async def on_execute(self):
+        await self.out.write(TimedLong(0, self.n))
+        self.n += 1
+        if self.n == self.count:
+            self.finish()
+
+class Total(Component):
+    """Adds up what comes."""
+    numbers = InPort(TimedLong)
+    total = 0
+    async def on_execute(self):
+        for sample in self.numbers.drain():
+            await self.sleep(0.02)
+            self.total += sample.data
+    def on_deactivated(self):
+        print("total", self.total, flush=True)
+
+class Ready(Component):
+    """Says that it runs."""
+    def on_activated(self):
+        print("ready", flush=True)
+    def on_deactivated(self):
+        print("stopped", flush=True)
+
+class Stopper(Component):
+    status = Param(7)
+    def on_execute(self):
+        self.kernel.request_stop(self.status)
+
+class Failing(Component):
+    def on_execute(self):
+        raise ValueError("no such luck")
+
+class Unmade(Component):
+    def on_initialize(self):
+        raise ValueError("not today")
+
+class Blocked(Component):
+    def on_execute(self):
+        print("ready", flush=True)
+        while True:
+            time.sleep(0.01)
+
+class Stubborn(Component):
+    async def on_execute(self):
+        print("ready", flush=True)
+        while True:
+            try:
+                await self.sleep(60)
+            except BaseException:
+                pass
+'''
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str], Path]:
+    """Write a system file beside the components above."""
+
+    def write(text: str) -> Path:
+        (tmp_path / "parts.py").write_text(COMPONENTS)
+        path = tmp_path / "system.toml"
+        path.write_text("schema = 1\n" + textwrap.dedent(text))
+        return path
+
+    return write
+
+
+def one(kind: str, context: str = 'kind = "periodic"\nrate = 100.0', params: str = "") -> str:
+    return f'[components.it]\ntype = "parts.py:{kind}"\n{params}\n[contexts.loop]\n{context}\nmembers = ["it"]\n'
+
+
+def aiorts(*arguments: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "aiorts", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+        cwd=ROOT,
+        **options,
+    )
+
+
+def started(path: Path, *arguments: str) -> subprocess.Popen[str]:
+    """A run that has said that it is ready."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "aiorts", "run", str(path), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+def only_line(done: subprocess.CompletedProcess[str]) -> str:
+    """The one line on standard error, which is all that a user has to read."""
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("aiorts: ")
+    assert len(lines[0]) <= 240
+    return lines[0]
+
+
+SOURCE_AND_SINK = """
+    [components.counter]
+    type = "parts.py:Counter"
+    [components.total]
+    type = "parts.py:Total"
+    [[connections]]
+    from = "counter.out"
+    to = "total.numbers"
+    length = 100
+    [contexts.a]
+    kind = "periodic"
+    rate = 1000.0
+    members = ["counter"]
+    [contexts.b]
+    kind = "event"
+    members = ["total"]
+"""
+
+
+@pytest.mark.parametrize("loop", ["auto", "asyncio", "uvloop"])
+def test_it_ends_when_the_source_has_finished_and_all_was_taken(write: Callable[[str], Path], loop: str) -> None:
+    done = aiorts("run", write(SOURCE_AND_SINK), "--loop", loop, "--set", "counter.count=10")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "total 45\n", "")
+
+
+def test_it_ends_at_the_status_that_a_component_asks_for(write: Callable[[str], Path]) -> None:
+    done = aiorts("run", write(one("Stopper")))
+    assert (done.returncode, done.stderr) == (7, "")
+
+
+def test_it_ends_after_its_duration_in_virtual_time_too(write: Callable[[str], Path]) -> None:
+    path = write(one("Ready"))
+    begun = time.monotonic()
+    for arguments in (
+        ["--duration", "0.2"],
+        ["--duration", "1000", "--simulate"],
+        ["--duration", "20", "--speed", "100"],
+    ):
+        done = aiorts("run", path, *arguments)
+        assert (done.returncode, done.stdout, done.stderr) == (0, "ready\nstopped\n", "")
+    assert time.monotonic() - begun < 20
+
+
+@pytest.mark.parametrize(("strict", "status"), [([], 0), (["--strict"], 3)])
+def test_a_component_in_error_is_one_line_and_a_status_when_asked(
+    write: Callable[[str], Path], strict: list[str], status: int
+) -> None:
+    done = aiorts("run", write(one("Failing")), "--duration", "0.1", *strict)
+    assert done.returncode == status
+    assert only_line(done).startswith("aiorts: E-COMPONENT: it.on_execute: ValueError: no such luck; ")
+
+
+def test_verbose_shows_the_traceback(write: Callable[[str], Path]) -> None:
+    done = aiorts("run", write(one("Failing")), "--duration", "0.1", "-v")
+    assert "Traceback (most recent call last)" in done.stderr
+    assert "raise ValueError" in done.stderr
+
+
+def test_a_component_that_cannot_be_made_ends_the_run(write: Callable[[str], Path]) -> None:
+    done = aiorts("run", write(one("Unmade")))
+    assert done.returncode == 1
+    assert only_line(done).startswith("aiorts: E-COMPONENT: it: ValueError: not today; ")
+
+
+@pytest.mark.fault("F04")
+@pytest.mark.parametrize(
+    ("text", "arguments", "said"),
+    [
+        (one("Reddy"), [], "did you mean 'Ready'"),
+        (one("Ready").replace("parts.py", "part.py"), [], "did you mean 'parts.py'"),
+        (one("Ready").replace("parts.py:Ready", "FlexiFliter"), [], "did you mean FlexiFilter"),
+        (one("Ready").replace("parts.py:Ready", "../x.py:Ready"), [], "outside the system file's folder"),
+        (one("Ready", 'kind = "periodik"'), [], "did you mean 'periodic'"),
+        (one("Ready", 'kind = "periodic"\nrat = 5.0'), [], "did you mean 'rate'"),
+        (one("Ready", 'kind = "periodic"\nrate = -5.0'), [], "rate = -5.0"),
+        (one("Counter", params="params.cuont = 5"), [], "did you mean count"),
+        (one("Counter"), ["--set", "it.count=many"], "must be an int"),
+        (one("Counter"), ["--set", "its.count=5"], "did you mean 'it'"),
+        (one("Counter"), ["--set", "it.count"], "COMPONENT.PARAM=VALUE"),
+        (one("Counter"), ["--sped", "5"], "--speed"),
+        (one("Counter"), ["--speed", "nan"], "above 0"),
+        (one("Counter"), ["--duration", "-1"], "above 0"),
+        (one("Counter"), ["--loop", "trio"], "trio"),
+        ("[", [], "not valid TOML"),
+        (SOURCE_AND_SINK.replace("total.numbers", "total.number"), [], "did you mean"),
+        (SOURCE_AND_SINK.replace("length = 100", "lenght = 100"), [], "did you mean 'length'"),
+        (SOURCE_AND_SINK.replace("length = 100", 'full = "blok"'), [], "did you mean 'block'"),
+    ],
+)
+def test_a_mistake_is_one_line_with_what_was_meant(
+    write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], text: str, arguments: list[str], said: str
+) -> None:
+    status = run_command(["run", str(write(text)), *arguments])
+    printed = capsys.readouterr()
+    assert status == 2
+    assert printed.out == ""
+    assert said in printed.err
+    assert printed.err.startswith("aiorts: E-")
+    assert printed.err.count("\n") == 1
+    assert len(printed.err) <= 241
+
+
+def test_a_file_that_does_not_load_is_named_with_its_line(write: Callable[[str], Path]) -> None:
+    path = write(one("Ready").replace("parts.py", "bad.py"))
+    (path.parent / "bad.py").write_text("import sys\nraise SystemExit(9)\n")
+    done = aiorts("run", path)
+    assert done.returncode == 2
+    assert "bad.py, line 2 cannot be loaded: SystemExit: 9" in only_line(done)
+
+
+@pytest.mark.parametrize("arguments", [["run"], ["run", "missing.toml"], ["rum"], ["--nope"]])
+def test_a_bad_command_line_is_one_line_and_status_2(arguments: list[str]) -> None:
+    done = aiorts(*arguments)
+    assert done.returncode == 2
+    only_line(done)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
+@pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
+@pytest.mark.parametrize(("number", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_ends_it_in_order(write: Callable[[str], Path], loop: str, number: str, status: int) -> None:
+    process = started(write(one("Ready")), "--loop", loop)
+    process.send_signal(getattr(signal, number))
+    out, errors = process.communicate(timeout=10)
+    assert (process.returncode, out, errors) == (status, "stopped\n", "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
+@pytest.mark.fault("F09")
+@pytest.mark.parametrize("kind", ["Blocked", "Stubborn"])
+def test_the_second_signal_ends_it_at_once_also_when_the_loop_is_blocked(
+    write: Callable[[str], Path], kind: str
+) -> None:
+    process = started(write(one(kind)))
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    assert process.poll() is None
+    begun = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=10)
+    assert time.monotonic() - begun < 0.5
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
+@pytest.mark.fault("F09")
+def test_it_is_gone_within_five_seconds_whatever_is_left(write: Callable[[str], Path]) -> None:
+    path = write(one("Blocked"))
+    other = path.with_name("other.toml")
+    other.write_text(path.read_text().replace("Blocked", "Stubborn"))
+    processes = [started(path), started(other)]
+    begun = time.monotonic()
+    for process in processes:
+        process.send_signal(signal.SIGTERM)
+    for process in processes:
+        _, errors = process.communicate(timeout=10)
+        assert time.monotonic() - begun < 5.5
+        assert process.returncode == 143
+        assert "Traceback" not in errors
+
+
+FLOOD = """
+    [components.counter]
+    type = "parts.py:Counter"
+    params.count = 100000
+    [components.show]
+    type = "FlexiDump"
+    params.inputs = ["TimedLong"]
+    [[connections]]
+    from = "counter.out"
+    to = "show.input0"
+    full = "block"
+    timeout = inf
+    [contexts.a]
+    kind = "periodic"
+    rate = 5000.0
+    members = ["counter"]
+    [contexts.b]
+    kind = "event"
+    members = ["show"]
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no POSIX pipes")
+@pytest.mark.fault("F11")
+def test_a_reader_that_goes_away_ends_it_quietly(write: Callable[[str], Path]) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "aiorts", "run", str(write(FLOOD))],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline().startswith("input0 TimedLong")
+        process.stdout.close()
+        assert process.wait(timeout=5) in (0, 141)
+        assert process.stderr.read() == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.fault("F12")
+@pytest.mark.parametrize("flush", ["", ", flush=True"])
+def test_a_full_disk_is_said_and_a_failure(write: Callable[[str], Path], flush: str) -> None:
+    path = write(one("Ready"))
+    parts = path.parent / "parts.py"
+    parts.write_text(parts.read_text().replace(", flush=True", flush))
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "aiorts", "run", str(path), "--duration", "0.1"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=20,
+            check=False,
+            cwd=ROOT,
+        )
+    assert done.returncode == 1
+    assert "No space left" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a POSIX shell")
+@pytest.mark.fault("F12")
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-"])
+def test_it_runs_without_a_standard_stream(write: Callable[[str], Path], closed: str) -> None:
+    path = write(one("Ready"))
+    done = subprocess.run(
+        ["sh", "-c", f'"$0" -m aiorts run "$1" --duration 0.1 {closed}', sys.executable, str(path)],
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_and_version_are_fast_and_load_no_system() -> None:
+    code = (
+        "import sys; sys.argv = ['aiorts', '--help']; import aiorts.cli; status = aiorts.cli.main(); "
+        "assert status == 0; assert 'aiorts.system' not in sys.modules; assert 'numpy' not in sys.modules"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=20, check=False, cwd=ROOT, env=os.environ
+    )
+    assert done.returncode == 0, done.stderr
+    assert "run" in done.stdout
+    assert "bench" in done.stdout
+    assert aiorts("--version").stdout.startswith("aiorts ")

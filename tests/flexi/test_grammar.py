@@ -1,0 +1,124 @@
+"""The language of the map: every text is either read in full or refused with the place of the mistake."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from aiorts.errors import ConfigurationError
+from aiorts_flexi.grammar import LONGEST_MAP, Entry, parse_map
+from campaign import cases
+
+
+@pytest.mark.parametrize(
+    ("text", "entry"),
+    [
+        ("0>0", Entry(0, 0, 0, 0)),
+        ("2>0:2", Entry(2, 0, 0, 2)),
+        ("0:1>0.1>0:3", Entry(0, 1, 0, 3, 0.1)),
+        ("0>1000-5>0", Entry(0, 0, 0, 0, 1000, -5)),
+        ("0>1+0.5>0", Entry(0, 0, 0, 0, 1, 0.5)),
+        ("0>1-5e3>0", Entry(0, 0, 0, 0, 1, -5000.0)),
+        ("0>1e3>0", Entry(0, 0, 0, 0, 1000.0)),
+        ("0>1e-3>0", Entry(0, 0, 0, 0, 0.001)),
+        ("0>1e3-5>0", Entry(0, 0, 0, 0, 1000.0, -5)),
+        ("0>-.5+1.>0", Entry(0, 0, 0, 0, -0.5, 1.0)),
+        ("0>+2>0", Entry(0, 0, 0, 0, 2)),
+        (" 0 > 0 ", Entry(0, 0, 0, 0)),
+        ("0 > 2 > 1", Entry(0, 0, 1, 0, 2)),
+        ("0:position.x>0:heading", Entry(0, "position.x", 0, "heading")),
+        ("0:ranges[3]>0", Entry(0, "ranges[3]", 0, 0)),
+    ],
+)
+def test_a_good_entry_is_read_as_it_says(text: str, entry: Entry) -> None:
+    assert parse_map(text) == (entry,)
+
+
+def test_the_map_of_the_paper_is_three_entries() -> None:
+    assert parse_map("2>0:2,0:1>0.1>0:3,0:1>1") == (
+        Entry(2, 0, 0, 2),
+        Entry(0, 1, 0, 3, 0.1),
+        Entry(0, 1, 1, 0),
+    )
+
+
+@pytest.mark.fault("F07")
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("garbage", 1),
+        ("", 1),
+        ("-1>0", 1),
+        ("0:1>>0", 5),
+        ("0>0>0>0", 6),
+        ("0>1.2.3>0", 6),
+        ("0>inf>0", 3),
+        ("0>nan>0", 3),
+        ("0>0,", 5),
+        (",0>0", 1),
+        ("0>0,,0>1", 5),
+        ("0>0;1>1", 4),
+        ("0>0 0>1", 5),
+        ("0 :1>0", 3),
+        ("0: 1>0", 3),
+        ("0>1 +2>0", 5),
+        ("0>1+ 2>0", 4),
+        ("0>1e>0", 4),
+        ("0>0x10>0", 4),
+        ("0>\u0661>0", 3),
+        ("0>2-1", 6),
+        ("0>0\n0>1", 5),
+    ],
+)
+def test_a_bad_map_is_refused_with_the_place(text: str, place: int) -> None:
+    with pytest.raises(ConfigurationError, match=f"character {place}:"):
+        parse_map(text)
+
+
+@pytest.mark.fault("F07")
+def test_a_map_of_a_million_entries_is_refused_at_once() -> None:
+    with pytest.raises(ConfigurationError, match=f"at most {LONGEST_MAP}"):
+        parse_map("0>0," * 1_000_000)
+
+
+def test_a_number_too_large_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="too large"):
+        parse_map("0>1e999>0")
+
+
+pins = st.integers(0, 999) | st.from_regex(r"[a-z][a-z0-9_]{0,5}(\.[a-z]{1,5}|\[[0-9]{1,3}\])?", fullmatch=True)
+numbers = st.integers(-(10**18), 10**18) | st.floats(allow_nan=False, allow_infinity=False)
+entries = st.builds(
+    lambda source, source_pin, target, target_pin, factor: Entry(source, source_pin, target, target_pin, *factor),
+    st.integers(0, 99),
+    pins,
+    st.integers(0, 99),
+    pins,
+    st.just((None, None)) | st.tuples(numbers, st.none() | numbers),
+)
+
+
+@given(st.lists(entries, min_size=1, max_size=8))
+@settings(max_examples=cases(10_000))
+def test_every_entry_survives_being_written_and_read(made: list[Entry]) -> None:
+    assert parse_map(" , ".join(map(str, made))) == tuple(made)
+
+
+@given(st.text(alphabet="0123456789>:,+-.eE ax[]", max_size=24))
+@settings(max_examples=cases(10_000))
+def test_any_text_is_read_in_full_or_refused_with_a_place_in_it(text: str) -> None:
+    try:
+        made = parse_map(text)
+    except ConfigurationError as error:
+        place = re.search(r"character (\d+)", str(error))
+        assert place is not None
+        assert 1 <= int(place[1]) <= len(text) + 1
+    else:
+        assert len(made) == text.count(",") + 1
+        for entry, part in zip(made, text.split(","), strict=True):
+            assert part.count(">") == (1 if entry.mult is None else 2)
+            assert all(math.isfinite(number) for number in (entry.mult, entry.off) if number is not None)

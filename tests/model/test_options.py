@@ -1,0 +1,176 @@
+"""Connector options: defaults, bounds, OpenRTM's keys, and what is said of a mistake."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from aiorts.errors import WiringError
+from aiorts.model.options import connector_profile
+from aiorts.model.profile import ConnectorProfile
+
+
+def profile(**options: Any) -> ConnectorProfile:
+    return connector_profile("a.out -> b.in", options, "wire", ("a.out", "b.in"))[0]
+
+
+def limits(**options: Any) -> dict[str, Any]:
+    return connector_profile("a.out -> b.in", options, "", ())[1]
+
+
+def test_the_defaults_are_those_of_the_design() -> None:
+    assert profile() == ConnectorProfile("wire", ("a.out", "b.in"))
+    plain = profile()
+    assert (plain.dataflow, plain.subscription, plain.push, plain.full) == ("push", "flush", "all", "overwrite")
+    assert (plain.length, plain.out_length, plain.timeout, plain.stamp, plain.empty) == (8, 8, 1.0, None, None)
+    assert [profile(subscription=kind, push_rate=1).push for kind in ("flush", "new", "periodic")] == [
+        "all",
+        "new",
+        "new",
+    ]
+    assert profile(subscription="new").length == 1
+    assert profile(subscription="new", push="all").length == 8
+
+
+def test_flush_keeps_and_reports_a_push_policy_it_does_not_use() -> None:
+    kept = profile(subscription="flush", push="new")
+    assert kept.push == "new"
+    assert kept.length == 8
+
+
+@pytest.mark.row(41)
+@pytest.mark.fault("B13")
+@pytest.mark.parametrize("key", ["length", "out_length", "dataport.inport.buffer.length", "dataport.buffer.length"])
+@pytest.mark.parametrize("bad", [0, -1, 10**9, "abc", 1.5, math.inf, math.nan, True, "", [8]], ids=repr)
+def test_a_length_out_of_range_is_refused_naming_the_range(key: str, bad: Any) -> None:
+    with pytest.raises(WiringError, match=r"length = .*: expected a whole number from 1 to 1000000"):
+        profile(**{key: bad})
+
+
+@pytest.mark.parametrize("good", [1, 1_000_000, "8", 8.0])
+def test_a_length_in_range_is_taken(good: Any) -> None:
+    assert profile(length=good).length == int(good)
+
+
+@pytest.mark.row(40)
+@pytest.mark.fault("B14")
+@pytest.mark.parametrize("bad", [0, -1, math.nan, "fast", math.inf, True], ids=repr)
+@pytest.mark.parametrize("key", ["push_rate", "dataport.push_rate", "dataport.publisher.push_rate"])
+def test_a_bad_push_rate_is_refused(key: str, bad: Any) -> None:
+    """OpenRTM takes 1000 Hz instead and says nothing."""
+    with pytest.raises(WiringError, match=r"push_rate = .*: expected a number from"):
+        profile(subscription="periodic", **{key: bad})
+
+
+@pytest.mark.fault("B14")
+def test_periodic_without_a_rate_is_refused() -> None:
+    with pytest.raises(WiringError, match="periodic needs a push_rate in Hz"):
+        profile(subscription="periodic")
+
+
+@pytest.mark.fault("B14")
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        ({"push": "newst"}, "push = 'newst': expected all, fifo, skip, new; did you mean 'new'?"),
+        ({"subscription": "flash"}, "did you mean 'flush'?"),
+        ({"full": "overwrit"}, "did you mean 'overwrite'?"),
+        ({"dataport.publisher.push_policy": "fif"}, "did you mean 'fifo'?"),
+        ({"stamp": "sent"}, "did you mean 'send'?"),
+        ({"dataflow": "duplex"}, "expected push, pull"),
+        ({"lenght": 3}, "unknown option 'lenght'; did you mean 'length'?"),
+        ({"subscripton": "new"}, "did you mean 'subscription'?"),
+        ({"zzz": 3}, "unknown option 'zzz'; there are dataflow, subscription"),
+        ({"skip": -1}, "skip = -1: expected a whole number from 0"),
+        ({"timeout": -1}, "timeout = -1: expected a number from 0"),
+        ({"timeout": "soon"}, "timeout = 'soon'"),
+        ({"fan_in": 0}, "fan_in = 0: expected a whole number from 1"),
+        ({"connection_limit": -2}, "connection_limit = -2"),
+        ({"allow_dup_connection": "MAYBE"}, "expected true or false"),
+    ],
+    ids=repr,
+)
+def test_a_mistake_is_refused_where_it_was_made_with_a_hint(options: dict[str, Any], hint: str) -> None:
+    with pytest.raises(WiringError, match=r"a\.out -> b\.in") as caught:
+        profile(**options)
+    assert hint in str(caught.value)
+
+
+OPENRTM = [
+    ({"dataflow_type": "pull"}, "dataflow", "pull"),
+    ({"subscription_type": "new"}, "subscription", "new"),
+    ({"io_mode": "block"}, "subscription", "flush"),
+    ({"io_mode": "nonblock"}, "subscription", "new"),
+    ({"io_mode": "periodic", "push_rate": "10"}, "subscription", "periodic"),
+    ({"subscription_type": "flush", "io_mode": "nonblock"}, "subscription", "new"),
+    ({"io_mode": "nonblock", "subscription_type": "flush"}, "subscription", "new"),
+    ({"publisher.push_policy": "fifo"}, "push", "fifo"),
+    ({"publisher.skip_count": "4"}, "skip", 4),
+    ({"publisher.push_rate": "2.5"}, "push_rate", 2.5),
+    ({"push_rate": "2.5"}, "push_rate", 2.5),
+    ({"buffer.length": "3"}, "length", 3),
+    ({"buffer.length": "3"}, "out_length", 3),
+    ({"inport.buffer.length": "5", "buffer.length": "3"}, "length", 5),
+    ({"inport.buffer.length": "5", "buffer.length": "3"}, "out_length", 3),
+    ({"outport.buffer.length": "5", "buffer.length": "3"}, "out_length", 5),
+    ({"outport.buffer.length": "5", "buffer.length": "3"}, "length", 3),
+    ({"buffer.write.full_policy": "do_nothing"}, "full", "reject"),
+    ({"buffer.write.full_policy": "block"}, "full", "block"),
+    ({"inport.buffer.write.full_policy": "overwrite", "buffer.write.full_policy": "block"}, "full", "overwrite"),
+    ({"outport.buffer.write.full_policy": "do_nothing"}, "full", "reject"),
+    ({"buffer.write.timeout": "0.25"}, "timeout", 0.25),
+    ({"inport.buffer.write.timeout": "2", "buffer.write.timeout": "1"}, "timeout", 2.0),
+    ({"buffer.read.empty_policy": "readback"}, "empty", "readback"),
+    ({"inport.buffer.read.empty_policy": "block"}, "empty", "block"),
+    ({"timestamp_policy": "on_write"}, "stamp", "send"),
+    ({"timestamp_policy": "on_send"}, "stamp", "send"),
+    ({"timestamp_policy": "on_received"}, "stamp", "received"),
+    ({"timestamp_policy": "on_read"}, "stamp", "read"),
+    ({"timestamp_policy": "none"}, "stamp", None),
+    ({"inport.timestamp_policy": "on_read", "timestamp_policy": "on_write"}, "stamp", "read"),
+    ({"outport.publisher.push_policy": "all", "publisher.push_policy": "new"}, "push", "all"),
+]
+
+
+@pytest.mark.row(39, 40, 41)
+@pytest.mark.parametrize("prefix", ["dataport.", ""])
+@pytest.mark.parametrize(("options", "key", "value"), OPENRTM, ids=repr)
+def test_openrtms_keys_are_understood(options: dict[str, str], key: str, value: Any, prefix: str) -> None:
+    assert getattr(profile(**{prefix + name: given for name, given in options.items()}), key) == value
+
+
+@pytest.mark.row(58)
+def test_openrtms_limits_are_understood() -> None:
+    given = limits(**{"dataport.fan_in": "3", "fan_out": 4, "connection_limit": "-1", "allow_dup_connection": "YES"})
+    assert given == {"fan_in": 3, "fan_out": 4, "connection_limit": -1, "allow_duplicate": True}
+    assert limits(allow_dup_connection="NO") == {"allow_duplicate": False}
+    assert limits() == {}
+
+
+def test_keys_that_are_for_others_are_kept_and_reported() -> None:
+    others = {
+        "dataport.interface_type": "corba_cdr",
+        "dataport.data_type": "IDL:RTC/TimedLong:1.0",
+        "dataport.buffer_type": "ring_buffer",
+        "dataport.marshaling_type": "cdr",
+        "dataport.inport.marshaling_type": "cdr",
+        "dataport.serializer.cdr.endian": "little,big",
+        "dataport.buffer.read.timeout": "1.0",
+        "sync_readwrite": "NO",
+        "dataport.interface_option.ros.topic": "chatter",
+        "port.port_type": "DataInPort",
+    }
+    assert dict(profile(**others).extra) == others
+    assert profile(length=3).extra == {}
+
+
+def test_no_timeout_waits_for_ever_and_a_report_cannot_be_edited() -> None:
+    kept = profile(timeout=None, **{"x.y": 1})
+    assert kept.timeout is None
+    assert kept.extra == {"x.y": "1"}
+    with pytest.raises(TypeError):
+        kept.extra["x.y"] = "2"  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        kept.length = 4  # type: ignore[misc]

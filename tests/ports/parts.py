@@ -1,0 +1,191 @@
+"""Components and a reference model for the tests of ports."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from aiorts import Component, InPort, OutPort
+from aiorts.model.buffer import Buffer, FullPolicy, Verdict, decide
+from aiorts.model.policy import Choice, Push, Subscription, admits, choose, default_push
+from aiorts.types import TimedLong
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+
+
+class Sink(Component):
+    inp = InPort(TimedLong)
+
+
+class Both(Component):
+    out = OutPort(TimedLong)
+    inp = InPort(TimedLong)
+
+
+def long(number: int) -> TimedLong:
+    return TimedLong(0, number)
+
+
+def data(samples: list[TimedLong]) -> list[int]:
+    return [sample.data for sample in samples]
+
+
+@dataclass(eq=False)
+class ModelConnector:
+    """What one connector must do, said with `Buffer` and `policy` alone."""
+
+    options: dict[str, Any]
+    start_ns: int
+    ledger: Buffer[int] = field(init=False)
+    backlog: deque[tuple[int, int]] = field(default_factory=deque)  # (number since the connection, sample)
+    arrived_at: int = 0
+    closed: bool = False
+
+    def __post_init__(self) -> None:
+        given = self.options
+        self.subscription = Subscription(given["subscription"])
+        push = Push(given.get("push", default_push(self.subscription)))
+        self.push = Push.ALL if self.subscription is Subscription.FLUSH else push
+        self.skip = int(given.get("skip", 0))
+        length = given.get("length", 1 if self.push is Push.NEW else 8)
+        self.ledger = Buffer(length, FullPolicy(given.get("full", "overwrite")))
+        self.out_length = int(given.get("out_length", 8))
+
+    @property
+    def expected(self) -> tuple[int, int, int, dict[str, int]]:
+        ledger, waiting = self.ledger, len(self.backlog)
+        delivered = ledger.delivered
+        assert ledger.written == delivered + sum(ledger.dropped.values()) + len(ledger.samples) + waiting
+        return ledger.written, delivered, len(ledger.samples) + waiting, ledger.dropped
+
+    def drop_all(self, reason: str) -> None:
+        self.ledger.discard(reason)
+        self.ledger.drop(reason, len(self.backlog))
+        self.backlog.clear()
+
+
+class Model:
+    """What an in-port with any number of connectors must do."""
+
+    def __init__(self) -> None:
+        self.connectors: list[ModelConnector] = []
+        self.order: list[ModelConnector] = []
+        self.is_open = True
+        self.last: int | None = None
+        self.source: ModelConnector | None = None
+        self.arrivals = 0
+
+    def write(self, connector: ModelConnector, sample: int) -> bool | None:
+        """What `write_nowait` returns; None for WouldBlock."""
+        ledger = connector.ledger
+        if not self.is_open:
+            ledger.written += 1
+            ledger.drop("inactive")
+            return True
+        if connector.subscription is Subscription.PERIODIC:
+            return self._write_periodic(connector, sample)
+        if not admits(connector.push, connector.skip, ledger.written + 1):
+            ledger.written += 1
+            ledger.drop("skipped")
+            return True
+        if connector.push is Push.NEW:
+            replaced = bool(ledger.samples)
+            ledger.discard("superseded")
+            verdict = ledger.offer(sample)
+            self._arrived(connector, replaced)
+            return True
+        verdict = ledger.offer(sample)
+        if verdict in (Verdict.STORE, Verdict.REPLACE_OLDEST):
+            self._arrived(connector, verdict is Verdict.REPLACE_OLDEST)
+        return {Verdict.WAIT: None, Verdict.REFUSE: False}.get(verdict, True)
+
+    def _write_periodic(self, connector: ModelConnector, sample: int) -> bool:
+        ledger = connector.ledger
+        ledger.written += 1
+        if len(connector.backlog) == connector.out_length:
+            if ledger.full is FullPolicy.REJECT:
+                ledger.drop("rejected")
+                return False
+            connector.backlog.popleft()
+            ledger.drop("overwritten")
+        connector.backlog.append((ledger.written, sample))
+        return True
+
+    def period_over(self, connector: ModelConnector) -> None:
+        ledger, backlog = connector.ledger, connector.backlog
+        if not backlog:
+            return
+        for choice in choose(connector.push, connector.skip, backlog[0][0], len(backlog)):
+            if choice is not Choice.SEND:
+                backlog.popleft()
+                ledger.drop(choice.value)
+                continue
+            verdict = decide(len(ledger.samples), ledger.length, ledger.full)
+            if verdict is Verdict.WAIT:
+                return
+            verdict = ledger.offer(backlog.popleft()[1])
+            ledger.written -= 1  # it was counted when it entered the backlog
+            if verdict is not Verdict.REFUSE:
+                self._arrived(connector, verdict is Verdict.REPLACE_OLDEST)
+
+    def _arrived(self, connector: ModelConnector, replaced: bool) -> None:
+        self.arrivals += 1
+        connector.arrived_at = self.arrivals
+        if not replaced:
+            self.order.append(connector)
+
+    def read(self) -> int | None:
+        if not self.order:
+            return None
+        connector = self.order.pop(0)
+        self.last, self.source = connector.ledger.take(), connector
+        return self.last
+
+    def latest(self) -> int | None:
+        unread = [connector for connector in self.connectors if connector.ledger.samples]
+        if unread:
+            newest = max(unread, key=lambda connector: connector.arrived_at)
+            self.last, self.source = newest.ledger.take_newest(), newest
+            for connector in unread:
+                connector.ledger.discard("superseded")
+            self.order.clear()
+        return self.last
+
+    def drain(self) -> list[int]:
+        taken = []
+        while (sample := self.read()) is not None:
+            taken.append(sample)
+        return taken
+
+    def disconnect(self, connector: ModelConnector) -> None:
+        connector.drop_all("disconnected")
+        connector.closed = True
+        self.connectors.remove(connector)
+        self.order = [other for other in self.order if other is not connector]
+
+    def set_open(self, is_open: bool) -> None:
+        if self.is_open is is_open:
+            return
+        self.is_open = is_open
+        for connector in self.connectors:
+            connector.drop_all("inactive")
+        self.order.clear()
+        if is_open:
+            self.last = self.source = None
+
+    def advance(self, from_ns: int, to_ns: int) -> None:
+        """Let every period in (from, to] be over, in order."""
+        due: list[tuple[int, ModelConnector]] = []
+        for connector in self.connectors:
+            if connector.subscription is Subscription.PERIODIC:
+                rate = connector.options["push_rate"]
+                number = (from_ns - connector.start_ns) * rate // 1_000_000_000 + 1
+                while (moment := connector.start_ns + -(-number * 1_000_000_000 // rate)) <= to_ns:
+                    if moment > from_ns:
+                        due.append((moment, connector))
+                    number += 1
+        for _, connector in sorted(due, key=lambda entry: entry[0]):
+            self.period_over(connector)

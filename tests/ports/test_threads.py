@@ -1,0 +1,426 @@
+"""Ports between a thread context and the loop: order, back-pressure both ways, ledgers, endings."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from aiorts import Component, EventContext, InPort, Kernel, OutPort, SimulatedClock, ThreadContext, WouldBlock
+from aiorts.errors import ClosedError, ReadTimeout, StateError, ThreadError, WriteTimeout
+from aiorts.testing.simulation import simulate
+from aiorts.types import TimedLong
+from campaign import cases
+from ports.parts import Sink, Source, long
+
+pytestmark = pytest.mark.anyio
+
+
+class Writer(Component):
+    """Writes numbers from its thread, a burst in each cycle."""
+
+    out = OutPort(TimedLong)
+
+    def __init__(self, count: int, *, blocking: bool = False) -> None:
+        super().__init__()
+        self.count = count
+        self.blocking = blocking
+        self.written = 0
+
+    def on_execute(self) -> None:
+        for _ in range(100):
+            if self.written == self.count:
+                self.finish()
+                return
+            if self.blocking:
+                assert self.out.write_blocking(long(self.written)) is True
+            else:
+                self.out.write_nowait(long(self.written))
+            self.written += 1
+
+
+class Reader(Component):
+    """Reads in its thread, waiting."""
+
+    inp = InPort(TimedLong)
+
+    def __init__(self, count: int, slow: float = 0.0) -> None:
+        super().__init__()
+        self.count = count
+        self.slow = slow
+        self.seen: list[int] = []
+        self.done = threading.Event()
+
+    def on_execute(self) -> None:
+        if self.slow:
+            time.sleep(self.slow)
+        self.seen.append(self.inp.read_blocking(5.0).data)
+        if len(self.seen) == self.count:
+            self.done.set()
+            self.finish()
+
+
+async def reached(condition: Any, seconds: float = 5.0) -> None:
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "did not happen in time"
+        await asyncio.sleep(0.001)
+
+
+@pytest.mark.row(44)
+async def test_a_thread_waits_for_a_slow_reader_on_the_loop(anyio_backend: Any) -> None:
+    count = 2_000
+    async with Kernel() as kernel:
+        writer, sink = await kernel.add(Writer(count, blocking=True)), await kernel.add(Sink())
+        connector = await kernel.connect(writer.out, sink.inp, full="block", length=4, timeout=5.0)
+        await kernel.start(ThreadContext(), writer, activate=True)
+        seen: list[int] = []
+        while len(seen) < count:
+            assert connector.unread <= 4
+            seen.append((await asyncio.wait_for(sink.inp.read(), 5.0)).data)
+        assert seen == list(range(count))
+        assert connector.statistics.dropped == {}
+        assert connector.statistics.written == count
+
+
+@pytest.mark.row(44)
+async def test_the_loop_waits_for_a_slow_reader_in_a_thread(anyio_backend: Any) -> None:
+    count = 2_000
+    async with Kernel() as kernel:
+        source, reader = await kernel.add(Source()), await kernel.add(Reader(count))
+        connector = await kernel.connect(source.out, reader.inp, full="block", length=4, timeout=None)
+        await kernel.start(ThreadContext(), reader, activate=True)
+        for number in range(count):
+            assert await source.out.write(long(number)) is True
+            assert connector.statistics.balanced
+        await reached(reader.done.is_set)
+        assert reader.seen == list(range(count))
+        assert connector.statistics.dropped == {}
+
+
+async def test_between_two_threads_nothing_is_lost_with_block(anyio_backend: Any) -> None:
+    count = 2_000
+    async with Kernel() as kernel:
+        writer, reader = await kernel.add(Writer(count, blocking=True)), await kernel.add(Reader(count))
+        connector = await kernel.connect(writer.out, reader.inp, full="block", length=4, timeout=5.0)
+        await kernel.start(ThreadContext(), reader, activate=True)
+        await kernel.start(ThreadContext(), writer, activate=True)
+        await reached(reader.done.is_set)
+        assert reader.seen == list(range(count))
+        assert connector.statistics.dropped == {}
+
+
+@pytest.mark.row(39)
+async def test_new_never_strands_the_newest_sample_across_threads(anyio_backend: Any) -> None:
+    class Pairs(Component):
+        """Writes two samples at once, then is silent until it is told to go on."""
+
+        out = OutPort(TimedLong)
+        round = -1
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.go = threading.Semaphore(0)
+
+        def on_execute(self) -> None:
+            if not self.go.acquire(timeout=0.2):
+                return
+            self.round += 1
+            self.out.write_nowait(long(2 * self.round))
+            self.out.write_nowait(long(2 * self.round + 1))
+
+    class Newest(Component):
+        inp = InPort(TimedLong)
+        last = -1
+
+        async def on_execute(self) -> None:
+            self.last = self.inp.read_nowait().data
+
+    async with Kernel() as kernel:
+        pairs, task_sink, context_sink = await kernel.add(Pairs()), await kernel.add(Sink()), await kernel.add(Newest())
+        await kernel.connect(pairs.out, task_sink.inp, context_sink.inp, subscription="new")
+        await kernel.start(EventContext(), context_sink, activate=True)
+        await kernel.start(ThreadContext(), pairs, activate=True)
+        seen = -1
+
+        async def read() -> None:
+            nonlocal seen
+            async for sample in task_sink.inp:
+                seen = sample.data
+
+        reading = asyncio.create_task(read())
+        for number in range(1_000):
+            pairs.go.release()
+            await reached(lambda wanted=2 * number + 1: seen == wanted and context_sink.last == wanted)
+        reading.cancel()
+        await asyncio.wait([reading])
+
+
+@pytest.mark.row(60)
+@pytest.mark.campaign
+@pytest.mark.parametrize("full", ["overwrite", "reject"])
+async def test_the_ledger_balances_while_two_threads_hammer_the_connector(full: str, anyio_backend: Any) -> None:
+    class Drainer(Component):
+        inp = InPort(TimedLong)
+        taken = 0
+
+        def on_execute(self) -> None:
+            self.taken += len(self.inp.drain())
+            self.taken += self.inp.is_new and self.inp.latest is not None
+            self.inp.peek()
+
+    count = max(5_000, cases(100_000))
+    async with Kernel() as kernel:
+        writer, drainer, source = (
+            await kernel.add(Writer(count)),
+            await kernel.add(Drainer()),
+            await kernel.add(Source()),
+        )
+        one = await kernel.connect(writer.out, drainer.inp, full=full, length=16)
+        two = await kernel.connect(source.out, drainer.inp, full=full, length=16)
+        await kernel.start(ThreadContext(), drainer, activate=True)
+        await kernel.start(ThreadContext(), writer, activate=True)
+        number = 0
+        while writer.written < count:
+            for _ in range(20):
+                source.out.write_nowait(long(number))
+                number += 1
+            for connector in (one, two):
+                ledger = connector.statistics
+                assert ledger.balanced
+                assert 0 <= ledger.buffered <= 16
+                assert ledger.delivered >= 0
+            await asyncio.sleep(0)
+        await reached(lambda: one.unread == two.unread == 0)
+        await asyncio.sleep(0.01)
+        ledgers = [one.statistics, two.statistics]
+        assert [ledger.written for ledger in ledgers] == [count, number]
+        assert drainer.taken == sum(ledger.delivered for ledger in ledgers)
+
+
+@pytest.mark.fault("B07")
+async def test_a_thread_that_finds_no_room_ends_at_its_deadline(anyio_backend: Any) -> None:
+    class Stuck(Component):
+        out = OutPort(TimedLong)
+        results: list[Any] = []  # noqa: RUF012 - one instance
+
+        def on_execute(self) -> None:
+            start = time.monotonic()
+            try:
+                self.out.write_blocking(long(1))
+                self.out.write_blocking(long(2))
+            except WriteTimeout as error:
+                self.results.append((str(error), time.monotonic() - start))
+            self.finish()
+
+    async with Kernel() as kernel:
+        stuck, one, two, free = [await kernel.add(part) for part in (Stuck(), Sink(), Sink(), Sink())]
+        assert isinstance(stuck, Stuck)
+        for sink, timeout in ((one, 0.1), (two, 0.2)):
+            await kernel.connect(stuck.out, sink.ports["inp"], full="block", length=1, timeout=timeout)
+        await kernel.connect(stuck.out, free.ports["inp"])
+        await kernel.start(ThreadContext(), stuck, activate=True)
+        await reached(lambda: stuck.results)
+        [(text, elapsed)] = stuck.results
+        assert "(0.1 s)" in text
+        assert "(0.2 s)" in text
+        assert "free" not in text
+        assert 0.2 <= elapsed < 0.25  # together, not one after the other
+        assert [dict(connector.statistics.dropped) for connector in stuck.out.connectors] == [
+            {"timeout": 1},
+            {"timeout": 1},
+            {},
+        ]
+        assert all(connector.statistics.written == 2 for connector in stuck.out.connectors)
+
+
+@pytest.mark.parametrize("how", ["disconnect", "deactivate reader", "stop"])
+async def test_a_thread_that_waits_for_room_goes_on_when_there_is_nothing_to_wait_for(
+    how: str, anyio_backend: Any
+) -> None:
+    class Blocked(Component):
+        out = OutPort(TimedLong)
+        outcome: Any = None
+        writes = 0
+
+        def on_execute(self) -> None:
+            try:
+                self.outcome = self.out.write_blocking(long(self.writes))
+            except ClosedError as error:
+                self.outcome = error
+                raise
+            self.writes += 1
+            if self.writes == 3:
+                self.finish()
+
+    async with Kernel() as kernel:
+        blocked, sink = await kernel.add(Blocked()), await kernel.add(Sink())
+        reading = await kernel.start(EventContext(), sink, activate=True)
+        connector = await kernel.connect(blocked.out, sink.inp, full="block", length=2, timeout=None)
+        context = await kernel.start(ThreadContext(), blocked, activate=True)
+        await reached(lambda: connector.statistics.written == 2 and bool(connector._waiting))
+        if how == "disconnect":
+            await kernel.disconnect(connector)
+            await reached(lambda: blocked.writes == 3)
+            assert dict(connector.statistics.dropped) == {"disconnected": 3}
+        elif how == "deactivate reader":
+            await reading.deactivate()
+            await reached(lambda: blocked.writes == 3)
+            assert dict(connector.statistics.dropped) == {"inactive": 3}
+        else:
+            await asyncio.wait_for(context.stop(), 1.0)
+            assert isinstance(blocked.outcome, ClosedError)
+            assert blocked.last_error is None
+            assert connector.statistics.written == 2
+            assert not connector._waiting
+
+
+async def test_a_thread_that_waits_for_data_has_a_time_out_and_ends_with_its_context(anyio_backend: Any) -> None:
+    class Patient(Component):
+        inp = InPort(TimedLong)
+        timed_out = waiting = 0
+
+        def on_execute(self) -> None:
+            if not self.timed_out:
+                try:
+                    self.inp.read_blocking(0.05)
+                except ReadTimeout:
+                    self.timed_out = 1
+            self.waiting = 1
+            self.inp.read_blocking()
+
+    async with Kernel() as kernel:
+        patient = await kernel.add(Patient())
+        context = await kernel.start(ThreadContext(), patient, activate=True)
+        await reached(lambda: patient.waiting)
+        await asyncio.wait_for(context.stop(), 1.0)
+        assert patient.timed_out
+        assert patient.last_error is None
+
+
+async def test_the_blocking_calls_are_refused_where_they_would_block_the_loop(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Sink())
+        await kernel.connect(source.out, sink.inp)
+        with pytest.raises(StateError, match=r"await write\(\)"):
+            source.out.write_blocking(long(1))
+        with pytest.raises(StateError, match=r"await read\(\)"):
+            sink.inp.read_blocking()
+        with pytest.raises(StateError, match="ThreadContext"):
+            await asyncio.to_thread(source.out.write_blocking, long(1))
+        with pytest.raises(StateError, match="ThreadContext"):
+            await asyncio.to_thread(sink.inp.read_blocking)
+
+
+async def test_in_debug_mode_a_port_is_used_in_its_own_thread_only(anyio_backend: Any) -> None:
+    class Foreign(Component):
+        out = OutPort(TimedLong)
+        runs = 0
+
+        def on_execute(self) -> None:
+            self.out.write_nowait(long(self.runs))
+            self.runs += 1
+
+    async with Kernel(debug=True) as kernel:
+        foreign, sink, source = await kernel.add(Foreign()), await kernel.add(Sink()), await kernel.add(Source())
+        await kernel.connect(foreign.out, sink.inp)
+        inner = await kernel.connect(source.out, sink.inp)
+        context = await kernel.start(ThreadContext(rate=500.0), foreign, activate=True)
+        assert (await asyncio.wait_for(sink.inp.read(), 1.0)).data >= 0
+        assert foreign.last_error is None  # waking a reader on the loop is no use of its port
+        with pytest.raises(ThreadError, match="used from thread"):
+            foreign.out.write_nowait(long(1))
+        for call in (sink.inp.read_nowait, sink.inp.peek, sink.inp.drain, lambda: sink.inp.is_new):
+            with pytest.raises(ThreadError):
+                await asyncio.to_thread(call)
+        assert inner.statistics.balanced
+        await context.stop()
+
+
+async def test_statistics_of_an_unshared_connector_are_read_on_the_loop(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Sink())
+        connector = await kernel.connect(source.out, sink.inp)
+        with pytest.raises(ThreadError, match="statistics"):
+            await asyncio.to_thread(lambda: connector.statistics)
+
+
+async def test_a_port_shared_with_a_thread_wakes_an_event_context_for_every_spell_of_data(anyio_backend: Any) -> None:
+    class Counting(Component):
+        inp = InPort(TimedLong)
+        taken = 0
+
+        async def on_execute(self) -> None:
+            self.inp.read_nowait()
+            self.taken += 1
+
+    count = 5_000
+    async with Kernel() as kernel:
+        writer, counting = await kernel.add(Writer(count)), await kernel.add(Counting())
+        connector = await kernel.connect(writer.out, counting.inp, length=count)
+        await kernel.start(EventContext(), counting, activate=True)
+        await kernel.start(ThreadContext(), writer, activate=True)
+        await reached(lambda: counting.taken == count)
+        assert connector.statistics.dropped == {}
+
+
+async def test_periodic_samples_of_a_thread_arrive_on_the_loop(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        writer, sink = await kernel.add(Writer(2_000)), await kernel.add(Sink())
+        connector = await kernel.connect(
+            writer.out, sink.inp, subscription="periodic", push="all", push_rate=1000.0, out_length=10, length=10
+        )
+        await kernel.start(ThreadContext(), writer, activate=True)
+        await reached(lambda: writer.written == 2_000)
+        await reached(lambda: not connector._backlog)  # type: ignore[attr-defined]
+        ledger = connector.statistics
+        assert ledger.written == 2_000
+        assert ledger.balanced
+        assert sink.inp.drain()[-1].data == 1_999
+        with pytest.raises(WouldBlock):
+            sink.inp.read_nowait()
+
+
+@pytest.mark.parametrize("timeout", [0.5, 3.0])
+def test_a_thread_waits_for_data_and_room_in_virtual_time(timeout: float) -> None:
+    class Waiting(Component):
+        inp, out = InPort(TimedLong), OutPort(TimedLong)
+
+        def __init__(self) -> None:
+            super().__init__("waiting")
+            self.moments: list[tuple[str, int]] = []
+
+        def on_execute(self) -> None:
+            for call in (lambda: self.inp.read_blocking(timeout), lambda: self.out.write_blocking(long(1), timeout)):
+                try:
+                    call()
+                    outcome = "done"
+                except (ReadTimeout, WriteTimeout) as error:
+                    outcome = type(error).__name__
+                self.moments.append((outcome, self.clock.monotonic_ns()))
+            self.finish()
+
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            waiting, source, sink = await kernel.add(Waiting()), await kernel.add(Source()), await kernel.add(Sink())
+            await kernel.connect(source.out, waiting.inp)
+            await kernel.connect(waiting.out, sink.inp, full="block", length=1)
+            waiting.out.write_nowait(long(0))
+            context = await kernel.start(ThreadContext(), waiting, activate=True)
+            await kernel.sleep(1.0)
+            source.out.write_nowait(long(7))
+            await kernel.sleep(1.0)
+            sink.inp.read_nowait()
+            await kernel.sleep(5.0)
+            await context.stop()
+            second = 1_000_000_000
+            assert waiting.moments == (
+                [("ReadTimeout", second // 2), ("WriteTimeout", second)]
+                if timeout < 1.0
+                else [("done", second), ("done", 2 * second)]
+            )
+
+    simulate(main)

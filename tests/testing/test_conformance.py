@@ -1,0 +1,157 @@
+"""The conformance suites accept what ships with aiorts and refuse what breaks one promise, by the check's name."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import pytest
+
+from aiorts import (
+    Component,
+    Context,
+    EventContext,
+    ExternalContext,
+    InPort,
+    OutPort,
+    Param,
+    PeriodicContext,
+    ThreadContext,
+)
+from aiorts.errors import AiortsError
+from aiorts.testing import (
+    CODEC_CHECKS,
+    COMPONENT_CHECKS,
+    CONTEXT_CHECKS,
+    ConformanceError,
+    check_codec,
+    check_component,
+    check_context,
+    faults,
+)
+from aiorts.types import TimedDouble, TimedDoubleSeq
+from aiorts.wire import CONTROL, Codec, MsgpackCodec
+from testing import wrong_codecs, wrong_components, wrong_contexts
+
+CONTEXTS: dict[str, Callable[[], Context]] = {
+    "external": ExternalContext,
+    "external untimed": functools.partial(ExternalContext, timing=False),
+    "periodic": functools.partial(PeriodicContext, 100.0),
+    "periodic 333 Hz catch_up": functools.partial(PeriodicContext, 333.0, overrun="catch_up"),
+    "event": EventContext,
+    "thread": functools.partial(ThreadContext, 100.0),
+}
+WRONG_CONTEXTS: dict[str, tuple[Callable[[], Context], str]] = {
+    "loses ticks": (wrong_contexts.LosesTicks, "loses_no_tick"),
+    "loses the tenth tick": (functools.partial(wrong_contexts.LosesTheTenthTick, 100.0), "loses_no_tick"),
+    "obeys in the middle": (wrong_contexts.ObeysInTheMiddle, "finishes_a_cycle_before_it_obeys"),
+    "re-enters": (wrong_contexts.Reenters, "never_enters_a_hook_twice"),
+    "ends in order": (wrong_contexts.EndsInOrder, "ends_in_reverse_order"),
+    "flatters itself": (wrong_contexts.Flatters, "counts_its_cycles"),
+}
+WRONG_CODECS: dict[str, tuple[type[MsgpackCodec], str]] = {
+    "loses -0.0": (wrong_codecs.LosesTheSignOfZero, "keeps_every_float"),
+    "reads past the end": (wrong_codecs.ReadsPastTheEnd, "refuses_more_than_a_frame"),
+    "forgets the element type": (wrong_codecs.ForgetsTheElementType, "keeps_element_types"),
+    "forgets the byte order": (wrong_codecs.ForgetsTheByteOrder, "takes_any_layout"),
+    "confuses emptiness": (wrong_codecs.ConfusesEmptiness, "keeps_nothing"),
+    "lets errors through": (wrong_codecs.LetsErrorsThrough, "refuses_a_part"),
+}
+
+
+class Smoother(Component):
+    """A component as it should be: reads, keeps a state, writes, waits a little."""
+
+    raw = InPort(TimedDouble)
+    smooth = OutPort(TimedDoubleSeq)
+    share = Param(0.5, ge=0.0, le=1.0)
+
+    def on_activated(self) -> None:
+        self.value = 0.0
+
+    async def on_execute(self) -> None:
+        await self.sleep(0.002)
+        while self.raw.is_new:
+            self.value += self.share * ((await self.raw.read()).data - self.value)
+        await self.smooth.write(TimedDoubleSeq(0, [self.value, 1.0]))
+
+
+@pytest.mark.parametrize("name", CONTEXT_CHECKS)
+@pytest.mark.parametrize("kind", CONTEXTS)
+def test_contexts_of_aiorts_keep_every_promise(kind: str, name: str) -> None:
+    check_context(CONTEXTS[kind], only=[name])
+
+
+@pytest.mark.parametrize("what", WRONG_CONTEXTS)
+def test_wrong_context_is_refused_by_the_check_of_that_promise(what: str) -> None:
+    make, name = WRONG_CONTEXTS[what]
+    with pytest.raises(ConformanceError) as caught:
+        check_context(make, only=[name])
+    assert caught.value.check == name
+    with pytest.raises(ConformanceError):
+        check_context(make)
+
+
+@pytest.mark.parametrize("name", CODEC_CHECKS)
+def test_codec_of_aiorts_keeps_every_promise(name: str) -> None:
+    check_codec(MsgpackCodec(), only=[name])
+
+
+def test_codec_with_the_limits_of_control_frames_keeps_to_them() -> None:
+    check_codec(MsgpackCodec(CONTROL), only=["keeps_to_its_limits"])
+
+
+@pytest.mark.parametrize("what", WRONG_CODECS)
+def test_wrong_codec_is_refused_by_the_check_of_that_promise(what: str) -> None:
+    cls, name = WRONG_CODECS[what]
+    codec: Codec = cls()
+    with pytest.raises(ConformanceError) as caught:
+        check_codec(codec, only=[name])
+    assert caught.value.check == name
+    with pytest.raises(ConformanceError):
+        check_codec(codec)
+
+
+@pytest.mark.parametrize("name", COMPONENT_CHECKS)
+@pytest.mark.parametrize("make", [Smoother, functools.partial(faults.Flooding, 50)])
+def test_good_component_keeps_every_promise(make: Callable[[], Component], name: str) -> None:
+    check_component(make, {"raw": [1.0, -2.0, 0.5]}, deterministic=True, only=[name])
+
+
+def test_component_for_a_thread_is_checked_in_one() -> None:
+    check_component(
+        lambda: faults.Blocking("on_execute", 0.11, times=1),
+        make_context=functools.partial(ThreadContext, 100.0),
+        cycles=3,
+    )
+
+
+@pytest.mark.parametrize("what", wrong_components.WRONG)
+def test_wrong_component_is_refused_by_the_check_of_that_promise(what: str) -> None:
+    make, name = wrong_components.WRONG[what]
+    with pytest.raises(ConformanceError) as caught:
+        check_component(make, deterministic=True, only=[name])
+    assert caught.value.check == name
+
+
+def test_error_names_subject_check_expected_and_got() -> None:
+    with pytest.raises(ConformanceError) as caught:
+        check_codec(wrong_codecs.LosesTheSignOfZero())
+    error = caught.value
+    assert isinstance(error, AiortsError)
+    assert isinstance(error, AssertionError)
+    assert (error.subject, error.check) == ("LosesTheSignOfZero", "keeps_every_float")
+    assert "TimedDouble.data: 0.0 (bits 0000000000000000), not -0.0" in error.got
+    assert str(error).startswith("LosesTheSignOfZero: check keeps_every_float: expected ")
+
+
+def test_checks_can_be_chosen_and_an_unknown_one_is_refused() -> None:
+    check_codec(wrong_codecs.LosesTheSignOfZero(), skip=["keeps_every_float", "keeps_every_type", "keeps_plain_values"])
+    with pytest.raises(ValueError, match=r"no such check: nonsense; there are keeps_every_float"):
+        check_codec(MsgpackCodec(), only=["nonsense"])
+
+
+@pytest.mark.parametrize("promises", [CONTEXT_CHECKS, CODEC_CHECKS, COMPONENT_CHECKS])
+def test_every_check_says_what_it_demands(promises: dict[str, str]) -> None:
+    assert len(promises) >= 8 or promises is COMPONENT_CHECKS
+    assert all(len(promise) > 20 and promise != name for name, promise in promises.items())

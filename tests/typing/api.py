@@ -1,0 +1,57 @@
+"""The public interface as a type checker sees it: not run, but checked by mypy and pyright (`test_typing.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, assert_type
+
+from aiorts import Component, Connector, InPort, Kernel, LifeCycleState, OutPort, Param, PeriodicContext
+from aiorts.types import TimedDouble, TimedLong
+
+
+class Pid(Component):
+    measured = InPort(TimedDouble, unit="m")
+    command = OutPort(TimedDouble)
+    gain = Param(1.0, ge=0.0)
+    label = Param("fast")
+
+    async def on_execute(self) -> None:
+        sample = await self.measured.read()
+        assert_type(sample, TimedDouble)
+        assert_type(self.measured.latest, TimedDouble | None)
+        assert_type(self.measured.read_nowait(), TimedDouble)
+        assert_type(self.measured.drain(), list[TimedDouble])
+        assert_type(self.gain, float)
+        assert_type(self.label, str)
+        assert_type(await self.command.write(TimedDouble(0, sample.data)), bool)
+        await self.command.write(TimedLong(0, 1))  # error: not the port's type
+        async for one in self.measured:
+            assert_type(one, TimedDouble)
+
+
+class Plain(Component):
+    def on_execute(self) -> None:
+        port = self.add_port("more", InPort(TimedLong))
+        assert_type(port, InPort[TimedLong])
+
+    def on_error(self, error: BaseException) -> None:
+        assert_type(self.last_error, BaseException | None)
+
+
+async def main() -> None:
+    async with Kernel() as kernel:
+        assert_type(kernel, Kernel)
+        pid = await kernel.add(Pid("pid0"))
+        assert_type(pid, Pid)
+        assert_type(await kernel.create(Pid), Pid)
+        assert_type(await kernel.create("Pid"), Component)
+        assert_type(await kernel.connect(pid.command, pid.measured, subscription="new"), Connector)
+        assert_type(await kernel.connect(pid.command, pid.command, pid.measured), tuple[Connector, ...])
+        context = await kernel.start(PeriodicContext(rate=500.0), pid)
+        assert_type(context, PeriodicContext)
+        assert_type(context.state(pid), LifeCycleState)
+        assert_type(kernel.components, Mapping[str, Component])
+        await context.activate(pid.measured)  # error: not a component
+        value: Any = pid.params["gain"].value
+        pid.gain = "fast"  # error: not a float
+        del value
