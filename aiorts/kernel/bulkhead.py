@@ -206,6 +206,7 @@ class TaskDriver:
     async def _sleep(self, deadline_ns: int | None) -> None:
         if self._kicked:
             self._kicked = False
+            await give_turn()
             return
         sleeper = self._sleeper = self.loop.create_future()
         timer = None if deadline_ns is None else self._call_at(deadline_ns, self.kick)

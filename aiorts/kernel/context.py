@@ -11,7 +11,7 @@ import asyncio
 import logging
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
@@ -246,8 +246,10 @@ class Context:
     def _port_added(self, member: Member, port: Port[object]) -> None:
         """A member has another port; it is open when the component is."""
         if isinstance(port, InPort):
-            port._open = _is_open(member.component)
             member.in_ports.append(port)
+            is_open = _is_open(member.component)
+            if port._open is not is_open:
+                port._set_open(is_open)
 
     def _port_removed(self, member: Member, port: Port[object]) -> None:
         """A member lost a port, or the port lost its member."""
@@ -304,10 +306,6 @@ class Context:
         self._actions.append(action)
         if self._driver is not None:
             self._driver.kick()
-
-    async def _between_cycles(self, change: Callable[[], None]) -> None:
-        """Run `change` between two cycles."""
-        await self._ask([self._requests.changing(change)], None)
 
     # -- starting and stopping -------------------------------------------------------------------------------------
 
@@ -379,7 +377,8 @@ class Context:
     def _log_failure(self, member: Member, hook: str, error: BaseException) -> None:
         """One line through the component's own log, so that repeats are folded; the traceback with it."""
         text = "".join(traceback.format_exception_only(error)).strip()
-        member.component.log.error("%s failed: %s", hook, text, exc_info=error)
+        # The hook stands in the template: repeats are folded by template, and another hook's failure is no repeat.
+        member.component.log.error(hook + " failed: %s", text, exc_info=error)  # noqa: G003
 
     def _check(self, what: str) -> Kernel:
         kernel = self._kernel

@@ -324,7 +324,7 @@ class Kernel:
 
     async def sleep(self, seconds: float) -> None:
         """Wait on the kernel's clock; a negative time is 0. ValueError for NaN and infinities."""
-        self._require_open("sleep")
+        self.check_thread("sleep")  # also while it closes: hooks may still wait
         await sleep(self.clock, seconds)
 
     # -- threads ---------------------------------------------------------------------------------------------------

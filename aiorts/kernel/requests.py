@@ -60,16 +60,6 @@ class Requests:
         """A component leaves."""
         return f"remove {member.component.name}", partial(self._context._life.remove, member)
 
-    def changing(self, change: Callable[[], None]) -> Wish:
-        """Something is to be changed while no hook of this context runs."""
-
-        def steps(done: Done) -> Steps:
-            change()
-            done(None)
-            yield from ()
-
-        return "change parameters", steps
-
     # -- asking ----------------------------------------------------------------------------------------------------
 
     async def ask(self, kernel: Kernel, wishes: Sequence[Wish], timeout: float | None) -> None:

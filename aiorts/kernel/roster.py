@@ -51,7 +51,7 @@ class Roster:
             raise WiringError(
                 f"{path}: no component {where.component!r}; there are {', '.join(self.components) or 'none'}"
             )
-        if where.port is None:
+        if not where.port:
             return component
         port = component.ports.get(where.port)
         if port is None:

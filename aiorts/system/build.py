@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, ThreadContext
 from aiorts.errors import AiortsError, ComponentError, ConfigurationError, PluginError, SystemFileError, WiringError
 from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
@@ -24,10 +23,6 @@ from aiorts.system.load import component_type, parameters
 from aiorts.system.values import ConnectionEntry, ContextEntry, SystemFile
 
 __all__ = ("Blueprint", "build", "prepare")
-
-_OWN_CONTEXTS: dict[str, type[Context]] = {
-    context.kind: context for context in (PeriodicContext, EventContext, ExternalContext, ThreadContext)
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,9 +146,7 @@ def _check_declared(system: SystemFile, connection: ConnectionEntry, types: Mapp
 
 def _context(system: SystemFile, entry: ContextEntry) -> Context:
     where = f"{system.path}: contexts.{entry.name}"
-    cls = _OWN_CONTEXTS.get(entry.kind)
-    if cls is None:
-        cls = _offered_context(where, entry.kind)
+    cls = _context_class(where, entry.kind)
     signature = inspect.signature(cls)
     for key in entry.options:
         if key == "name" or key not in signature.parameters:
@@ -168,8 +161,8 @@ def _context(system: SystemFile, entry: ContextEntry) -> Context:
     return context
 
 
-def _offered_context(where: str, kind: str) -> type[Context]:
-    offers = [*_OWN_CONTEXTS, *extensions("contexts")]
+def _context_class(where: str, kind: str) -> type[Context]:
+    offers = list(extensions("contexts"))
     if kind not in offers:
         near = get_close_matches(kind, offers, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(offers)}"

@@ -24,10 +24,10 @@ __all__ = ("LARGEST", "parse", "parse_override")
 LARGEST: Final = 1024 * 1024
 """Bytes of a system file."""
 _TOP: Final = ("schema", "plugins", "components", "connections", "contexts")
-_DEEPEST: Final = 32
+_DEEPEST: Final = 32  # stands in the two patterns, too
 # tomllib takes time that grows with the square of a key's parts, and its recursion ends the interpreter's patience.
-_LONG_KEY: Final = re.compile(r"(?:\.[\w\-\"' \t]*+){%d}" % _DEEPEST)
-_DEEP: Final = re.compile(r"(?:[\[{][ \t\r\n]*+){%d}" % _DEEPEST)
+_LONG_KEY: Final = re.compile(r"(?:\.[\w\-\"' \t]*+){32}")
+_DEEP: Final = re.compile(r"(?:[\[{][ \t\r\n]*+){32}")
 _WORDS: Final[dict[type, str]] = {
     str: "text",
     bool: "true or false",

@@ -46,4 +46,5 @@ class Checker(Component):
             print(f"heading not verified: {self.fault}")
             self.kernel.request_stop(1)
         else:
-            print(f"heading verified: {self.rows} of {sent} within {self.within:g} rad")
+            within = f"{self.within:g}".replace("e-0", "e-")
+            print(f"heading verified: {self.rows} of {sent} within {within} rad")

@@ -29,11 +29,19 @@ LONGEST = 400
 TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 """Files that are one long table of records: nothing in them has to be followed."""
 
-# Where every exception is caught: round a hook (on the loop, in a thread) and round a plugin; there it is reported and
-# contained. A new line here needs a reason.
+# Where every exception is caught: round a hook (on the loop, in a thread, alone) and round code that others ship (a
+# plugin, a component file, an observer, a timer's callback); there it is reported and contained. A new line here needs
+# a reason.
 BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_contain",
+    "aiorts/kernel/bus.py:publish",
+    "aiorts/kernel/plugins.py:load_extension",
+    "aiorts/kernel/solo.py:_run",
     "aiorts/contexts/thread.py:_call",
+    # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.
+    "aiorts/contexts/thread.py:_run",
+    "aiorts/system/load.py:_module",
+    "aiorts/timer_heap.py:run_due",
 }
 FILES = sources("aiorts", "plugins")
 

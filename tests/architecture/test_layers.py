@@ -18,12 +18,21 @@ LAYERS = (
     {"wire"},
     {"kernel"},
     {"contexts"},
+    {"running"},
     {"system"},
     {"testing"},
     {"cli", "bench"},
 )
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
-PUBLIC = ("aiorts", "aiorts.types", "aiorts.errors", "aiorts.clock", "aiorts.wire", "aiorts.testing")
+PUBLIC = (
+    "aiorts",
+    "aiorts.types",
+    "aiorts.errors",
+    "aiorts.clock",
+    "aiorts.wire",
+    "aiorts.system",
+    "aiorts.testing",
+)
 """What a plugin may import from: modules with `__all__`, and only names in it."""
 BUILT_LIKE_A_USER = ("cli", "bench")
 MODEL_MAY_NOT = {"asyncio", "threading", "time", "socket", "subprocess", "selectors", "signal", "logging", "concurrent"}

@@ -60,7 +60,7 @@ def test_the_recording_is_the_one_of_the_notice() -> None:
 
 def test_every_heading_is_verified(capsys: pytest.CaptureFixture[str]) -> None:
     status, said = played(SYSTEM.parent / "imu.txt", capsys)
-    assert (status, said) == (0, "heading verified: 1216 of 1216 within 1e-06 rad")
+    assert (status, said) == (0, "heading verified: 1216 of 1216 within 1e-6 rad")
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -77,7 +77,7 @@ def test_counters_that_wrap_give_the_same_heading(
         counts = [count(line, column) for line in rows]
         assert max(abs(new - old) for old, new in itertools.pairwise(counts)) > 60_000
     status, said = played(recording(tmp_path, rows), capsys)
-    assert (status, said) == (0, "heading verified: 1216 of 1216 within 1e-06 rad")
+    assert (status, said) == (0, "heading verified: 1216 of 1216 within 1e-6 rad")
 
 
 @pytest.mark.parametrize("row", [0, 1, 2, 600, 1214, 1215, *random.Random(7).sample(range(1216), 6)])
@@ -123,7 +123,7 @@ def command(*arguments: object) -> subprocess.CompletedProcess[str]:
 def test_the_command_of_the_readme_runs_with_nothing_else_running() -> None:
     done = command("--set", "imu.speed=200")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "heading verified: 1216 of 1216 within 1e-06 rad"
+    assert done.stdout.splitlines()[-1] == "heading verified: 1216 of 1216 within 1e-6 rad"
     assert any(line.startswith("pose TimedPose2D 2.0") for line in done.stdout.splitlines())
     assert done.stderr == ""
 
@@ -132,7 +132,7 @@ def test_it_gives_the_same_bytes_in_virtual_time() -> None:
     first, second = command("--simulate"), command("--simulate")
     assert first.returncode == second.returncode == 0
     assert first.stdout == second.stdout
-    assert first.stdout.splitlines()[-1] == "heading verified: 1216 of 1216 within 1e-06 rad"
+    assert first.stdout.splitlines()[-1] == "heading verified: 1216 of 1216 within 1e-6 rad"
 
 
 @pytest.mark.parametrize(
