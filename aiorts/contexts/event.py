@@ -70,8 +70,15 @@ class EventContext(Context):
             port._arm()
 
     def _next_cause(self) -> Wait | None:
-        if self._ready:
-            self._ready = [member for member in self._ready if _has_cause(member)]
+        ready = self._ready
+        if not ready:
+            return _FOR_EVER
+        if len(ready) == 1:
+            if _has_cause(ready[0]):
+                return None
+            ready.clear()
+            return _FOR_EVER
+        self._ready = [member for member in ready if _has_cause(member)]
         return None if self._ready else _FOR_EVER
 
     def _begin_cycle(self) -> Sequence[Member]:
@@ -104,12 +111,13 @@ def _has_cause(member: Member) -> bool:
         return True
     # Armed before looked at: what a thread writes in between rings again, and is not left lying.
     member.ready = False
-    rung = tuple(dict.fromkeys(member.rung))
+    rung = member.rung.copy()
     member.rearm()
-    if any(port.is_new for port in rung):
-        member.ready = True
-        member.rung.extend(rung)  # asked again before the cycle begins, the answer is the same
-        return True
+    for port in rung:
+        if port.is_new:
+            member.ready = True
+            member.rung.append(port)  # asked again before the cycle begins, the answer is the same
+            return True
     return False
 
 

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import HookAbandoned, HookTimeout, StateError
-from aiorts.kernel.bus import HookAfter, HookBefore
+from aiorts.kernel.bus import Bus, HookAfter, HookBefore
 from aiorts.kernel.deadlines import CANCELLATIONS, GRACE, STOP_DEADLINE, StopBudget
 from aiorts.kernel.hooks import TAKES_ERROR, HookKind
 from aiorts.kernel.life import Batch, Call, Steps, Wait
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 __all__ = ("CANCELLATIONS", "GRACE", "STOP_DEADLINE", "StopBudget", "TaskDriver", "bad_return")
 
 _LOG = logging.getLogger("aiorts.kernel")
+_ABSENT = HookKind.ABSENT
+_ASYNC = HookKind.ASYNC
 
 
 class _LeftBehind(BaseException):
@@ -115,6 +117,7 @@ class TaskDriver:
         loop: asyncio.AbstractEventLoop,
         call_at: Callable[[int, Callable[[], None]], Cancellable],
         call_later: Callable[[float, Callable[[], None]], Cancellable],
+        bus: Bus,
     ) -> None:
         self.context = context
         self.loop = loop
@@ -124,6 +127,7 @@ class TaskDriver:
         self.hooks_run = 0
         self._stopped_by_host = False
         self.cancelled_by_others = False
+        self._bus = bus
         self._call_at = call_at
         self._steps = steps
         self._batch: Iterator[tuple[Member, str]] | None = None
@@ -182,7 +186,14 @@ class TaskDriver:
                 if isinstance(step, Batch):
                     await self._run_batch(step.hooks)
                 elif isinstance(step, Wait):
-                    await self._sleep(step.deadline_ns)
+                    if step.deadline_ns is not None or self._kicked:
+                        await self._sleep(step.deadline_ns)
+                    else:
+                        # Where an event context idles: one future and no coroutine on the way to its hook.
+                        self._sleeper = self.loop.create_future()
+                        await self._sleeper
+                        self._sleeper = None
+                        self._kicked = False
                 elif isinstance(step, Call):
                     outcome = await self._run(step.member, step.hook, step.args)
                 else:
@@ -228,9 +239,10 @@ class TaskDriver:
         self._batch = None
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
+        """Run one hook; whatever comes out of it is this component's affair."""
         kind, function = member.hooks[hook]
         context, component = self.context, member.component
-        watched = context._hooks_wanted()
+        watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
         if component._running is not None or component._gate.waiting:
@@ -240,10 +252,27 @@ class TaskDriver:
         started_ns = context._now_ns() if context.timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
+        if self.deadline is not None or self.budget is not None:
+            self._watch = _Watch(self)
+            self._watch.arm()
         self._member = component._running = member
         member.hook = hook
         self.hooks_run += 1
-        error = await self._contain(member, hook, kind, function, args)
+        task = self.task
+        error: BaseException | None = None
+        result = None
+        try:
+            # One coroutine call for a hook that does not suspend: nothing more may stand between it and the loop.
+            if kind == _ASYNC:
+                result = await function(*args)
+            elif kind != _ABSENT:
+                result = function(*args)
+        except BaseException as raised:  # noqa: BLE001 - the border round a hook
+            error = raised
+        if self.task is not task:
+            raise _LeftBehind
+        if error is not None or result is not None or self._watch is not None or self.cancelled_by_others:
+            error = await self._outcome(member, hook, error, result)
         self._member = component._running = None
         member.hook = ""
         if component._gate.waiting:
@@ -272,26 +301,10 @@ class TaskDriver:
         where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
         return HookTimeout(f"{component.name}.{hook}: did not run: the component was busy in {where}")
 
-    async def _contain(
-        self, member: Member, hook: str, kind: int, function: Callable[..., Any], args: tuple[Any, ...]
+    async def _outcome(
+        self, member: Member, hook: str, error: BaseException | None, result: object
     ) -> BaseException | None:
-        """Run the hook; whatever comes out of it is this component's affair."""
-        if kind == HookKind.ABSENT:
-            return None
-        task = self.task
-        if self.deadline is not None or self.budget is not None:
-            self._watch = _Watch(self)
-            self._watch.arm()
-        error: BaseException | None = None
-        result = None
-        try:
-            result = function(*args)
-            if kind == HookKind.ASYNC:
-                result = await result
-        except BaseException as raised:  # noqa: BLE001 - the border round a hook
-            error = raised
-        if self.task is not task:
-            raise _LeftBehind
+        """What became of a hook that did not simply return."""
         watch = self._watch
         if watch is not None:
             watch.disarm()

@@ -214,7 +214,7 @@ class Context:
                 raise StateError(f"{where}; a component of a thread context can be in no other")
 
     def _make_driver(self, kernel: Kernel) -> Driver:
-        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later)
+        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later, kernel.bus)
 
     # -- members ---------------------------------------------------------------------------------------------------
 

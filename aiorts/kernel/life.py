@@ -100,20 +100,14 @@ class Life:
                 worked = False
                 yield TURN
             else:
-                yield from self._cycle()
+                members = context._begin_cycle()
+                context.ticks += 1
+                yield Batch(_first_pass(members))
+                if context._updating:
+                    yield Batch(_second_pass(members))
+                context._end_cycle(members)
                 worked = True
         yield from self._end()
-
-    # -- cycles ----------------------------------------------------------------------------------------------------
-
-    def _cycle(self) -> Steps:
-        context = self._context
-        members = context._begin_cycle()
-        context.ticks += 1
-        yield Batch(_first_pass(members))
-        if context._updating:
-            yield Batch(_second_pass(members))
-        context._end_cycle(members)
 
     # -- transitions -----------------------------------------------------------------------------------------------
 

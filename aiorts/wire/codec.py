@@ -6,7 +6,7 @@ raises WireError, and it allocates nothing that the frame has no octets for.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import msgpack  # type: ignore[import-untyped]
 
@@ -73,7 +73,7 @@ class MsgpackCodec:
         """
         cls = type(record)
         name, form = _known.get(cls) or _know(cls)
-        frame: bytes = msgpack.packb((FORMAT, name, form.put(record)), unicode_errors="strict")
+        frame = cast("bytes", msgpack.packb((FORMAT, name, form.put(record)), unicode_errors="strict"))
         if len(frame) > self._unchecked:
             self._check_size(frame, name)
         return frame
