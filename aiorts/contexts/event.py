@@ -24,6 +24,7 @@ __all__ = ("EventContext",)
 
 _FOR_EVER = Wait(None)
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+_ACTIVE = LifeCycleState.ACTIVE
 _INACTIVE = LifeCycleState.INACTIVE
 
 
@@ -80,6 +81,24 @@ class EventContext(Context):
             return _FOR_EVER
         self._ready = [member for member in ready if _has_cause(member)]
         return None if self._ready else _FOR_EVER
+
+    def _alone(self) -> Member | None:
+        # Written out: this stands between a sample and the hook it is for.
+        ready = self._ready
+        if len(ready) != 1 or self._actions or self._stopping or self._updating:
+            return None
+        member = ready[0]
+        rung = member.rung
+        if len(rung) != 1 or not rung[0]._fast or member.state is not _ACTIVE or member.failure is not None:
+            return None
+        ready.clear()
+        rung[0]._armed = True
+        rung.clear()
+        member.ready = member.triggered = False
+        for port in member.in_ports:
+            port._took = False
+        self.ticks += 1
+        return member
 
     def _begin_cycle(self) -> Sequence[Member]:
         ready, self._ready = self._ready, []

@@ -25,8 +25,8 @@ from aiorts.kernel.life import Batch, Call, Step, Wait
 from aiorts.kernel.ports import InPort
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bulkhead import StopBudget
     from aiorts.kernel.component import Component
+    from aiorts.kernel.deadlines import StopBudget
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.member import Member
     from aiorts.kernel.ports import Port

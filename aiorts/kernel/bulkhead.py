@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import HookAbandoned, HookTimeout, StateError
 from aiorts.kernel.bus import Bus, HookAfter, HookBefore
-from aiorts.kernel.deadlines import CANCELLATIONS, GRACE, STOP_DEADLINE, StopBudget
+from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.hooks import TAKES_ERROR, HookKind
 from aiorts.kernel.life import Batch, Call, Steps, Wait
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, leave_behind, owner_of
+from aiorts.kernel.watch import Watch
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.host import Cancellable
     from aiorts.kernel.member import Member
 
-__all__ = ("CANCELLATIONS", "GRACE", "STOP_DEADLINE", "StopBudget", "TaskDriver", "bad_return")
+__all__ = ("TaskDriver", "bad_return")
 
 _LOG = logging.getLogger("aiorts.kernel")
 _ABSENT = HookKind.ABSENT
@@ -64,49 +65,6 @@ class _DriverTask(asyncio.Task[None]):
         super().cancel()
 
 
-class _Watch:
-    """Cancels the hook that runs now, step by step, when its time is over."""
-
-    __slots__ = ("cancels", "driver", "grace", "stopping", "timer")
-
-    def __init__(self, driver: TaskDriver) -> None:
-        self.driver = driver
-        self.cancels = 0
-        self.stopping = False
-        self.timer: Cancellable | None = None
-
-    def arm(self) -> None:
-        """Start the countdown that is in force: the stop's, else the hook's own deadline if it has one."""
-        budget, deadline = self.driver.budget, self.driver.deadline
-        if budget is not None:
-            self.stopping = True
-            self.timer = self.driver.loop.call_later(budget.limit, self._expire)
-        elif deadline is not None:
-            self.timer = self.driver.call_later(deadline, self._expire)
-
-    def rearm(self) -> None:
-        """A stop began while the hook runs: its countdown replaces the hook's own, once cancelling it goes on."""
-        if self.cancels == 0:
-            self.disarm()
-            self.arm()
-
-    def disarm(self) -> None:
-        """The hook returned."""
-        if self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-
-    def _expire(self) -> None:
-        if self.cancels < CANCELLATIONS:
-            self.cancels += 1
-            self.driver.task.cancel_hook()
-            budget = self.driver.budget
-            later = self.driver.loop.call_later if self.stopping else self.driver.call_later
-            self.timer = later(GRACE if budget is None else budget.grace, self._expire)
-        else:
-            self.driver.abandon()
-
-
 class TaskDriver:
     """Carries out the steps of a context's life in a task of its own."""
 
@@ -132,7 +90,7 @@ class TaskDriver:
         self._steps = steps
         self._batch: Iterator[tuple[Member, str]] | None = None
         self._member: Member | None = None
-        self._watch: _Watch | None = None
+        self._watch: Watch | None = None
         self._sleeper: asyncio.Future[None] | None = None
         self._turn: asyncio.Future[bool] | None = None
         self._kicked = False
@@ -157,7 +115,7 @@ class TaskDriver:
         if self.budget is None:
             self.budget = budget
             if self._watch is None and self._member is not None:
-                self._watch = _Watch(self)
+                self._watch = Watch(self)
                 self._watch.arm()
             elif self._watch is not None:
                 self._watch.rearm()
@@ -194,6 +152,14 @@ class TaskDriver:
                         await self._sleeper
                         self._sleeper = None
                         self._kicked = False
+                        member = self.context._alone()
+                        if member is not None:
+                            self._batch = iter(())  # nothing would be left to do for who takes over
+                            error = await self._run(member, "on_execute", ())
+                            self._batch = None
+                            if error is not None:
+                                self.context._life.failed(member, "on_execute", error)
+                            self.context._end_cycle((member,))
                 elif isinstance(step, Call):
                     outcome = await self._run(step.member, step.hook, step.args)
                 else:
@@ -253,7 +219,7 @@ class TaskDriver:
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
         if self.deadline is not None or self.budget is not None:
-            self._watch = _Watch(self)
+            self._watch = Watch(self)
             self._watch.arm()
         self._member = component._running = member
         member.hook = hook
@@ -330,7 +296,7 @@ class TaskDriver:
             self.task.uncancel()
 
     def _judge(
-        self, member: Member, hook: str, error: BaseException | None, watch: _Watch | None
+        self, member: Member, hook: str, error: BaseException | None, watch: Watch | None
     ) -> BaseException | None:
         """What became of a hook that raised or was cancelled: the component's error, unless the host wanted it."""
         if isinstance(error, GeneratorExit) and asyncio._get_running_loop() is None:

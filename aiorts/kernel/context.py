@@ -16,10 +16,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.errors import ClosedError, StateError
-from aiorts.kernel.bulkhead import StopBudget, TaskDriver
+from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
+from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.life import Action, Life, Wait
-from aiorts.kernel.member import Member
+from aiorts.kernel.member import Member, is_open
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.requests import Requests, Wish
 from aiorts.model.lifecycle import Event as Transition
@@ -178,6 +179,10 @@ class Context:
         """None when a cycle is due, else what to wait for."""
         raise NotImplementedError
 
+    def _alone(self) -> Member | None:
+        """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; what `Life` comes to, sooner."""
+        return None
+
     def _begin_cycle(self) -> Sequence[Member]:
         """A cycle begins now: who takes part in it."""
         return tuple(self._members)
@@ -247,9 +252,9 @@ class Context:
         """A member has another port; it is open when the component is."""
         if isinstance(port, InPort):
             member.in_ports.append(port)
-            is_open = _is_open(member.component)
-            if port._open is not is_open:
-                port._set_open(is_open)
+            takes = is_open(member.component)
+            if port._open is not takes:
+                port._set_open(takes)
 
     def _port_removed(self, member: Member, port: Port[object]) -> None:
         """A member lost a port, or the port lost its member."""
@@ -258,10 +263,10 @@ class Context:
 
     def _set_ports_open(self, member: Member) -> None:
         """In-ports take samples while the component is active somewhere, or is in no context at all."""
-        is_open = _is_open(member.component)
+        takes = is_open(member.component)
         for port in member.component.ports.values():
-            if isinstance(port, InPort) and port._open is not is_open:
-                port._set_open(is_open)
+            if isinstance(port, InPort) and port._open is not takes:
+                port._set_open(takes)
 
     def _member_finished(self, member: Member) -> None:
         self._submit(Action(lambda: self._life.finish(member)))
@@ -392,8 +397,3 @@ class Context:
         if self._kernel is None:
             raise StateError(f"{self.name or type(self).__name__}: was never started")
         return self._kernel
-
-
-def _is_open(component: Component) -> bool:
-    members = component._members
-    return not members or any(member.state is LifeCycleState.ACTIVE for member in members)

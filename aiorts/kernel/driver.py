@@ -6,7 +6,7 @@ import asyncio
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bulkhead import StopBudget
+    from aiorts.kernel.deadlines import StopBudget
     from aiorts.kernel.member import Member
 
 __all__ = ("Driver",)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import DeclarationError, InvalidNameError, StateError, TransitionTimeout
-from aiorts.kernel.bulkhead import StopBudget
+from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through
 

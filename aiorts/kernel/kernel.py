@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 from aiorts.clock import Clock, SystemClock, current_clock
 from aiorts.errors import ClosedError, StateError, ThreadError
 from aiorts.kernel import embedding, joint
-from aiorts.kernel.bulkhead import StopBudget
 from aiorts.kernel.bus import Bus
 from aiorts.kernel.component import Component
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
+from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import InPort, Port

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.context import Context
 
-__all__ = ("HookTimes", "Member")
+__all__ = ("HookTimes", "Member", "is_open")
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _ACTIVE = LifeCycleState.ACTIVE
@@ -117,3 +117,9 @@ class Member:
         if times is None:
             times = self.times[hook] = HookTimes()
         return times
+
+
+def is_open(component: Component) -> bool:
+    """Whether a component's in-ports take samples: it is active somewhere, or in no context at all."""
+    members = component._members
+    return not members or any(member.state is _ACTIVE for member in members)

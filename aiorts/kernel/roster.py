@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
 from aiorts.kernel import embedding
-from aiorts.kernel.bulkhead import CANCELLATIONS, StopBudget
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
+from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.solo import run_alone
