@@ -96,7 +96,7 @@ class ThreadContext(PeriodicContext):
 
     def _check_can_add(self, component: Component) -> None:
         super()._check_can_add(component)
-        awaiting = [hook for hook in is_plain(component._hook_kinds) if hook not in _ON_LOOP]
+        awaiting = [hook for hook in is_plain(component._rt_hook_kinds) if hook not in _ON_LOOP]
         if awaiting:
             raise StateError(
                 f"{component.name}: {', '.join(awaiting)} is `async def`; the hooks of a thread context are plain `def`"
@@ -106,7 +106,7 @@ class ThreadContext(PeriodicContext):
         return _ThreadDriver(self, kernel)
 
     def _port_added(self, member: Member, port: Port[Any]) -> None:
-        member.component._host.threaded = True
+        member.component._rt_host.threaded = True
         kernel = self._require_kernel()
         kernel._lock_ports(port)
         super()._port_added(member, port)
@@ -114,8 +114,8 @@ class ThreadContext(PeriodicContext):
     def _set_ports_open(self, member: Member) -> None:
         super()._set_ports_open(member)
         if member.left:
-            member.component._host.threaded = False
-            member.component._host.thread_id = None
+            member.component._rt_host.threaded = False
+            member.component._rt_host.thread_id = None
 
 
 class _ThreadDriver:
@@ -134,7 +134,7 @@ class _ThreadDriver:
         self._member: Member | None = None
         self._blocking = blocking_for(kernel.clock, kernel.loop, kernel._timers.call_at)
         for member in context._members:
-            member.component._host.stopping = False
+            member.component._rt_host.stopping = False
         self.thread = threading.Thread(target=self._run, name=f"aiorts {context.name}", daemon=True)
         self.thread.start()
 
@@ -155,7 +155,7 @@ class _ThreadDriver:
             return
         self._hurried = True
         for member in tuple(self.context._members):
-            member.component._host.stopping = True
+            member.component._rt_host.stopping = True
             for port in member.component.ports.values():
                 for connector in port.connectors:
                     connector.in_._wake_waiter()
@@ -208,8 +208,8 @@ class _ThreadDriver:
 
     def _call(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         context, component = self.context, member.component
-        component._host.thread_id = threading.get_ident()
-        component._host.blocking = self._blocking
+        component._rt_host.thread_id = threading.get_ident()
+        component._rt_host.blocking = self._blocking
         kind, function = member.hooks[hook]
         watched = context._hooks_wanted()
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
@@ -218,7 +218,7 @@ class _ThreadDriver:
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
         self.hooks_run += 1
-        self._member = component._running = member
+        self._member = component._rt_running = member
         member.hook = hook
         error: BaseException | None = None
         try:
@@ -229,7 +229,7 @@ class _ThreadDriver:
             error = raised
         if self._gone:
             return None
-        self._member = component._running = None
+        self._member = component._rt_running = None
         member.hook = ""
         if context._stopping and isinstance(error, ClosedError):
             error = None  # a blocking read or write was woken to let the context stop
@@ -248,8 +248,8 @@ class _ThreadDriver:
 
     def _end(self, fault: BaseException | None) -> None:
         for member in self.context._members:
-            member.component._host.stopping = False
-            member.component._host.blocking = None
+            member.component._rt_host.stopping = False
+            member.component._rt_host.blocking = None
         self.context._life_ended(fault)
         # The thread has nothing left to do but return.
         self.thread.join()

@@ -211,7 +211,7 @@ class TaskDriver:
         watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
-        if component._running is not None or component._gate.waiting:
+        if component._rt_running is not None or component._rt_gate.waiting:
             busy = await self._wait_for_turn(member, hook)
             if busy is not None or member.abandoned:
                 return busy
@@ -221,7 +221,7 @@ class TaskDriver:
         if self.deadline is not None or self.budget is not None:
             self._watch = Watch(self)
             self._watch.arm()
-        self._member = component._running = member
+        self._member = component._rt_running = member
         member.hook = hook
         self.hooks_run += 1
         task = self.task
@@ -239,10 +239,10 @@ class TaskDriver:
             raise _LeftBehind
         if error is not None or result is not None or self._watch is not None or self.cancelled_by_others:
             error = await self._outcome(member, hook, error, result)
-        self._member = component._running = None
+        self._member = component._rt_running = None
         member.hook = ""
-        if component._gate.waiting:
-            component._gate.pass_on()
+        if component._rt_gate.waiting:
+            component._rt_gate.pass_on()
         if context.timing:
             member.timed(hook).add(context._now_ns() - started_ns)
         if watched:
@@ -257,13 +257,13 @@ class TaskDriver:
         if self.budget is not None:
             timer = self.loop.call_later(self.budget.limit, _resolve, turn, False)
         try:
-            if await component._gate.wait(turn):
+            if await component._rt_gate.wait(turn):
                 return None
         finally:
             self._turn = None
             if timer is not None:
                 timer.cancel()
-        inside = component._running
+        inside = component._rt_running
         where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
         return HookTimeout(f"{component.name}.{hook}: did not run: the component was busy in {where}")
 
@@ -332,14 +332,14 @@ class TaskDriver:
         )
         leave_behind(self.task)
         component = member.component
-        component._abandoned = error
-        for other in component._members:
+        component._rt_abandoned = error
+        for other in component._rt_members:
             other.abandoned = True
         self._member, self._watch = None, None
-        component._running = None
+        component._rt_running = None
         member.hook = ""
         self.cancelled_by_others = False
-        component._gate.pass_on()
+        component._rt_gate.pass_on()
         if self.context._hooks_wanted():
             self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:

@@ -40,6 +40,8 @@ Hook = Awaitable[None] | None
 class Component:
     """The unit of a system. Derive from it, declare ports and parameters, write the hooks you need.
 
+    Every private name of this class begins with `_rt_`: `self._log` or `self._members` are yours.
+
     Args:
         name: the instance's name; the kernel gives one ("pid0") where there is none.
 
@@ -47,48 +49,44 @@ class Component:
     """
 
     max_instance: ClassVar[int | None] = None
-    _port_declarations: ClassVar[dict[str, Port[Any]]] = {}
-    _parameter_specs: ClassVar[dict[str, ParameterSpec]] = {}
-    _hook_kinds: ClassVar[dict[str, int]] = {}
+    _rt_port_declarations: ClassVar[dict[str, Port[Any]]] = {}
+    _rt_parameter_specs: ClassVar[dict[str, ParameterSpec]] = {}
+    _rt_hook_kinds: ClassVar[dict[str, int]] = {}
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        cls._port_declarations = dict(cls._port_declarations)
-        cls._parameter_specs = dict(cls._parameter_specs)
+        cls._rt_port_declarations = dict(cls._rt_port_declarations)
+        cls._rt_parameter_specs = dict(cls._rt_parameter_specs)
         for attribute, value in vars(cls).items():
+            if isinstance(value, Port | Declared) and hasattr(Component, attribute):
+                raise DeclarationError(
+                    f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
+                )
             if isinstance(value, Port):
-                cls._declare_port(attribute, value)
+                cls._rt_port_declarations[attribute] = value
+                check_name(value.name or attribute, "port")
             elif isinstance(value, Declared):
-                cls._parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
-        cls._hook_kinds = hook_kinds(cls, Component)
-
-    @classmethod
-    def _declare_port(cls, attribute: str, port: Port[Any]) -> None:
-        if hasattr(Component, attribute):
-            raise DeclarationError(
-                f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
-            )
-        check_name(port.name or attribute, "port")
-        cls._port_declarations[attribute] = port
+                cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
+        cls._rt_hook_kinds = hook_kinds(cls, Component)
 
     def __init__(self, name: str = "") -> None:
         if name:
             check_name(name, "component")
-        self._host = PortHost(name or type(self).__name__.lower(), Turns())
-        self._named = bool(name)
-        self._kernel: Kernel | None = None
-        self._members: list[Member] = []
-        self._running: Member | None = None
-        self._last_error: BaseException | None = None
-        self._gate = Gate(self)
-        self._abandoned: BaseException | None = None
+        self._rt_host = PortHost(name or type(self).__name__.lower(), Turns())
+        self._rt_named = bool(name)
+        self._rt_kernel: Kernel | None = None
+        self._rt_members: list[Member] = []
+        self._rt_running: Member | None = None
+        self._rt_last_error: BaseException | None = None
+        self._rt_gate = Gate(self)
+        self._rt_abandoned: BaseException | None = None
         """Why it never runs again: a hook ignored every cancellation and was left behind."""
-        self._finished = False
-        self._log: ComponentLog | None = None
-        self._params = Parameters(self._host.name, self._parameter_specs)
-        for parameter in self._params.values():
+        self._rt_finished = False
+        self._rt_log: ComponentLog | None = None
+        self._rt_params = Parameters(self._rt_host.name, self._rt_parameter_specs)
+        for parameter in self._rt_params.values():
             setattr(self, parameter.name, parameter.value)
-        for attribute, declaration in self._port_declarations.items():
+        for attribute, declaration in self._rt_port_declarations.items():
             setattr(self, attribute, self.add_port(declaration.name or attribute, declaration))
 
     # -- who and where ---------------------------------------------------------------------------------------------
@@ -96,14 +94,14 @@ class Component:
     @property
     def name(self) -> str:
         """The instance's name, unique in its kernel."""
-        return self._host.name
+        return self._rt_host.name
 
     @property
     def kernel(self) -> Kernel:
         """The kernel this component belongs to; StateError before it was added."""
-        if self._kernel is None:
+        if self._rt_kernel is None:
             raise StateError(f"{self.name}: belongs to no kernel yet; await kernel.add(...) first")
-        return self._kernel
+        return self._rt_kernel
 
     @property
     def clock(self) -> Clock:
@@ -113,45 +111,45 @@ class Component:
     @property
     def context(self) -> Context:
         """The execution context that runs this hook; outside of hooks the only one; StateError where that is nobody."""
-        if self._running is not None:
-            return self._running.context
-        if len(self._members) == 1:
-            return self._members[0].context
-        raise StateError(f"{self.name}: is in {len(self._members)} contexts and no hook runs; say which")
+        if self._rt_running is not None:
+            return self._rt_running.context
+        if len(self._rt_members) == 1:
+            return self._rt_members[0].context
+        raise StateError(f"{self.name}: is in {len(self._rt_members)} contexts and no hook runs; say which")
 
     @property
     def contexts(self) -> tuple[Context, ...]:
         """The contexts this component is in, in the order it was added."""
-        return tuple(member.context for member in self._members)
+        return tuple(member.context for member in self._rt_members)
 
     @property
     def states(self) -> Mapping[str, LifeCycleState]:
         """The life-cycle state in each context, by the context's name."""
-        return MappingProxyType({member.context.name: member.state for member in self._members})
+        return MappingProxyType({member.context.name: member.state for member in self._rt_members})
 
     @property
     def state(self) -> LifeCycleState | None:
         """The life-cycle state in the context at hand; None in no context."""
-        if self._running is not None:
-            return self._running.state
-        return self._members[0].state if self._members else None
+        if self._rt_running is not None:
+            return self._rt_running.state
+        return self._rt_members[0].state if self._rt_members else None
 
     @property
     def last_error(self) -> BaseException | None:
         """What made this component fail last, with its traceback; earlier causes are chained to it."""
-        return self._last_error
+        return self._rt_last_error
 
     @property
     def log(self) -> ComponentLog:
         """This component's logger on stdlib logging: kernel, component, hook and tick are fields of each record."""
-        if self._log is None:
+        if self._rt_log is None:
             kernel = self.kernel
-            self._log = ComponentLog(self._log_fields, kernel.clock.monotonic_ns, shared=kernel._log_budget)
-        return self._log
+            self._rt_log = ComponentLog(self._rt_log_fields, kernel.clock.monotonic_ns, shared=kernel._log_budget)
+        return self._rt_log
 
-    def _log_fields(self) -> LogFields:
-        member = self._running
-        kernel = self._kernel.name if self._kernel is not None else ""
+    def _rt_log_fields(self) -> LogFields:
+        member = self._rt_running
+        kernel = self._rt_kernel.name if self._rt_kernel is not None else ""
         if member is None:
             return LogFields(kernel, self.name)
         return LogFields(kernel, self.name, member.hook, member.context.ticks)
@@ -159,12 +157,12 @@ class Component:
     @property
     def profile(self) -> ComponentProfile:
         """What this component is at this moment, frozen."""
-        error = self._last_error
+        error = self._rt_last_error
         return ComponentProfile(
             self.name,
             type(self).__name__,
             tuple(port.profile for port in self.ports.values()),
-            MappingProxyType(self._params.values_in_force),
+            MappingProxyType(self._rt_params.values_in_force),
             MappingProxyType({name: state.value for name, state in self.states.items()}),
             None if error is None else f"{type(error).__name__}: {error}",
         )
@@ -183,12 +181,12 @@ class Component:
     @property
     def ports(self) -> Mapping[str, Port[Any]]:
         """The ports there are now, by name."""
-        return MappingProxyType(self._host.ports)
+        return MappingProxyType(self._rt_host.ports)
 
     @property
     def params(self) -> Parameters:
         """The parameters, by name: value in force, default, unit, bounds."""
-        return self._params
+        return self._rt_params
 
     @overload
     def add_port(self, name: str, port: InPort[T]) -> InPort[T]: ...
@@ -206,17 +204,17 @@ class Component:
             InvalidNameError: the name is not allowed. WiringError: there is one of that name already.
             DeclarationError: a value of the port's type cannot travel.
         """
-        if self._kernel is not None:
-            self._kernel.check_thread(f"{self.name}.add_port")
+        if self._rt_kernel is not None:
+            self._rt_kernel.check_thread(f"{self.name}.add_port")
         check_name(name, "port")
-        if name in self._host.ports:
+        if name in self._rt_host.ports:
             raise WiringError(f"{self.name}.{name}: there is a port of that name already")
         if not isinstance(port, InPort | OutPort):
             raise DeclarationError(f"{self.name}.{name}: expected InPort(...) or OutPort(...), got {port!r}")
-        bound: InPort[Any] | OutPort[Any] = port.bind(self._host, name)
-        self._host.ports[name] = bound
-        if self._kernel is not None:
-            self._kernel._roster.port_added(self, bound)
+        bound: InPort[Any] | OutPort[Any] = port.bind(self._rt_host, name)
+        self._rt_host.ports[name] = bound
+        if self._rt_kernel is not None:
+            self._rt_kernel._roster.port_added(self, bound)
         return bound
 
     def remove_port(self, name: str) -> None:
@@ -225,19 +223,19 @@ class Component:
         Raises:
             WiringError: there is no such port.
         """
-        if self._kernel is not None:
-            self._kernel.check_thread(f"{self.name}.remove_port")
-        port = self._host.ports.get(name)
+        if self._rt_kernel is not None:
+            self._rt_kernel.check_thread(f"{self.name}.remove_port")
+        port = self._rt_host.ports.get(name)
         if port is None:
-            raise WiringError(f"{self.name}.{name}: no such port; there are {', '.join(self._host.ports) or 'none'}")
-        if self._kernel is not None:
+            raise WiringError(f"{self.name}.{name}: no such port; there are {', '.join(self._rt_host.ports) or 'none'}")
+        if self._rt_kernel is not None:
             for connector in port.connectors:
-                self._kernel._connections.end(connector)
-        del self._host.ports[name]
+                self._rt_kernel._connections.end(connector)
+        del self._rt_host.ports[name]
         if isinstance(port, InPort):
             port._wake_waiter()
-        if self._kernel is not None:
-            self._kernel._roster.port_removed(self, port)
+        if self._rt_kernel is not None:
+            self._rt_kernel._roster.port_removed(self, port)
 
     async def configure(self, **changes: object) -> None:
         """Change parameters: all of them between two cycles, or, when any value is bad, none.
@@ -248,32 +246,32 @@ class Component:
             ConfigurationError: names every change that was refused; the old values stay.
             TransitionTimeout: no cycle ended within 5 s; the old values stay.
         """
-        if self._kernel is not None:
-            self._kernel.check_thread(f"{self.name}.configure")
-        checked = self._params.check(changes)
-        if self._kernel is None:
-            self._put(checked)
+        if self._rt_kernel is not None:
+            self._rt_kernel.check_thread(f"{self.name}.configure")
+        checked = self._rt_params.check(changes)
+        if self._rt_kernel is None:
+            self._rt_put(checked)
         else:
-            await between_cycles(self._kernel, self, lambda: self._put(checked))
+            await between_cycles(self._rt_kernel, self, lambda: self._rt_put(checked))
 
-    def _put(self, checked: Mapping[str, Any]) -> None:
-        self._params._put(checked)
+    def _rt_put(self, checked: Mapping[str, Any]) -> None:
+        self._rt_params._put(checked)
         for name, value in checked.items():
             setattr(self, name, value)
-        if self._kernel is not None and checked:
-            self._kernel._roster.parameters_changed(self, checked)
+        if self._rt_kernel is not None and checked:
+            self._rt_kernel._roster.parameters_changed(self, checked)
 
     # -- what a hook may ask for -----------------------------------------------------------------------------------
 
     def finish(self) -> None:
         """Say that this source has nothing more: it is deactivated after this cycle."""
-        if self._kernel is not None and self._host.thread_id != threading.get_ident():
-            self._kernel.check_thread(f"{self.name}.finish")
-        self._finished = True
-        if self._running is not None:
-            self._running.finish()
+        if self._rt_kernel is not None and self._rt_host.thread_id != threading.get_ident():
+            self._rt_kernel.check_thread(f"{self.name}.finish")
+        self._rt_finished = True
+        if self._rt_running is not None:
+            self._rt_running.finish()
             return
-        for member in self._members:
+        for member in self._rt_members:
             member.finish()
 
     async def sleep(self, seconds: float) -> None:
@@ -332,10 +330,10 @@ class Component:
 
     # -- called by the kernel --------------------------------------------------------------------------------------
 
-    def _rename(self, name: str) -> None:
-        self._host.name = name
-        self._params._rename(name)
-        self._named = True
+    def _rt_rename(self, name: str) -> None:
+        self._rt_host.name = name
+        self._rt_params._rename(name)
+        self._rt_named = True
 
 
 def _nothing() -> Hook:
@@ -343,7 +341,7 @@ def _nothing() -> Hook:
     return _DONE
 
 
-Component._hook_kinds = hook_kinds(Component, Component)
+Component._rt_hook_kinds = hook_kinds(Component, Component)
 
 
 class _Done:

@@ -180,7 +180,7 @@ class Context:
         raise NotImplementedError
 
     def _alone(self) -> Member | None:
-        """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; what `Life` comes to, sooner."""
+        """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; as `Life` would, sooner."""
         return None
 
     def _begin_cycle(self) -> Sequence[Member]:
@@ -230,7 +230,7 @@ class Context:
     def _attach(self, member: Member) -> None:
         component = member.component
         self._members.append(member)
-        component._members.append(member)
+        component._rt_members.append(member)
         self._updating = any(m.updates for m in self._members)
         for port in component.ports.values():
             self._port_added(member, port)
@@ -241,8 +241,8 @@ class Context:
         component = member.component
         if member in self._members:
             self._members.remove(member)
-        if member in component._members:
-            component._members.remove(member)
+        if member in component._rt_members:
+            component._rt_members.remove(member)
         self._updating = any(m.updates for m in self._members)
         for port in component.ports.values():
             self._port_removed(member, port)
@@ -294,7 +294,7 @@ class Context:
         await self._ask([self._requests.transition(member, event) for member in members], timeout)
 
     def _check_may_join(self, component: Component) -> None:
-        if component._kernel is not self._kernel or not component._host.alive:
+        if component._rt_kernel is not self._kernel or not component._rt_host.alive:
             raise StateError(
                 f"{component.name}: does not belong to the kernel of {self.name}; await kernel.add(...) first"
             )

@@ -52,10 +52,10 @@ class Guest:
             task = asyncio.Task(coroutine, loop=loop, **options)
         creator = current_task()
         owner = owner_of(creator)
-        if owner is not None and owner._kernel in self.kernels:
+        if owner is not None and owner._rt_kernel in self.kernels:
             task._aiorts_component = owner
             task._aiorts_creator = _creator(creator)
-            owner._kernel._roster.adopt(task)
+            owner._rt_kernel._roster.adopt(task)
             task.add_done_callback(self._task_done)
         return task
 
@@ -76,21 +76,21 @@ class Guest:
             return  # somebody has awaited it, or asked for its exception
         error = task.exception()
         owner: Component = task._aiorts_component  # type: ignore[attr-defined] # marked by _make_task
-        if error is not None and owner._kernel is not None:
-            owner._kernel._roster.task_failed(owner, task.get_name(), error)
+        if error is not None and owner._rt_kernel is not None:
+            owner._rt_kernel._roster.task_failed(owner, task.get_name(), error)
 
     def settle(self, kernel: Kernel) -> None:
         """Nobody of `kernel` will ask any more: what failed is reported now."""
         for task in tuple(self._unclaimed):
-            if task._aiorts_component._kernel is kernel:  # type: ignore[attr-defined] # marked by _make_task
+            if task._aiorts_component._rt_kernel is kernel:  # type: ignore[attr-defined] # marked by _make_task
                 self._blame(task)
 
     def _handle(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         task: Any = context.get("task") or context.get("future")
         error = context.get("exception")
         owner: Component | None = getattr(task, "_aiorts_component", None)
-        if owner is not None and owner._kernel is not None and error is not None:
-            owner._kernel._roster.task_failed(owner, task.get_name(), error)
+        if owner is not None and owner._rt_kernel is not None and error is not None:
+            owner._rt_kernel._roster.task_failed(owner, task.get_name(), error)
             return
         if self._handler is not None:
             self._handler(loop, context)

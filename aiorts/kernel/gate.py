@@ -1,6 +1,6 @@
 """A component in several contexts is entered by one at a time, in the order they came.
 
-Who is inside stands in `Component._running`; this file only lets the others wait. A component in one context finds
+Who is inside stands in `Component._rt_running`; this file only lets the others wait. A component in one context finds
 its gate open and pays for looking, no more.
 """
 
@@ -28,7 +28,7 @@ class Gate:
     @property
     def open(self) -> bool:
         """Whether nobody is inside and nobody came first."""
-        return self._component._running is None and not self.waiting
+        return self._component._rt_running is None and not self.waiting
 
     async def wait(self, turn: asyncio.Future[bool]) -> bool:
         """Wait for one's turn and enter at once; False when somebody resolved `turn` so, as a deadline does."""
@@ -44,7 +44,7 @@ class Gate:
 
     def pass_on(self) -> None:
         """Let the first who waits come in, when nobody is inside."""
-        if self._component._running is not None:
+        if self._component._rt_running is not None:
             return
         for turn in self.waiting:
             if turn.done():

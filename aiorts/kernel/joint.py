@@ -113,7 +113,7 @@ def _steps(change: Callable[[], None], done: Done) -> Steps:
 
 
 async def _through_gate(kernel: Kernel, component: Component, change: Callable[[], None]) -> None:
-    gate = component._gate
+    gate = component._rt_gate
     if not gate.open:
         turn: asyncio.Future[bool] = kernel.loop.create_future()
         timer = kernel.call_later(PATIENCE, lambda: None if turn.done() else turn.set_result(False))

@@ -112,7 +112,7 @@ class Kernel:
             self._closed = True
             self._closing = kernel_task(self._loop, self._close(), f"aiorts close {self.name}")
         caller = owner_of(current_task())
-        if caller is None or caller._kernel is not self:
+        if caller is None or caller._rt_kernel is not self:
             await see_through(self._closing)
 
     async def _close(self) -> None:

@@ -268,7 +268,7 @@ class Life:
         chain(error, member.failure)
         if member.failure is None and leads_to is not Failure.RECORD:
             member.failure = error
-        component._last_error = error
+        component._rt_last_error = error
         self._context._publish(HookFailed(component.name, self._context.name, hook, error))
         self._log(member, hook, error)
         if aborts is None:
@@ -279,12 +279,12 @@ class Life:
     def _log(self, member: Member, hook: str, error: BaseException) -> None:
         """As from inside the hook, which has returned already: the line tells hook and tick."""
         component = member.component
-        before = component._running, member.hook
-        component._running, member.hook = member, hook
+        before = component._rt_running, member.hook
+        component._rt_running, member.hook = member, hook
         try:
             self._context._log_failure(member, hook, error)
         finally:
-            component._running, member.hook = before
+            component._rt_running, member.hook = before
 
     def _enter(self, member: Member, state: LifeCycleState) -> None:
         old, member.state = member.state, state

@@ -68,7 +68,7 @@ class Member:
         """Position in the order of addition."""
         self.state = LifeCycleState.INACTIVE
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {
-            hook: (kind, getattr(component, hook)) for hook, kind in component._hook_kinds.items()
+            hook: (kind, getattr(component, hook)) for hook, kind in component._rt_hook_kinds.items()
         }
         self.execute = self.hooks["on_execute"]
         self.updates = self.hooks["on_state_update"][0] != HookKind.ABSENT
@@ -121,5 +121,5 @@ class Member:
 
 def is_open(component: Component) -> bool:
     """Whether a component's in-ports take samples: it is active somewhere, or in no context at all."""
-    members = component._members
+    members = component._rt_members
     return not members or any(member.state is _ACTIVE for member in members)

@@ -104,7 +104,7 @@ class Requests:
         if driver is self._context._driver:
             return True
         member = driver.current
-        return member is not None and any(other.context is self._context for other in member.component._members)
+        return member is not None and any(other.context is self._context for other in member.component._rt_members)
 
 
 def _after_a_turn(steps: Callable[[Done], Steps], done: Done) -> Steps:

@@ -67,20 +67,20 @@ class Roster:
         if not (isinstance(cls, type) and issubclass(cls, Component)):
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
         component = cls(name)
-        if name == "" and not component._named:
-            component._rename(self._kernel._free_name(cls.__name__))
+        if name == "" and not component._rt_named:
+            component._rt_rename(self._kernel._free_name(cls.__name__))
         return await self.add(component, params)
 
     async def add(self, component: C, params: Mapping[str, object]) -> C:
         """Take a component in; if its `on_initialize` fails, as if it had never been there."""
         kernel = self._kernel
         self._check_class(component)
-        if not component._named:
-            component._rename(kernel._free_name(type(component).__name__))
+        if not component._rt_named:
+            component._rt_rename(kernel._free_name(type(component).__name__))
         self._check_free(component)
-        component._put(component.params.check(params))
-        component._kernel = kernel
-        component._host.kernel = kernel
+        component._rt_put(component.params.check(params))
+        component._rt_kernel = kernel
+        component._rt_host.kernel = kernel
         self.components[component.name] = component
         arrived = self._arriving[component] = kernel.loop.create_future()
         try:
@@ -100,14 +100,14 @@ class Roster:
         if not isinstance(component, Component):
             raise DeclarationError(f"{component!r}: expected a Component instance, got {type(component).__name__}")
         kind = type(component).__name__
-        if not hasattr(component, "_host"):
+        if not hasattr(component, "_rt_host"):
             raise DeclarationError(f"{kind}: super().__init__(name) was not called in its __init__")
         shadowed = [hook for hook in HOOKS if hook in vars(component)]
         if shadowed:
             raise DeclarationError(f"{kind}.{shadowed[0]}: set on the instance; hooks are written in the class")
-        if component._kernel is not None:
+        if component._rt_kernel is not None:
             raise StateError(
-                f"{component.name}: belongs to {component._kernel.name} already, or did; a component is added once"
+                f"{component.name}: belongs to {component._rt_kernel.name} already, or did; a component is added once"
             )
 
     def _check_free(self, component: Component) -> None:
@@ -178,11 +178,11 @@ class Roster:
         kernel = self._kernel
         self._disconnect(component)
         error = None
-        if component._abandoned is None:
+        if component._rt_abandoned is None:
             error = await run_alone(kernel, component, "on_finalize", budget)
         if error is not None:
-            chain(error, component._last_error)
-            component._last_error = error
+            chain(error, component._rt_last_error)
+            component._rt_last_error = error
             kernel.bus.publish(HookFailed(component.name, "", "on_finalize", error))
             component.log.error("on_finalize failed: %s: %s", type(error).__name__, error, exc_info=error)
             if isinstance(error, KeyboardInterrupt):
@@ -195,7 +195,7 @@ class Roster:
     def _forget(self, component: Component) -> None:
         self._disconnect(component)
         self.components.pop(component.name, None)
-        component._host.alive = False
+        component._rt_host.alive = False
         for port in component.ports.values():
             if isinstance(port, InPort):
                 port._wake_waiter()
@@ -212,13 +212,13 @@ class Roster:
 
     def port_added(self, component: Component, port: Port[Any]) -> None:
         """At run time."""
-        for member in component._members:
+        for member in component._rt_members:
             member.context._port_added(member, port)
         self._kernel.bus.publish(PortAdded(component.name, port.profile))
 
     def port_removed(self, component: Component, port: Port[Any]) -> None:
         """Its connectors are gone already."""
-        for member in component._members:
+        for member in component._rt_members:
             member.context._port_removed(member, port)
         self._kernel.bus.publish(PortRemoved(component.name, port.profile))
 
@@ -237,11 +237,11 @@ class Roster:
     def task_failed(self, component: Component, name: str, error: BaseException) -> None:
         """A task that a component started has failed and nobody asked for its exception."""
         error.add_note(f"in task {name!r} started by component {component.name}")
-        if component._members:
-            for member in tuple(component._members):
+        if component._rt_members:
+            for member in tuple(component._rt_members):
                 member.context._life.task_failed(member, error)
             return
-        component._last_error = error
+        component._rt_last_error = error
         self._kernel.bus.publish(HookFailed(component.name, "", "task", error))
         component.log.error("its task %s failed: %s: %s", name, type(error).__name__, error, exc_info=error)
 

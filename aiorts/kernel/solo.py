@@ -33,7 +33,7 @@ async def run_alone(kernel: Kernel, component: Component, hook: str, budget: Sto
     if watched:
         kernel.bus.publish(HookBefore(component.name, "", hook))
     error = None
-    if component._hook_kinds[hook] != HookKind.ABSENT:
+    if component._rt_hook_kinds[hook] != HookKind.ABSENT:
         error = await _contain(kernel, component, hook, budget)
     if watched:
         kernel.bus.publish(HookAfter(component.name, "", hook, error))
@@ -58,8 +58,8 @@ async def _contain(kernel: Kernel, component: Component, hook: str, budget: Stop
     rest = budget or closing.result()
     ended = await see_through(kernel_task(kernel.loop, _cancel(task, rest), f"aiorts end {where}"))
     if not ended:
-        component._abandoned = HookAbandoned(f"{where}: ignored {CANCELLATIONS} cancellations; it was left behind")
-        return component._abandoned
+        component._rt_abandoned = HookAbandoned(f"{where}: ignored {CANCELLATIONS} cancellations; it was left behind")
+        return component._rt_abandoned
     if budget is None:
         return ClosedError(f"{where}: the kernel closed before it returned; it was cancelled")
     return HookTimeout(f"{where}: did not return in time; it was cancelled")
@@ -80,7 +80,7 @@ async def _run(component: Component, hook: str) -> BaseException | None:
     """Never raises: a KeyboardInterrupt in a task would end the loop, a CancelledError would look like ours."""
     try:
         result = getattr(component, hook)()
-        if component._hook_kinds[hook] == HookKind.ASYNC:
+        if component._rt_hook_kinds[hook] == HookKind.ASYNC:
             result = await result
     except BaseException as error:
         if isinstance(error, GeneratorExit) and asyncio._get_running_loop() is None:

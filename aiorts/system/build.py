@@ -134,7 +134,7 @@ def _check_declared(system: SystemFile, connection: ConnectionEntry, types: Mapp
     for path in connection.ports:
         component, _, name = path.partition(".")
         cls = types[component]
-        declared = [port.name or attribute for attribute, port in cls._port_declarations.items()]
+        declared = [port.name or attribute for attribute, port in cls._rt_port_declarations.items()]
         if name in declared or not declared:
             continue
         near = get_close_matches(name, declared, n=1)

@@ -81,7 +81,7 @@ def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) 
     Raises:
         ConfigurationError: names every one that does not exist or is not allowed.
     """
-    specs = cls._parameter_specs
+    specs = cls._rt_parameter_specs
     given: dict[str, Any] = dict(entry.params)
     for name, value in given.items():
         spec = specs.get(name)

@@ -33,7 +33,7 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # plugin, a component file, an observer, a timer's callback); there it is reported and contained. A new line here needs
 # a reason.
 BROAD_EXCEPT = {
-    "aiorts/kernel/bulkhead.py:_contain",
+    "aiorts/kernel/bulkhead.py:_run",
     "aiorts/kernel/bus.py:publish",
     "aiorts/kernel/plugins.py:load_extension",
     "aiorts/kernel/solo.py:_run",

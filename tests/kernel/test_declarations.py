@@ -317,3 +317,17 @@ def test_what_a_writer_changes_after_the_write_no_reader_sees() -> None:
                 assert first is second
 
     simulate(main)
+
+
+def test_a_parameter_named_like_something_of_the_component_is_refused() -> None:
+    with pytest.raises(DeclarationError, match=r"Bad\.state: Component has a state of its own"):
+
+        class Bad(Component):
+            state = Param(1)
+
+
+def test_the_private_names_of_a_component_belong_to_its_writer() -> None:
+    ours = {name for name in vars(Component("c")) if not name.startswith("_rt_")}
+    assert ours == set(), "every private attribute of Component begins with _rt_"
+    inherited = {name for name in vars(Component) if name.startswith("_") and not name.startswith(("__", "_rt_"))}
+    assert inherited == {"_repr_html_"}
