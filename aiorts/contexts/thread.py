@@ -18,9 +18,8 @@ from aiorts.contexts.periodic import PeriodicContext
 from aiorts.contexts.schedule import MAX_RATE
 from aiorts.errors import ClosedError, HookAbandoned, StateError
 from aiorts.kernel.blocking import PortLock, blocking_for
-from aiorts.kernel.bulkhead import bad_return
 from aiorts.kernel.bus import HookAfter, HookBefore
-from aiorts.kernel.hooks import HookKind, is_plain
+from aiorts.kernel.hooks import HookKind, bad_return, coroutine_hooks
 from aiorts.kernel.life import Batch, Call, Step, Wait
 from aiorts.kernel.ports import InPort
 
@@ -49,6 +48,7 @@ class ThreadContext(PeriodicContext):
     """
 
     kind: ClassVar[str] = "thread"
+    exclusive: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class ThreadContext(PeriodicContext):
 
     def _check_can_add(self, component: Component) -> None:
         super()._check_can_add(component)
-        awaiting = [hook for hook in is_plain(component._rt_hook_kinds) if hook not in _ON_LOOP]
+        awaiting = [hook for hook in coroutine_hooks(component._rt_hook_kinds) if hook not in _ON_LOOP]
         if awaiting:
             raise StateError(
                 f"{component.name}: {', '.join(awaiting)} is `async def`; the hooks of a thread context are plain `def`"
@@ -151,7 +151,8 @@ class _ThreadDriver:
 
     def hurry(self, budget: StopBudget) -> None:
         """A stop began: wake reads that block, and after the budget go on without the thread."""
-        if self._hurried:
+        # While contexts before it stop, this one goes on as it was: its hooks are not told to give up yet.
+        if self._hurried or not self.context._stopping:
             return
         self._hurried = True
         for member in tuple(self.context._members):
@@ -247,14 +248,18 @@ class _ThreadDriver:
     # -- the end ---------------------------------------------------------------------------------------------------
 
     def _end(self, fault: BaseException | None) -> None:
+        if self.ended.done():
+            return  # given up in the very moment it came to its end
+        self._let_go(fault)
+        # The thread has nothing left to do but return.
+        self.thread.join()
+        self.ended.set_result(None)
+
+    def _let_go(self, fault: BaseException | None) -> None:
         for member in self.context._members:
             member.component._rt_host.stopping = False
             member.component._rt_host.blocking = None
         self.context._life_ended(fault)
-        # The thread has nothing left to do but return.
-        self.thread.join()
-        if not self.ended.done():
-            self.ended.set_result(None)
 
     def _abandon(self) -> None:
         """The hook did not return in time: the thread is left behind, and so are the steps that were to follow."""
@@ -269,6 +274,8 @@ class _ThreadDriver:
             )
             member.abandoned = True
             self.context._life._record(member, member.hook, error)
+            member.component._rt_abandoned = error
+            member.component._rt_running = None
         self._blocking.end()
-        self.context._life_ended(None)
+        self._let_go(None)
         self.ended.set_result(None)

@@ -11,25 +11,24 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import HookAbandoned, HookTimeout, StateError
+from aiorts.errors import HookAbandoned, HookTimeout
 from aiorts.kernel.bus import Bus, HookAfter, HookBefore
 from aiorts.kernel.deadlines import StopBudget
-from aiorts.kernel.hooks import TAKES_ERROR, HookKind
+from aiorts.kernel.hooks import HookKind, bad_return
 from aiorts.kernel.life import Batch, Call, Steps, Wait
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, leave_behind, owner_of
 from aiorts.kernel.watch import Watch
 
 if TYPE_CHECKING:
-    from aiorts.kernel.component import Component
     from aiorts.kernel.context import Context
     from aiorts.kernel.host import Cancellable
     from aiorts.kernel.member import Member
 
-__all__ = ("TaskDriver", "bad_return")
+__all__ = ("TaskDriver",)
 
 _LOG = logging.getLogger("aiorts.kernel")
 _ABSENT = HookKind.ABSENT
@@ -51,7 +50,9 @@ class _DriverTask(asyncio.Task[None]):
         """By the host, or because the loop is torn down: the context stops in order. Else it is the hook's affair."""
         driver = self._aiorts_driver
         caller = current_task()
-        by_host = not driver.loop.is_running() or (caller is not None and owner_of(caller) is None)
+        # A scope entered in the hook is the hook's affair, whoever ends it: anyio says so in the message.
+        by_scope = isinstance(msg, str) and "cancel scope" in msg
+        by_host = not driver.loop.is_running() or (caller is not None and owner_of(caller) is None and not by_scope)
         if by_host:
             driver.stop_for_host()
         if driver.current is None:
@@ -160,6 +161,9 @@ class TaskDriver:
                             if error is not None:
                                 self.context._life.failed(member, "on_execute", error)
                             self.context._end_cycle((member,))
+                            if self._kicked:  # work is left, or somebody wants something
+                                self._kicked = False
+                                await give_turn()
                 elif isinstance(step, Call):
                     outcome = await self._run(step.member, step.hook, step.args)
                 else:
@@ -347,16 +351,6 @@ class TaskDriver:
             self.task = _DriverTask(self, self._drive(None))
         else:
             self.task = _DriverTask(self, self._drive(error))
-
-
-def bad_return(whose: Member | Component, hook: str, result: object) -> BaseException:
-    """The error for a hook that returned something."""
-    if asyncio.iscoroutine(result):
-        result.close()
-    component: Any = getattr(whose, "component", whose)
-    advice = "write `async def`, or await inside" if isinstance(result, Awaitable) else "a hook returns nothing"
-    takes = "self, error" if hook in TAKES_ERROR else "self"
-    return StateError(f"{component.name}.{hook}({takes}): returned {type(result).__name__} {result!r:.60}; {advice}")
 
 
 def _resolve(future: asyncio.Future[bool], outcome: bool) -> None:

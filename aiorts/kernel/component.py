@@ -81,7 +81,8 @@ class Component:
         self._rt_gate = Gate(self)
         self._rt_abandoned: BaseException | None = None
         """Why it never runs again: a hook ignored every cancellation and was left behind."""
-        self._rt_finished = False
+        self._rt_failed_in: tuple[Member, str] | None = None
+        """The hook whose failure is being logged."""
         self._rt_log: ComponentLog | None = None
         self._rt_params = Parameters(self._rt_host.name, self._rt_parameter_specs)
         for parameter in self._rt_params.values():
@@ -148,11 +149,14 @@ class Component:
         return self._rt_log
 
     def _rt_log_fields(self) -> LogFields:
-        member = self._rt_running
         kernel = self._rt_kernel.name if self._rt_kernel is not None else ""
-        if member is None:
+        if self._rt_failed_in is not None:
+            member, hook = self._rt_failed_in
+        elif self._rt_running is not None:
+            member, hook = self._rt_running, self._rt_running.hook
+        else:
             return LogFields(kernel, self.name)
-        return LogFields(kernel, self.name, member.hook, member.context.ticks)
+        return LogFields(kernel, self.name, hook, member.context.ticks)
 
     @property
     def profile(self) -> ComponentProfile:
@@ -267,7 +271,6 @@ class Component:
         """Say that this source has nothing more: it is deactivated after this cycle."""
         if self._rt_kernel is not None and self._rt_host.thread_id != threading.get_ident():
             self._rt_kernel.check_thread(f"{self.name}.finish")
-        self._rt_finished = True
         if self._rt_running is not None:
             self._rt_running.finish()
             return

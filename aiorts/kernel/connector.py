@@ -1,8 +1,8 @@
 """A connector: one out-port, one in-port, the options both agreed on, one bounded queue at the reader, and its ledger.
 
-`OutPort` and `InPort` inline the common case (`ports.py`) and come here for everything else. Only `written` and drops
-are counted; what was delivered follows from them, so the ledger balances at any moment it is read. `model/policy.py`
-and `model/buffer.py` decide; this file carries out.
+`OutPort` and `InPort` inline the common case (`out_port.py`, `in_port.py`) and come here for everything else. Only
+`written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment it is
+read. `model/policy.py` and `model/buffer.py` decide; this file carries out.
 
 Across threads the in-port has a lock, and every path here that touches its queues takes it: the fast path is off for
 such ports.
@@ -13,11 +13,12 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from aiorts.kernel.port import UNLOCKED
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 __all__ = ("Connector", "Waiting")
 
-_UNLOCKED: AbstractContextManager[Any] = nullcontext()
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _NEW = Push.NEW
@@ -298,7 +298,7 @@ class Connector:
     # -- storing ---------------------------------------------------------------------------------------------------
 
     def _guard(self) -> AbstractContextManager[Any]:
-        return self.in_._lock or _UNLOCKED
+        return self.in_._lock or UNLOCKED
 
     def _drop(self, reason: str, count: int = 1) -> None:
         self._dropped[reason] = self._dropped.get(reason, 0) + count

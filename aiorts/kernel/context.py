@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import traceback
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from aiorts.errors import ClosedError, StateError
+from aiorts.errors import ClosedError, ConfigurationError, StateError
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
@@ -50,9 +50,14 @@ class Context:
     """
 
     kind: ClassVar[str] = ""
+    exclusive: ClassVar[bool] = False
+    """Whether a member can be in no other context."""
 
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
         self.name = check_name(name, "context") if name else ""
+        self._named = bool(name)
+        if deadline is not None and (not isinstance(deadline, int | float) or not 0 < deadline < math.inf):
+            raise ConfigurationError(f"{name or self.kind}: deadline = {deadline!r}: expected seconds above 0, or None")
         self.deadline = deadline
         self.timing = timing
         self.ticks = 0
@@ -213,10 +218,13 @@ class Context:
         """Raise StateError when the component cannot run here."""
         if any(member.component is component for member in self._members):
             raise StateError(f"{component.name}: is in {self.name} already")
+        if component._rt_abandoned is not None:
+            raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
+        if component._rt_kernel is not None:
+            component._rt_kernel._roster.check_settled(component)
         for other in component.contexts:
-            if other.kind == "thread" or self.kind == "thread":
-                where = f"{component.name}: is in {other.name}"
-                raise StateError(f"{where}; a component of a thread context can be in no other")
+            if other.exclusive or self.exclusive:
+                raise StateError(f"{component.name}: is in {other.name}; a member of a thread context is in no other")
 
     def _make_driver(self, kernel: Kernel) -> Driver:
         return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later, kernel.bus)
@@ -270,10 +278,6 @@ class Context:
 
     def _member_finished(self, member: Member) -> None:
         self._submit(Action(lambda: self._life.finish(member)))
-
-    def _member_ended(self, member: Member) -> None:
-        kernel = self._require_kernel()
-        kernel._on_loop(lambda: kernel._source_finished(member.component))
 
     def _member(self, component: Component) -> Member:
         for member in self._members:
@@ -378,12 +382,6 @@ class Context:
 
     def _interrupted(self, error: KeyboardInterrupt) -> None:
         self._require_kernel()._interrupted(error)
-
-    def _log_failure(self, member: Member, hook: str, error: BaseException) -> None:
-        """One line through the component's own log, so that repeats are folded; the traceback with it."""
-        text = "".join(traceback.format_exception_only(error)).strip()
-        # The hook stands in the template: repeats are folded by template, and another hook's failure is no repeat.
-        member.component.log.error(hook + " failed: %s", text, exc_info=error)  # noqa: G003
 
     def _check(self, what: str) -> Kernel:
         kernel = self._kernel

@@ -7,12 +7,17 @@ the error), and returns nothing. Anything else is refused here, with class and h
 from __future__ import annotations
 
 import inspect
-from typing import Any
+from collections.abc import Awaitable
+from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import DeclarationError
+from aiorts.errors import DeclarationError, StateError
 from aiorts.model.lifecycle import HOOKS
 
-__all__ = ("TAKES_ERROR", "HookKind", "hook_kinds", "is_plain")
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.member import Member
+
+__all__ = ("TAKES_ERROR", "HookKind", "bad_return", "coroutine_hooks", "hook_kinds")
 
 TAKES_ERROR = frozenset({"on_error", "on_aborting"})
 
@@ -34,7 +39,7 @@ def hook_kinds(cls: type[Any], base: type[Any] | None) -> dict[str, int]:
     return {hook: _kind(cls, base, hook) for hook in HOOKS}
 
 
-def is_plain(kinds: dict[str, int]) -> list[str]:
+def coroutine_hooks(kinds: dict[str, int]) -> list[str]:
     """The hooks that are coroutine functions, which a thread cannot run."""
     return [hook for hook, kind in kinds.items() if kind == HookKind.ASYNC]
 
@@ -61,3 +66,13 @@ def _check_signature(where: str, function: Any, expected: tuple[str, ...]) -> No
         raise DeclarationError(
             f"{where}{signature}: expected ({', '.join(expected)}), since it is called that way: {error}"
         ) from None
+
+
+def bad_return(whose: Member | Component, hook: str, result: object) -> BaseException:
+    """The error for a hook that returned something."""
+    if inspect.iscoroutine(result):
+        result.close()
+    component: Any = getattr(whose, "component", whose)
+    advice = "write `async def`, or await inside" if isinstance(result, Awaitable) else "a hook returns nothing"
+    takes = "self, error" if hook in TAKES_ERROR else "self"
+    return StateError(f"{component.name}.{hook}({takes}): returned {type(result).__name__} {result!r:.60}; {advice}")

@@ -343,7 +343,7 @@ class InPort(Port[T]):
                 self._tokens.clear()
             if is_open:
                 self._last = self._source = self._sole = None
-        self._refresh()
+            self._refresh()
         for connector in self._connectors:
             connector.out._refresh()
 

@@ -42,7 +42,7 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
         context._check_can_add(component)
     if len(set(map(id, components))) != len(components):
         raise StateError(f"{context.name or context.kind}: a component was given twice")
-    if not context.name:
+    if not context._named and context.name in ("", *kernel._contexts):
         context.name = kernel._free_name(context.kind or type(context).__name__)
     if context.name in kernel._contexts:
         raise InvalidNameError(f"{context.name}: there is a context of that name in {kernel.name}; choose another")

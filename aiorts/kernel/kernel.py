@@ -74,7 +74,6 @@ class Kernel:
         self._closing: asyncio.Task[None] | None = None
         self._closing_begun: asyncio.Future[StopBudget]
         self._stop_requested = asyncio.Event()
-        self._finished: set[str] = set()
         self._interrupt: KeyboardInterrupt | None = None
         self._remove_probe: Callable[[], None] | None = None
 
@@ -379,9 +378,6 @@ class Kernel:
     def _context_ended(self, context: Context) -> None:
         if self._contexts.get(context.name) is context:
             del self._contexts[context.name]
-
-    def _source_finished(self, component: Component) -> None:
-        self._finished.add(component.name)
 
     def _interrupted(self, error: KeyboardInterrupt) -> None:
         """From any thread; once for each interrupt."""

@@ -8,6 +8,7 @@ came.
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from types import TracebackType
@@ -190,10 +191,8 @@ class Life:
 
     def finish(self, member: Member) -> Steps:
         """The end of a source that said it is done; said before it was activated anew it means nothing."""
-        if member.finishing:
-            if member.active:
-                yield from self._deactivate(member)
-            self._context._member_ended(member)
+        if member.finishing and member.active:
+            yield from self._deactivate(member)
 
     # -- members that come and go, and the end ---------------------------------------------------------------------
 
@@ -279,12 +278,13 @@ class Life:
     def _log(self, member: Member, hook: str, error: BaseException) -> None:
         """As from inside the hook, which has returned already: the line tells hook and tick."""
         component = member.component
-        before = component._rt_running, member.hook
-        component._rt_running, member.hook = member, hook
+        component._rt_failed_in = member, hook
+        text = "".join(traceback.format_exception_only(error)).strip()
         try:
-            self._context._log_failure(member, hook, error)
+            # The hook stands in the template: repeats are folded by template, another hook's failure is no repeat.
+            component.log.error(hook + " failed: %s", text, exc_info=error)  # noqa: G003
         finally:
-            component._rt_running, member.hook = before
+            component._rt_failed_in = None
 
     def _enter(self, member: Member, state: LifeCycleState) -> None:
         old, member.state = member.state, state

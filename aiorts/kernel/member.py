@@ -43,7 +43,6 @@ class Member:
         "abandoned",
         "component",
         "context",
-        "execute",
         "failure",
         "finishing",
         "hook",
@@ -52,7 +51,6 @@ class Member:
         "left",
         "order",
         "ready",
-        "removing",
         "rung",
         "started",
         "state",
@@ -70,7 +68,6 @@ class Member:
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {
             hook: (kind, getattr(component, hook)) for hook, kind in component._rt_hook_kinds.items()
         }
-        self.execute = self.hooks["on_execute"]
         self.updates = self.hooks["on_state_update"][0] != HookKind.ABSENT
         self.hook = ""
         """The hook that runs now."""
@@ -78,7 +75,6 @@ class Member:
         """What it is in error for, or about to be."""
         self.abandoned = False
         self.finishing = False
-        self.removing = False
         self.left = False
         self.started = False
         self.ready = False

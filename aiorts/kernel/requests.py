@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from aiorts.errors import ClosedError, StateError, TransitionTimeout
 from aiorts.kernel.life import TURN, Action, Done, Steps
+from aiorts.kernel.tasks import waiting_driver
 
 if TYPE_CHECKING:
     from aiorts.kernel.context import Context
@@ -98,7 +99,7 @@ class Requests:
 
     def inside(self) -> bool:
         """Whether a hook calls that this context would wait for: one of its own, or of a component it shares."""
-        driver = getattr(asyncio.current_task(), "_aiorts_driver", None)
+        driver = waiting_driver(asyncio.current_task())
         if driver is None:
             return False
         if driver is self._context._driver:

@@ -120,6 +120,13 @@ class Roster:
             if count >= limit:
                 raise StateError(f"{name}: {kind.__name__} allows {limit} instances, {count} exist")
 
+    def check_settled(self, component: Component) -> None:
+        """Raise StateError while the component comes in or goes: no context may run it then."""
+        if component in self._arriving:
+            raise StateError(f"{component.name}: its on_initialize still runs; start it once it was added")
+        if component in self._leaving:
+            raise StateError(f"{component.name}: is being removed; no context can take it")
+
     async def _initialize(self, component: Component) -> None:
         error = await run_alone(self._kernel, component, "on_initialize", None)
         if error is None:
@@ -153,12 +160,14 @@ class Roster:
             raise error
 
     async def _leave(self, component: Component) -> BaseException | None:
-        try:
-            for context in component.contexts:
+        while component.contexts:
+            context = component.contexts[0]
+            try:
                 await context.remove(component)
-        except (StateError, TimeoutError, RuntimeError) as error:
-            if component.contexts:
-                return error
+            except (TimeoutError, RuntimeError) as error:
+                # One that stopped meanwhile has let go of it.
+                if context in component.contexts:
+                    return error
         await self._finalize(component, StopBudget(self._kernel.loop))
         return None
 

@@ -10,10 +10,9 @@ import asyncio
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import ClosedError, HookAbandoned, HookTimeout
-from aiorts.kernel.bulkhead import bad_return
 from aiorts.kernel.bus import HookAfter, HookBefore
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
-from aiorts.kernel.hooks import HookKind
+from aiorts.kernel.hooks import HookKind, bad_return
 from aiorts.kernel.tasks import kernel_task, leave_behind, see_through
 
 if TYPE_CHECKING:

@@ -57,6 +57,20 @@ def owner_of(task: asyncio.Task[Any] | None) -> Component | None:
     return None if member is None else member.component
 
 
+def waiting_driver(task: Any) -> Any:
+    """The driver of the hook that may wait for this task: it runs the hook itself, or one that made the task and still
+    runs."""
+    while task is not None and not task.done():
+        driver = getattr(task, "_aiorts_driver", None)
+        if driver is not None:
+            return driver
+        task = getattr(task, "_aiorts_creator", None)
+        if isinstance(task, tuple):
+            driver, run = task
+            return driver if driver.hooks_run == run and driver.current is not None else None
+    return None
+
+
 def current_task() -> asyncio.Task[Any] | None:
     """The task that runs, None outside of tasks and loops."""
     try:

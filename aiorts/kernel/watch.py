@@ -16,7 +16,7 @@ __all__ = ("Watch",)
 class Watch:
     """Cancels the hook that runs now, step by step, when its time is over."""
 
-    __slots__ = ("cancels", "driver", "grace", "stopping", "timer")
+    __slots__ = ("cancels", "driver", "stopping", "timer")
 
     def __init__(self, driver: TaskDriver) -> None:
         self.driver = driver

@@ -112,7 +112,7 @@ def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:
     if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
         raise WiringError(f"{where}: units differ: {out.unit!r} and {in_.unit!r}; put a FlexiFilter between them")
     if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
-        raise WiringError(f"{where}: shapes differ: {out.shape} and {in_.shape}")
+        raise WiringError(f"{where}: shapes differ: {out.shape} and {in_.shape}; put a FlexiFilter between them")
 
 
 def _shapes_agree(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
@@ -140,5 +140,5 @@ def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:
     if allowed and len(port.connectors) + more > min(allowed):
         raise WiringError(
             f"{port.path}: takes {min(allowed)} connectors at the most, has {len(port.connectors)}, "
-            f"{more} more asked for"
+            f"{more} more asked for; disconnect one or raise max_connectors"
         )

@@ -13,7 +13,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ("HOOKS", "ON_FAILURE", "TRANSITIONS", "Event", "Failure", "LifeCycleState", "Transition", "transition")
+__all__ = (
+    "ADVICE",
+    "HOOKS",
+    "ON_FAILURE",
+    "TRANSITIONS",
+    "Event",
+    "Failure",
+    "LifeCycleState",
+    "Transition",
+    "transition",
+)
 
 
 class LifeCycleState(StrEnum):

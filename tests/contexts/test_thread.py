@@ -141,9 +141,9 @@ async def test_a_component_of_a_thread_context_is_in_no_other() -> None:
         plain, idle = await kernel.add(Plain("plain")), await kernel.add(Idle("idle"))
         thread = await kernel.start(ThreadContext(), plain)
         other = await kernel.start(PeriodicContext(10.0), idle)
-        with pytest.raises(StateError, match="can be in no other"):
+        with pytest.raises(StateError, match="is in no other"):
             await other.add(plain)
-        with pytest.raises(StateError, match="can be in no other"):
+        with pytest.raises(StateError, match="is in no other"):
             await thread.add(idle)
 
 
@@ -287,7 +287,7 @@ def test_a_hook_that_never_returns_is_left_behind_and_the_kernel_closes(virtual:
             await asked
         assert isinstance(stuck.last_error, HookAbandoned)
         assert "stuck.on_execute: did not return" in str(stuck.last_error)
-        assert [hook for hook, _ in stuck.threads][-1] == "finalize"
+        assert "finalize" not in [hook for hook, _ in stuck.threads]  # its hook may still be inside
 
     try:
         simulate(main) if virtual else asyncio.run(main())
