@@ -15,12 +15,13 @@ from typing import Any
 import click
 
 import aiorts
-from aiorts import Kernel, LifeCycleState, ScaledClock
+from aiorts import HookFailed, Kernel, LifeCycleState, ScaledClock
 from aiorts.cli.report import LineHandler, report, report_error
 from aiorts.cli.stopping import Stopper
 from aiorts.errors import (
     ConfigurationError,
     DeclarationError,
+    HookAbandoned,
     InvalidNameError,
     PluginError,
     UnknownTypeError,
@@ -105,6 +106,13 @@ async def _session(plan: Blueprint, options: _Options, stopper: Stopper) -> int:
     clock = None if options.speed is None else ScaledClock(options.speed)
     kernel = Kernel(clock=clock, debug=options.debug, contain_interrupts=True)
     status = 0
+    left: list[HookFailed] = []
+
+    def note(event: HookFailed) -> None:
+        if isinstance(event.error, HookAbandoned):
+            left.append(event)
+
+    kernel.bus.subscribe(HookFailed, note)
     async with kernel:
         stopper.attach(kernel)
         built, error = await _unless_stopped(kernel, build(kernel, plan))
@@ -116,9 +124,11 @@ async def _session(plan: Blueprint, options: _Options, stopper: Stopper) -> int:
         if status == 0 and options.strict and _in_error(kernel):
             status = 3
         stopper.watch(status or kernel.exit_status)
-    if stopper.status is not None:
-        return stopper.status
-    return kernel.exit_status or status or int(stopper.output_failed)
+    status = kernel.exit_status or status or int(stopper.output_failed)
+    status = status if stopper.status is None else stopper.status
+    if left:
+        stopper.end_now(status)
+    return status
 
 
 async def _unless_stopped(kernel: Kernel, work: Any) -> tuple[bool, BaseException | None]:

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from aiorts.errors import DeclarationError
+
 if TYPE_CHECKING:
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.model.profile import ConnectorProfile, PortProfile
@@ -200,6 +202,8 @@ class Bus:
     def subscribe(self, kind: type[E], observer: Callable[[E], object]) -> Callable[[], None]:
         """Call `observer` with each event of `kind` (or a class derived from it) until the returned function is
         called."""
+        if not (isinstance(kind, type) and issubclass(kind, Event)):
+            raise DeclarationError(f"subscribe({kind!r}): expected a class of events, such as StateChanged")
         entry = (kind, observer)
         self._observers.append(entry)
         self._recount()
@@ -218,7 +222,9 @@ class Bus:
             if isinstance(event, kind) and not (quiet and kind is Event):
                 try:
                     observer(event)
-                except Exception:  # noqa: BLE001 - an observer's fault must not become the kernel's
+                except KeyboardInterrupt:
+                    raise
+                except BaseException:  # noqa: BLE001 - an observer's fault must not become the kernel's
                     _LOG.exception("observer %r failed at %r", observer, event)
 
     def _recount(self) -> None:

@@ -20,7 +20,7 @@ from aiorts.kernel.log import ComponentLog, LogFields
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort, Port, Turns
 from aiorts.model.configuration import ParameterSpec
-from aiorts.model.lifecycle import LifeCycleState
+from aiorts.model.lifecycle import HOOKS, LifeCycleState
 from aiorts.model.names import check_name
 from aiorts.model.profile import ComponentProfile
 
@@ -58,7 +58,7 @@ class Component:
         cls._rt_port_declarations = dict(cls._rt_port_declarations)
         cls._rt_parameter_specs = dict(cls._rt_parameter_specs)
         for attribute, value in vars(cls).items():
-            if isinstance(value, Port | Declared) and hasattr(Component, attribute):
+            if attribute in _OURS:
                 raise DeclarationError(
                     f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
                 )
@@ -355,3 +355,7 @@ class _Done:
 
 
 _DONE = _Done()
+
+
+_OURS = frozenset(name for name in vars(Component) if not name.startswith("_")) - {*HOOKS, "max_instance"}
+"""What a component cannot redefine: the kernel and every tool rely on it."""

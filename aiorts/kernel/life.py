@@ -125,7 +125,8 @@ class Life:
         if member.left:
             done(StateError(f"{member.component.name}: is no longer in {self._context.name}"))
         elif member.abandoned or way is None or (member.failure is not None and member.state is not _ERROR):
-            refused = StateError(self._refusal(member, event))
+            failing = member.failure is not None and member.state is not _ERROR and not member.abandoned
+            refused = (ComponentError if failing else StateError)(self._refusal(member, event))
             refused.__cause__ = member.failure
             done(refused)
         elif event is Event.ACTIVATE:
@@ -137,10 +138,13 @@ class Life:
             done(_because(member, "on_reset", (yield from self._reset(member))))
 
     def _refusal(self, member: Member, event: Event) -> str:
+        if member.failure is not None and member.state is not _ERROR and not member.abandoned:
+            cause = f"{type(member.failure).__name__}: {member.failure}"
+            return f"{member.component.name} in {self._context.name}: cannot {event}: it goes to error: {cause}"
         if member.abandoned:
             advice = "one of its hooks was left behind and it never runs again; remove it"
         else:
-            advice = ADVICE.get((member.state, event), "it is about to go to error; reset it first")
+            advice = ADVICE.get((member.state, event), "it cannot be asked for here")
         return f"{member.component.name} in {self._context.name}: cannot {event} from {member.state}: {advice}"
 
     def _activate(self, member: Member) -> Generator[Step, BaseException | None, BaseException | None]:

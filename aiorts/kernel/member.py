@@ -116,6 +116,11 @@ class Member:
 
 
 def is_open(component: Component) -> bool:
-    """Whether a component's in-ports take samples: it is active somewhere, or in no context at all."""
+    """Whether a component's in-ports take samples: it is active somewhere, or in no context at all.
+
+    Once its kernel closes the second does not count: nobody would read, and writers with full = block would wait.
+    """
     members = component._rt_members
-    return not members or any(member.state is _ACTIVE for member in members)
+    if not members:
+        return component._rt_kernel is None or not component._rt_kernel._closed
+    return any(member.state is _ACTIVE for member in members)

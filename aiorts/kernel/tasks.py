@@ -39,9 +39,14 @@ async def see_through(task: asyncio.Future[T]) -> T:
     return task.result()
 
 
+_LEFT_BEHIND: list[asyncio.Task[Any]] = []
+
+
 def leave_behind(task: asyncio.Task[Any]) -> None:
     """Take a task that cannot be ended out of the loop's books, or `asyncio.run` would wait for it for ever."""
     asyncio._unregister_task(task)
+    # Kept for good: collected, its coroutine would be sent a GeneratorExit, and might ignore that one too, for ever.
+    _LEFT_BEHIND.append(task)
     task._log_destroy_pending = False  # type: ignore[attr-defined] # it is known and was reported
 
 

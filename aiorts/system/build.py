@@ -18,6 +18,7 @@ from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.plugins import extensions, load_extension
 from aiorts.kernel.ports import Port
+from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.options import connector_profile
 from aiorts.system.load import component_type, parameters
 from aiorts.system.values import ConnectionEntry, ContextEntry, SystemFile
@@ -82,7 +83,9 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
 
 
 async def _activate(context: Context, component: Component) -> None:
-    with contextlib.suppress(ComponentError):  # it is in error, logged and on the bus: its own affair
+    if context.state(component) is LifeCycleState.ERROR:
+        return  # on_startup failed, which is logged and on the bus: its own affair, as below
+    with contextlib.suppress(ComponentError):
         await context.activate(component)
 
 

@@ -105,7 +105,13 @@ class AskedInside:
     def ask(self) -> None:
         """On the loop."""
         if self._request is None:
-            self._request = asyncio.ensure_future(self._stage.context.deactivate(self._stage.b))
+            self._request = self._loop.create_future()
+            # Not in a task of the hook: what a hook asks for itself is queued and answered at once.
+            self._loop.call_soon(self._begin, self._request)
+
+    def _begin(self, answer: asyncio.Future[None]) -> None:
+        asking = asyncio.ensure_future(self._stage.context.deactivate(self._stage.b))
+        asking.add_done_callback(lambda done: answer.set_result(done.result()))
 
     def from_thread(self) -> None:
         """In the thread of the context: returns when the request was submitted."""

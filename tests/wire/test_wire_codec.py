@@ -18,6 +18,7 @@ from aiorts.errors import RecordError, WireError
 from aiorts.types import (
     PointCloud,
     RecordArray,
+    Time,
     TimedBooleanSeq,
     TimedDouble,
     TimedDoubleSeq,
@@ -62,6 +63,9 @@ ENTRIES = st.one_of(
 )  # fmt: skip
 
 
+TIMES = st.builds(Time, SCALARS["u32"], st.integers(0, 10**9 - 1))
+
+
 def values_of(kind: Any) -> st.SearchStrategy[Any]:
     """Values of one field, whatever its kind."""
     spelling = kind.spelling
@@ -83,6 +87,8 @@ def values_of(kind: Any) -> st.SearchStrategy[Any]:
 
 
 def records_of(cls: type) -> st.SearchStrategy[Any]:
+    if cls is Time:
+        return TIMES
     return st.builds(lambda *values: cls(*values), *(values_of(field.kind) for field in fields_of(cls)))
 
 
