@@ -237,6 +237,7 @@ class Echo(Component):
 @pytest.mark.row(28)
 @pytest.mark.anyio
 @pytest.mark.parametrize("contexts", [1, 2])
+@pytest.mark.fault("B11")
 async def test_a_feedback_loop_of_event_contexts_does_not_starve_the_others(contexts: int) -> None:
     async with Kernel() as kernel:
         echoes = [await kernel.add(Echo(name)) for name in ("ping", "pong")]
