@@ -52,6 +52,7 @@ FEATURES = {
     57: "Connections of more than two ports",
     58: "Limits on connections; duplicates refused",
     60: "Counters and latency of each connector",
+    61: "When and how long a publisher sends, measured",
     62: "The basic, extended and interface record types",
     63: "64-bit integers, n-dimensional arrays, maps",
     64: "A user's own record types without generated code",

@@ -25,6 +25,7 @@ from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import InPort, OutPort
+    from aiorts.model.timing import PublisherTiming
 
 __all__ = ("Connector", "Waiting")
 
@@ -134,6 +135,14 @@ class Connector:
         """Samples that were read: what was written, less what was dropped and what is still buffered."""
         with self._guard():
             return self._written - sum(self._dropped.values()) - self._buffered
+
+    @property
+    def timing(self) -> PublisherTiming | None:
+        """When and how long this connector sent, over its last `measure` sends; None when it was not asked for.
+
+        `measure` is an option of `Kernel.connect`; OpenRTM's keys `measurement.*` are aliases.
+        """
+        return None
 
     @property
     def unread(self) -> int:

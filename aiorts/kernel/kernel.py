@@ -277,6 +277,7 @@ class Kernel:
             length: samples the reader's buffer holds, 1 to 1,000,000. out_length: the backlog of a periodic connector.
             full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None for ever.
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
+            measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
 
         Returns:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from aiorts.errors import WiringError
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.connector import Connector
+from aiorts.kernel.measured import MeasuredConnector, MeasuredPeriodicConnector
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Stamp, Subscription
@@ -60,9 +61,12 @@ def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: Connector
     loop, clock = kernel.loop, kernel.clock
     connector: Connector
     if profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH:
-        connector = PeriodicConnector(
+        periodic = MeasuredPeriodicConnector if profile.measure else PeriodicConnector
+        connector = periodic(
             profile, out, in_, loop, clock.time_ns, timers=kernel._timers, clock_now_ns=clock.monotonic_ns
         )
+    elif profile.measure:
+        connector = MeasuredConnector(profile, out, in_, loop, clock.time_ns, monotonic_ns=clock.monotonic_ns)
     else:
         connector = Connector(profile, out, in_, loop, clock.time_ns)
     if out._host is not None and in_._host is not None and (out._host.threaded or in_._host.threaded):

@@ -23,6 +23,8 @@ __all__ = ("DEFAULT_LENGTH", "MAX_LENGTH", "PORT_KEYS", "connector_profile", "is
 DEFAULT_LENGTH: Final = 8
 MAX_LENGTH: Final = 1_000_000
 MAX_RATE: Final = 1_000_000.0
+MEASURED_SENDS: Final = 1000
+"""Sends over which OpenRTM's keys time a publisher where they do not say how many."""
 
 E = TypeVar("E", bound=StrEnum)
 
@@ -39,6 +41,10 @@ _EITHER_SIDE: Final[tuple[tuple[str, str], ...]] = (
     ("buffer.write.timeout", "timeout"),
     ("buffer.read.empty_policy", "empty"),
     ("timestamp_policy", "stamp"),
+    ("measurement.exec_count", "measure_exec_count"),
+    ("measurement.period_count", "measure_period_count"),
+    ("measurement.exec_time", "measure_exec"),
+    ("measurement.period_time", "measure_period"),
 )
 _ALIASES: Final[tuple[tuple[str, str], ...]] = (
     *_EITHER_SIDE,
@@ -76,6 +82,7 @@ _OWN: Final = (
     "empty",
     "timeout",
     "stamp",
+    "measure",
     "name",
     *PORT_KEYS,
 )
@@ -114,6 +121,7 @@ def connector_profile(
         empty=get.choice("empty", EmptyPolicy, None) if own.get("empty") else None,
         timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
         stamp=get.choice("stamp", Stamp, None) if own.get("stamp") else None,
+        measure=_measured(where, own, get),
         extra=MappingProxyType(extra),
     )
     limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}
@@ -127,9 +135,22 @@ def connector_profile(
     return profile, limits
 
 
+def _measured(where: str, own: Mapping[str, Any], get: _Reader) -> int:
+    """Sends to time over: our key, else the larger of what OpenRTM's two measurements ask for."""
+    if "measure" in own:
+        return get.integer("measure", 0, MAX_LENGTH, 0)
+    return max(
+        get.integer(f"measure_{what}_count", 1, MAX_LENGTH, MEASURED_SENDS)
+        if is_yes(where, f"measurement.{what}_time", own.get(f"measure_{what}", False))
+        else 0
+        for what in ("exec", "period")
+    )
+
+
 def is_yes(where: str, key: str, value: object) -> bool:
     """A truth value, also as OpenRTM writes it."""
-    known = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
+    known = {"yes": True, "true": True, "1": True, "enable": True}
+    known |= {"no": False, "false": False, "0": False, "disable": False}
     if isinstance(value, bool):
         return value
     answer = known.get(str(value).strip().lower())

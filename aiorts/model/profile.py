@@ -49,6 +49,8 @@ class ConnectorProfile:
     timeout: float | None = 1.0
     """Seconds that an awaited write waits with full = block; None waits for ever."""
     stamp: Stamp | None = None
+    measure: int = 0
+    """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """Options that aiorts keeps and reports but does not act on."""
 
