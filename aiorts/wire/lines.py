@@ -1,0 +1,152 @@
+"""Samples as lines of strict JSON, and back: what components read and write as Unix filters. It opens no stream.
+
+A line out: `{"port": "output0", "type": "TimedLong", "tm": 1700000000000000000, "data": 6200}`. A record whose fields
+besides `tm` are not `data` alone has an object of them as its `data`. A line in may leave out all but `data`; an
+object with the key `data` is a line, any other value is the data itself.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any, Final, NoReturn
+
+from aiorts.errors import RecordError
+from aiorts.types import fields_of, from_plain, has_tm, to_plain, type_name
+
+__all__ = ("LineReader", "json_text", "line_of", "split_sample")
+
+_KEYS: Final = ("port", "type", "tm", "data")
+_LONGEST: Final = 60
+
+
+def line_of(port: str, sample: Any) -> str:
+    """The line, without its end, for a sample of the port `port`."""
+    tm, data = split_sample(sample)
+    line: dict[str, Any] = {"port": port, "type": type_name(type(sample))}
+    if tm is not None:
+        line["tm"] = tm
+    line["data"] = data
+    return json_text(line)
+
+
+def split_sample(sample: Any) -> tuple[int | None, Any]:
+    """Time (None for a type without `tm`) and plain data of a sample."""
+    plain = to_plain(sample)
+    if not isinstance(plain, dict) or not hasattr(type(sample), "__dataclass_fields__"):
+        return None, plain
+    tm = plain.pop("tm") if has_tm(type(sample)) else None
+    return tm, plain["data"] if list(plain) == ["data"] else plain
+
+
+def json_text(plain: Any) -> str:
+    """Strict JSON on one line; what does not print, a terminal's escapes for one, is written by its number."""
+    text = json.dumps(plain, allow_nan=False, ensure_ascii=False, separators=(", ", ": "))
+    # JSON escapes the first 32 characters itself; the rest of what does not print is written as JSON would.
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
+
+
+class LineReader:
+    """Reads lines for these in-ports.
+
+    With a single in-port every line is for it, whatever port the line names: the out-port of who wrote it.
+
+    Args:
+        ports: the type of each in-port by its name; at least one.
+    """
+
+    def __init__(self, ports: Mapping[str, type]) -> None:
+        self._forms = {name: _Form(cls) for name, cls in ports.items()}
+        self._only = next(iter(ports)) if len(ports) == 1 else ""
+        self._decode = json.JSONDecoder(parse_constant=_no_constant, object_pairs_hook=_unique).decode
+
+    def sample(self, line: str, now_ns: int) -> tuple[str, Any]:
+        """In-port and sample of a line.
+
+        Args:
+            now_ns: `tm` where the line has none, nanoseconds since the epoch.
+
+        Raises:
+            RecordError: says what is wrong with the line.
+        """
+        try:
+            plain = self._decode(line)
+        except json.JSONDecodeError as error:
+            raise RecordError(f"column {error.colno}: no JSON: {error.msg}: {_shown(line)}") from None
+        except (ValueError, RecursionError) as error:
+            raise RecordError(f"no JSON: {str(error) or 'nested too deeply'}: {_shown(line)}") from None
+        if not isinstance(plain, dict) or "data" not in plain:
+            return self._port(""), self._form("").sample(plain, now_ns)
+        for key in plain:
+            if key not in _KEYS:
+                near = get_close_matches(key, _KEYS, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"a line has {', '.join(_KEYS)}"
+                raise RecordError(f"unknown key {_shown(key)}; {hint}")
+        port = plain.get("port", "")
+        form = self._form(port)
+        form.check_type(plain.get("type"))
+        return self._port(port), form.sample(plain["data"], plain.get("tm", now_ns))
+
+    def _port(self, name: Any) -> str:
+        return self._only or str(name)
+
+    def _form(self, name: Any) -> _Form:
+        form = self._forms.get(self._only or name) if isinstance(name, str) else None
+        if form is not None:
+            return form
+        there = ", ".join(self._forms)
+        if name == "":
+            raise RecordError(f'which in-port? write {{"port": NAME, "data": ...}}; there are {there}')
+        raise RecordError(f"no in-port {_shown(name)}; there are {there}")
+
+
+class _Form:
+    """How the plain data of one type stands in a line."""
+
+    def __init__(self, cls: type) -> None:
+        self._cls = cls
+        self._name = type_name(cls)
+        self._bare = not hasattr(cls, "__dataclass_fields__")
+        fields = [] if self._bare else [field.name for field in fields_of(cls)]
+        self._timed = "tm" in fields and has_tm(cls)
+        self._whole = [name for name in fields if name != "tm" or not self._timed] != ["data"]
+
+    def check_type(self, name: Any) -> None:
+        """RecordError when the line says it is of another type."""
+        if name is not None and name != self._name:
+            raise RecordError(f"a {_shown(name)} for a port of {self._name}; put a flexifilter between them")
+
+    def sample(self, data: Any, tm: Any) -> Any:
+        """The sample with this data."""
+        if self._bare:
+            return from_plain(self._cls, data)
+        if not self._whole:
+            plain = {"data": data}
+        elif isinstance(data, dict):
+            plain = dict(data)
+        else:
+            raise RecordError(f"{self._name}: expected an object with its fields, got {_shown(data)}")
+        if self._timed and "tm" not in plain:
+            plain["tm"] = tm
+        return from_plain(self._cls, plain)
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f'{name} is not JSON; write "{name}" in quotes')
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {_shown(twice)} stands there twice")
+    return found
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
