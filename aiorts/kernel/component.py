@@ -136,6 +136,11 @@ class Component:
         return self._rt_members[0].state if self._rt_members else None
 
     @property
+    def has_finished(self) -> bool:
+        """Whether this source said that it has nothing more (`finish`), was deactivated and not activated since."""
+        return any(m.finishing and m.state is not LifeCycleState.ACTIVE for m in self._rt_members)
+
+    @property
     def last_error(self) -> BaseException | None:
         """What made this component fail last, with its traceback; earlier causes are chained to it."""
         return self._rt_last_error

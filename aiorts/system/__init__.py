@@ -6,6 +6,8 @@ from aiorts.system.build import Blueprint, build, prepare
 from aiorts.system.ending import is_source, wait_finished
 from aiorts.system.load import load
 from aiorts.system.parse import parse
+from aiorts.system.pipes import StandardInput, StandardOutput
+from aiorts.system.stream import LineStream
 from aiorts.system.values import ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
 
 __all__ = (
@@ -13,7 +15,10 @@ __all__ = (
     "ComponentEntry",
     "ConnectionEntry",
     "ContextEntry",
+    "LineStream",
     "Override",
+    "StandardInput",
+    "StandardOutput",
     "SystemFile",
     "build",
     "is_source",

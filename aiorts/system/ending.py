@@ -58,7 +58,8 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 def _ended(kernel: Kernel, began: set[str]) -> bool:
     runs = [component for component in kernel.components.values() if component.contexts]
     sources = [component for component in runs if is_source(component)]
-    if sources and all(source.name in began and not _active(source) for source in sources):
+    # Asked of the component, too: it may have finished before anybody looked.
+    if sources and all((s.name in began or s.has_finished) and not _active(s) for s in sources):
         return True
     return bool(runs) and all(set(c.states.values()) == {LifeCycleState.ERROR} for c in runs)
 

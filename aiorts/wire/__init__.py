@@ -4,5 +4,17 @@ from __future__ import annotations
 
 from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
 from aiorts.wire.limits import CONTROL, DATA, Limits
+from aiorts.wire.lines import LineReader, json_text, line_of, split_sample
 
-__all__ = ("CONTROL", "DATA", "FORMAT", "Codec", "Limits", "MsgpackCodec")
+__all__ = (
+    "CONTROL",
+    "DATA",
+    "FORMAT",
+    "Codec",
+    "Limits",
+    "LineReader",
+    "MsgpackCodec",
+    "json_text",
+    "line_of",
+    "split_sample",
+)

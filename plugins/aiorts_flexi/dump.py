@@ -14,9 +14,9 @@ from typing import Any
 
 from aiorts import Component, InPort, Param
 from aiorts.errors import ConfigurationError, InvalidNameError, RecordError
+from aiorts.system import LineStream
 from aiorts.types import has_tm, path_type, type_name
 from aiorts_flexi.ports import parse_type
-from aiorts_flexi.stream import LineStream
 from aiorts_flexi.text import FORMATS, full_path, line_of
 
 __all__ = ("FlexiDump",)

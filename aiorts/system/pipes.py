@@ -1,0 +1,199 @@
+"""Components that make any component a Unix filter: standard input to its in-ports, its out-ports to standard output.
+
+Lines are JSON, one sample each (`aiorts.wire.lines`). A line that is bad is reported and counted, the others go on; the
+end of input is the end of the source. Nothing is read ahead of a reader that cannot take it: a connector with
+full = block holds back who writes to our standard input.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import stat
+import sys
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from typing import Any, Final
+
+from aiorts.errors import RecordError
+from aiorts.kernel.component import Component
+from aiorts.kernel.ports import InPort, OutPort
+from aiorts.system.stream import LineStream
+from aiorts.wire.lines import LineReader, line_of
+
+__all__ = ("StandardInput", "StandardOutput")
+
+_CHUNK: Final = 1 << 16
+_LONGEST: Final = 64 << 20
+"""Bytes of a line."""
+_GONE: Final = (errno.EIO, errno.EBADF)
+"""A terminal that was hung up; a descriptor that somebody has closed."""
+
+Tell = Callable[[int, str], None]
+
+
+class StandardInput(Component):
+    """A source of what standard input says; for an event context.
+
+    Args:
+        ports: type of each in-port that is to be fed; this component gets an out-port of the same name for it.
+        tell: called with the number of a line (from 1) that is bad and why.
+        descriptor: what is read; standard input by default. It is not closed.
+    """
+
+    def __init__(self, name: str, ports: Mapping[str, type], tell: Tell, descriptor: int | None = None) -> None:
+        super().__init__(name)
+        self.lines = 0
+        """Lines read, bad ones among them; blank ones are none."""
+        self.bad = 0
+        self._reader = LineReader(ports)
+        self._outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        self._tell = tell
+        self._descriptor = descriptor
+        self._reading: asyncio.Task[None] | None = None
+
+    def on_activated(self) -> None:
+        self._reading = asyncio.ensure_future(self._read())
+
+    def on_deactivated(self) -> None:
+        if self._reading is not None:
+            self._reading.cancel()
+
+    async def _read(self) -> None:
+        number = 0
+        async for lines in _batches(_standard_input() if self._descriptor is None else self._descriptor):
+            for line in lines:
+                number += 1
+                if line is None or line.strip():
+                    await self._take(number, line)
+        self._reading = None
+        self.finish()
+
+    async def _take(self, number: int, line: bytes | None) -> None:
+        self.lines += 1
+        try:
+            if line is None:
+                raise RecordError(f"longer than {_LONGEST} bytes")
+            port, sample = self._reader.sample(line.decode(), self.clock.time_ns())
+        except UnicodeDecodeError as error:
+            self._complain(number, f"no UTF-8: {error.reason} at byte {error.start}")
+        except RecordError as error:
+            self._complain(number, str(error))
+        else:
+            await self._outs[port].write(sample)
+
+    def _complain(self, number: int, why: str) -> None:
+        self.bad += 1
+        self._tell(number, why)
+
+
+class StandardOutput(Component):
+    """Writes what arrives to standard output, one line for each sample; for an event context.
+
+    Args:
+        ports: type of each out-port that is to be shown; this component gets an in-port of the same name for it.
+        stream: where lines go; standard output by default.
+        count: after so many samples no more are written and `done` is called; None is without end.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        ports: Mapping[str, type],
+        *,
+        stream: LineStream | None = None,
+        count: int | None = None,
+        done: Callable[[], None] | None = None,
+    ) -> None:
+        super().__init__(name)
+        self.written = 0
+        self._stream = LineStream() if stream is None else stream
+        self._count = count
+        self._done = done
+        for port, cls in ports.items():
+            self.add_port(port, InPort(cls))
+
+    async def on_execute(self) -> None:
+        lines = [line_of(port.name, sample) for port in self._in_ports() for sample in port.drain()]
+        if self._count is not None:
+            lines = lines[: self._count - self.written]
+        await self._stream.write(lines)
+        self.written += len(lines)
+        if self.written == self._count and lines and self._done is not None:
+            self._done()
+
+    def _in_ports(self) -> Iterable[InPort[Any]]:
+        return [port for port in self.ports.values() if isinstance(port, InPort)]
+
+
+def _standard_input() -> int | None:
+    try:
+        return sys.stdin.fileno()
+    except (AttributeError, ValueError, OSError):
+        return None  # started without
+
+
+async def _batches(descriptor: int | None) -> AsyncIterator[list[bytes | None]]:
+    """The lines of a descriptor, as they come; None in the place of one that is too long."""
+    rest, skipping = bytearray(), False
+    while descriptor is not None and (chunk := await _next_chunk(descriptor)):
+        *lines, last = chunk.split(b"\n")
+        batch: list[bytes | None] = []
+        for line in lines:
+            batch.append(None if skipping or len(rest) + len(line) > _LONGEST else bytes(rest) + line)
+            rest.clear()
+            skipping = False
+        rest += last
+        if len(rest) > _LONGEST:
+            rest.clear()
+            skipping = True
+        if batch:
+            yield batch
+    if rest or skipping:
+        yield [None if skipping else bytes(rest)]
+
+
+async def _next_chunk(descriptor: int) -> bytes:
+    """What there is to read, waiting for some; empty at the end. OSError when it cannot be read."""
+    while True:
+        awaited = _can_be_awaited(descriptor) and await _readable(descriptor)
+        try:
+            return _read(descriptor) if awaited else await asyncio.to_thread(_read, descriptor)
+        except BlockingIOError:
+            await asyncio.sleep(0)  # somebody else was faster: several processes may share one input
+
+
+async def _readable(descriptor: int) -> bool:
+    """Wait until there is something to read; False where the loop cannot tell."""
+    loop = asyncio.get_running_loop()
+    readable: asyncio.Future[None] = loop.create_future()
+    try:
+        loop.add_reader(descriptor, _resolve, readable)
+    except (OSError, NotImplementedError):  # the null device, and loops without readers
+        return False
+    try:
+        await readable
+    finally:
+        loop.remove_reader(descriptor)
+    return True
+
+
+def _can_be_awaited(descriptor: int) -> bool:
+    try:
+        return not stat.S_ISREG(os.fstat(descriptor).st_mode)
+    except OSError:
+        return False
+
+
+def _read(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, _CHUNK)
+    except OSError as error:
+        if error.errno in _GONE:
+            return b""
+        raise
+
+
+def _resolve(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
