@@ -17,12 +17,12 @@ from aiorts.clock import Clock, SystemClock, current_clock
 from aiorts.errors import ClosedError, StateError, ThreadError
 from aiorts.kernel import embedding, joint
 from aiorts.kernel.bus import Bus
+from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.log import SharedBudget
-from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.roster import Roster
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
@@ -48,18 +48,25 @@ class Kernel:
         debug: check the thread of every port call and copy every sample: slow, finds writers that change what they
             have written.
         contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further
-            (`aiorts run` takes SIGINT
-            itself). By default it is passed on after the component went to error.
+            (`aiorts run` takes SIGINT itself). By default it is passed on after the component went to error.
+        plugins: where types asked for by name come from; installed packages by default.
     """
 
     def __init__(
-        self, name: str = "kernel", *, clock: Clock | None = None, debug: bool = False, contain_interrupts: bool = False
+        self,
+        name: str = "kernel",
+        *,
+        clock: Clock | None = None,
+        debug: bool = False,
+        contain_interrupts: bool = False,
+        plugins: Catalogue | None = None,
     ) -> None:
         self.name = check_name(name, "kernel")
         self.debug = debug
         self.bus = Bus()
         self.exit_status = 0
         """What `request_stop` said."""
+        self.plugins = Catalogue() if plugins is None else plugins
         self._clock = clock
         self._contain_interrupts = contain_interrupts
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -216,16 +223,14 @@ class Kernel:
         """Make a component of a class, or of a type that an installed package offers by name, and add it.
 
         Args:
-            kind: the class, which keeps its type, or the name. name: the instance's; made from the type's where there
-                is none.
+            kind: the class, which keeps its type, or the name. name: the instance's; made from the type's by default.
             params: values of parameters.
 
         Raises:
             PluginError: no such type. ConfigurationError: a parameter is bad. What `on_initialize` raises.
         """
         self._require_open("create")
-        cls: type[Component] = load_extension("components", kind) if isinstance(kind, str) else kind
-        return await self._roster.create(cls, name, params)
+        return await self._roster.create(kind, name, params)
 
     async def add(self, component: C, **params: object) -> C:
         """Take a component in and run its `on_initialize`; returns it.

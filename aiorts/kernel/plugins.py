@@ -1,56 +1,181 @@
-"""Find what installed packages offer, by kind and name, without importing anything; load one when it is first used.
+"""Loading what a plugin offers: on first use, whatever its import does reported as the plugin's own fault.
 
-Every extension is an entry point of the group `aiorts.<kind>` (`aiorts.components`, `aiorts.contexts`), aiorts' own
-included.
+What there is to load is in `catalogue.py`. A kernel loads off its loop, so that a slow import delays no component,
+and gives up on one that does not come to an end.
 """
 
 from __future__ import annotations
 
-from difflib import get_close_matches
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+import asyncio
+import importlib
+import importlib.util
+import sys
+import threading
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aiorts.errors import PluginError
+from aiorts.kernel.catalogue import Catalogue, Extension
 
-__all__ = ("extensions", "load_extension")
+if TYPE_CHECKING:
+    from aiorts.clock import Clock
+
+T = TypeVar("T")
+
+__all__ = ("API", "extensions", "load", "load_aside", "load_extension", "load_file")
+
+API: Final = 1
+"""What aiorts offers to plugins; a module of one that sets `AIORTS_API` says which it was written for."""
+_LONGEST: Final = 30.0
+"""Seconds that an import may take."""
 
 
-def extensions(kind: str) -> dict[str, tuple[EntryPoint, ...]]:
-    """What is offered under `kind`, by name; a name that several packages offer has several entries."""
-    found: dict[str, list[EntryPoint]] = {}
-    for entry in entry_points(group=f"aiorts.{kind}"):
-        offers = found.setdefault(entry.name, [])
-        if all(other.value != entry.value for other in offers):
-            offers.append(entry)
-    return {name: tuple(offers) for name, offers in sorted(found.items())}
+def extensions(kind: str) -> Mapping[str, tuple[Extension, ...]]:
+    """What installed packages offer under `kind`, by name."""
+    return Catalogue().extensions(kind)
 
 
-def load_extension(kind: str, name: str) -> Any:
-    """The object that a package offers as `name`.
+def load_extension(kind: str, name: str, catalogue: Catalogue | None = None) -> Any:
+    """The object that is offered as `name`, by installed packages where no catalogue is given.
 
     Raises:
         PluginError: nobody offers it (near names are given), several do (all are named), or it cannot be imported.
     """
-    offers = extensions(kind)
-    found = list(offers.get(name, ()))
-    word = kind.removesuffix("s")
-    if not found:
-        near = get_close_matches(name, offers, n=3)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"installed: {', '.join(offers) or 'none'}"
-        raise PluginError(f"no {word} named {name!r}; {hint}")
-    if len(found) > 1:
-        sources = " and ".join(f"{entry.value} ({_package(entry)})" for entry in found)
-        raise PluginError(f"{word} {name!r} is offered twice, by {sources}; uninstall one")
+    return load((Catalogue() if catalogue is None else catalogue).find(kind, name))
+
+
+def load(extension: Extension) -> Any:
+    """The object itself. PluginError names the plugin and what went wrong."""
+    where = _named(extension)
     try:
-        return found[0].load()
+        found = _imported(extension)
+    except PluginError as error:
+        raise PluginError(f"{where}: {error}") from error.__cause__
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(
-            f"{word} {name!r} of {_package(found[0])} ({found[0].value}) cannot be loaded: "
-            f"{type(error).__name__}: {error}"
-        ) from error
+        raise PluginError(f"{where} cannot be loaded: {type(error).__name__}: {error}") from error
+    return found
 
 
-def _package(entry: EntryPoint) -> str:
-    return f"package {entry.dist.name} {entry.dist.version}" if entry.dist is not None else "unknown package"
+async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: float = _LONGEST) -> type[T]:
+    """A class derived from `base`, loaded in a thread, for at most `limit` seconds of real time.
+
+    A simulated clock stands still meanwhile. PluginError names the plugin and what went wrong.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[Any] = loop.create_future()
+    hold = getattr(clock, "hold", None)
+    held = None if hold is None else hold()
+
+    def tell(error: BaseException | None, found: Any) -> None:
+        if done.done():
+            return
+        if error is not None:
+            done.set_exception(error)
+        else:
+            done.set_result(found)
+
+    def work() -> None:
+        found, error = None, None
+        try:
+            found = load(extension)
+        except PluginError as raised:
+            error = raised
+        except KeyboardInterrupt as raised:
+            error = PluginError(f"{_named(extension)}: interrupted itself while it was imported")
+            error.__cause__ = raised
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(tell, error, found)
+
+    # A thread that nobody waits for: an import that never ends must not keep the interpreter from ending.
+    threading.Thread(target=work, name=f"aiorts import {extension.name}", daemon=True).start()
+    alarm = threading.Timer(limit, lambda: loop.call_soon_threadsafe(tell, _too_slow(extension, limit), None))
+    alarm.daemon = True
+    alarm.start()
+    try:
+        found = await done
+    finally:
+        alarm.cancel()
+        if held is not None:
+            held.release()
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise PluginError(f"{_named(extension)}: {found!r:.80} is no class derived from {base.__name__}")
+    return found
+
+
+def _too_slow(extension: Extension, limit: float) -> PluginError:
+    return PluginError(f"{_named(extension)}: still being imported after {limit:g} s; it was left behind")
+
+
+def _named(extension: Extension) -> str:
+    return f"{extension.kind.removesuffix('s')} {extension.name!r} of {extension.source} ({extension.target})"
+
+
+def _imported(extension: Extension) -> Any:
+    module_name, _, attributes = extension.target.partition(":")
+    if module_name.endswith(".py") and extension.folder is not None:
+        module = load_file(extension.folder / module_name)
+    else:
+        if extension.folder is not None:
+            _make_importable(extension.folder)
+        module = importlib.import_module(module_name.strip())
+        if extension.folder is not None:
+            _check_home(module, extension.folder)
+    _check_api(module)
+    found: Any = module
+    for attribute in filter(None, attributes.strip().split(" ")[0].split(".")):
+        found = getattr(found, attribute)
+    return found
+
+
+def load_file(path: Path) -> ModuleType:
+    """The module of a single file, imported once, under a name of its own: two folders may have an `odometry.py` each.
+
+    Raises:
+        BaseException: whatever its import does.
+    """
+    name = f"aiorts_system.{path.parent.name}.{path.stem}"
+    loaded = sys.modules.get(name)
+    if loaded is not None and loaded.__file__ == str(path):
+        return loaded
+    if loaded is not None:
+        name = f"{name}_{zlib.crc32(str(path).encode()):08x}"
+        if name in sys.modules:
+            return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # before it runs: dataclasses look themselves up there
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _make_importable(folder: Path) -> None:
+    for place in (folder / "src", folder):
+        # At the end: a plugin's `json.py` must not take the place of Python's.
+        if place.is_dir() and str(place) not in sys.path:
+            sys.path.append(str(place))
+
+
+def _check_home(module: ModuleType, folder: Path) -> None:
+    """A module of that name from elsewhere would be taken for the plugin's."""
+    file = getattr(module, "__file__", None)
+    if file is None or not Path(file).resolve().is_relative_to(folder.resolve()):
+        raise PluginError(f"its module {module.__name__!r} comes from {file}; rename the plugin's module")
+
+
+def _check_api(module: ModuleType) -> None:
+    top = sys.modules.get(module.__name__.partition(".")[0])
+    for one in (module, top):
+        wanted = getattr(one, "AIORTS_API", API)
+        if wanted != API:
+            raise PluginError(f"it was written for version {wanted} of the plugin interface, this is {API}; update it")

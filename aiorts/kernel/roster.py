@@ -17,6 +17,7 @@ from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, Para
 from aiorts.kernel.component import Component
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
+from aiorts.kernel.plugins import load_aside
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.solo import run_alone
 from aiorts.kernel.tasks import current_task, kernel_task, leave_behind, owner_of
@@ -62,8 +63,14 @@ class Roster:
 
     # -- coming in -------------------------------------------------------------------------------------------------
 
-    async def create(self, cls: type[Component], name: str, params: Mapping[str, object]) -> Component:
-        """Make a component of a class and take it in."""
+    async def create(self, kind: type[Component] | str, name: str, params: Mapping[str, object]) -> Component:
+        """Make a component of a class, or of a type that a plugin offers by name, and take it in."""
+        if isinstance(kind, str):
+            offered = self._kernel.plugins.find("components", kind)
+            cls: type[Component] = await load_aside(offered, self._kernel.clock, Component)
+            self._kernel._require_open("create")  # it may have closed meanwhile
+        else:
+            cls = kind
         if not (isinstance(cls, type) and issubclass(cls, Component)):
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
         component = cls(name)

@@ -13,10 +13,11 @@ from difflib import get_close_matches
 from typing import Any
 
 from aiorts.errors import AiortsError, ComponentError, ConfigurationError, PluginError, SystemFileError, WiringError
+from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
-from aiorts.kernel.plugins import extensions, load_extension
+from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import Port
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.options import connector_profile
@@ -36,18 +37,22 @@ class Blueprint:
     contexts: Mapping[str, Context]
 
 
-def prepare(system: SystemFile) -> Blueprint:
+def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint:
     """Load the types and check all that can be checked before anything is created.
+
+    Args:
+        catalogue: where types come from; installed packages and the file's plugin folders by default.
 
     Raises:
         SystemFileError, PluginError, ConfigurationError, WiringError: says where in the file, and what is wrong.
     """
-    types = {entry.name: component_type(system, entry) for entry in system.components.values()}
+    catalogue = Catalogue(system.plugin_paths) if catalogue is None else catalogue
+    types = {entry.name: component_type(system, entry, catalogue) for entry in system.components.values()}
     params = {entry.name: parameters(system, entry, types[entry.name]) for entry in system.components.values()}
     for connection in system.connections:
         _check_options(system, connection)
         _check_declared(system, connection, types)
-    contexts = {entry.name: _context(system, entry) for entry in system.contexts.values()}
+    contexts = {entry.name: _context(system, entry, catalogue) for entry in system.contexts.values()}
     return Blueprint(system, types, params, contexts)
 
 
@@ -147,9 +152,9 @@ def _check_declared(system: SystemFile, connection: ConnectionEntry, types: Mapp
             )
 
 
-def _context(system: SystemFile, entry: ContextEntry) -> Context:
+def _context(system: SystemFile, entry: ContextEntry, catalogue: Catalogue) -> Context:
     where = f"{system.path}: contexts.{entry.name}"
-    cls = _context_class(where, entry.kind)
+    cls = _context_class(where, entry.kind, catalogue)
     signature = inspect.signature(cls)
     for key in entry.options:
         if key == "name" or key not in signature.parameters:
@@ -164,13 +169,13 @@ def _context(system: SystemFile, entry: ContextEntry) -> Context:
     return context
 
 
-def _context_class(where: str, kind: str) -> type[Context]:
-    offers = list(extensions("contexts"))
+def _context_class(where: str, kind: str, catalogue: Catalogue) -> type[Context]:
+    offers = list(catalogue.extensions("contexts"))
     if kind not in offers:
         near = get_close_matches(kind, offers, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(offers)}"
         raise SystemFileError(f"{where}.kind: unknown kind {kind[:80]!r}; {hint}")
-    found = load_extension("contexts", kind)
+    found = load_extension("contexts", kind, catalogue)
     if not (isinstance(found, type) and issubclass(found, Context)):
         raise PluginError(f"{where}.kind: {kind} is no execution context")
     return found

@@ -6,8 +6,6 @@ that two systems can have an `odometry.py` each. All other types come from insta
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -15,8 +13,9 @@ from types import ModuleType
 from typing import Any
 
 from aiorts.errors import ConfigurationError, PluginError, SystemFileError
+from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
-from aiorts.kernel.plugins import load_extension
+from aiorts.kernel.plugins import load_extension, load_file
 from aiorts.model.configuration import validate
 from aiorts.system.parse import LARGEST, parse
 from aiorts.system.values import ComponentEntry, SystemFile
@@ -51,7 +50,7 @@ def load(path: str | Path, overrides: Iterable[str] = ()) -> SystemFile:
     return parse(text, where, overrides)
 
 
-def component_type(system: SystemFile, entry: ComponentEntry) -> type[Component]:
+def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalogue) -> type[Component]:
     """The class of a component.
 
     Raises:
@@ -61,7 +60,7 @@ def component_type(system: SystemFile, entry: ComponentEntry) -> type[Component]
     where = f"{system.path}: components.{entry.name}.type"
     if ":" not in entry.type:
         try:
-            found = load_extension("components", entry.type)
+            found = load_extension("components", entry.type, catalogue)
         except PluginError as error:
             raise PluginError(f"{where}: {error}") from error.__cause__
     else:
@@ -98,25 +97,14 @@ def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) 
 
 def _module(system: SystemFile, name: str, where: str) -> ModuleType:
     path = _file(system, name, where)
-    module_name = f"aiorts_system.{path.parent.name}.{path.stem}"
-    loaded = sys.modules.get(module_name)
-    if loaded is not None and loaded.__file__ == str(path):
-        return loaded
-    spec = importlib.util.spec_from_file_location(module_name, path)
-    if spec is None or spec.loader is None:
-        raise SystemFileError(f"{where}: {name!r} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[module_name] = module
     try:
-        spec.loader.exec_module(module)
+        return load_file(path)
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
-        del sys.modules[module_name]
         if isinstance(error, KeyboardInterrupt):
             raise
         raise PluginError(
             f"{where}: {_place(error, path)} cannot be loaded: {type(error).__name__}: {error}"
         ) from error
-    return module
 
 
 def _file(system: SystemFile, name: str, where: str) -> Path:

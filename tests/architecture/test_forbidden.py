@@ -35,7 +35,7 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run",
     "aiorts/kernel/bus.py:publish",
-    "aiorts/kernel/plugins.py:load_extension",
+    "aiorts/kernel/plugins.py:load",
     "aiorts/kernel/solo.py:_run",
     "aiorts/contexts/thread.py:_call",
     # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.
