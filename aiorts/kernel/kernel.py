@@ -21,12 +21,14 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
+from aiorts.kernel.deadman import Deadman
 from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.roster import Roster
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
+from aiorts.model.blame import GcPauses
 from aiorts.model.names import check_name
 
 if TYPE_CHECKING:
@@ -45,11 +47,9 @@ class Kernel:
     Args:
         name: for logs and paths.
         clock: SystemClock by default; on a simulated loop that loop's clock.
-        debug: check the thread of every port call and copy every sample: slow, finds writers that change what they
-            have written.
-        contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further
-            (`aiorts run` takes SIGINT
-            itself). By default it is passed on after the component went to error.
+        debug: check the thread of every port call, copy every sample: slow; finds writers that change what they wrote.
+        contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further (`aiorts
+            run` takes SIGINT itself). By default it is passed on after the component went to error.
     """
 
     def __init__(
@@ -70,6 +70,7 @@ class Kernel:
         self._log_budget = SharedBudget(self.name, self._summarize_soon)
         self._summary: Cancellable | None = None
         self._timers: Any = None
+        self._deadman = Deadman(self)
         self._closed = False
         self._closing: asyncio.Task[None] | None = None
         self._closing_begun: asyncio.Future[StopBudget]
@@ -132,6 +133,7 @@ class Kernel:
                 self._summary.cancel()
             self._log_budget.summarize()
             self._timers.release()
+            self._deadman.close()
             embedding.leave(self, self.loop)
             if self._remove_probe is not None:
                 self._remove_probe()
@@ -184,6 +186,11 @@ class Kernel:
         """The connectors, by name, in order of connection."""
         return MappingProxyType(self._connections.connectors)
 
+    @property
+    def gc_pauses(self) -> Mapping[int, GcPauses]:
+        """Garbage collections by generation, while a context with a rate ran: nothing else runs meanwhile."""
+        return self._deadman.gc_pauses
+
     def find(self, path: str) -> Component | Port[Any]:
         """The component or port of a path such as "pid0" or "pid0.command".
 
@@ -216,8 +223,7 @@ class Kernel:
         """Make a component of a class, or of a type that an installed package offers by name, and add it.
 
         Args:
-            kind: the class, which keeps its type, or the name. name: the instance's; made from the type's where there
-                is none.
+            kind: the class, which keeps its type, or the name. name: the instance's; by default made from the type's.
             params: values of parameters.
 
         Raises:
