@@ -140,7 +140,10 @@ class PeriodicContext(Context):
         blame = None if watch is None else watch.blame(now_ns, due_ns)
         policy = "skip" if plan is None else plan.overrun
         if blame is not None and (times := self._missed.add(blame, now_ns)):
-            _LOG.warning("%s: %s missed: %s", self.name, "1 deadline" if times == 1 else f"{times} deadlines", blame)
+            # What the machine does is no fault of the system that runs on it.
+            level = logging.WARNING if blame.known else logging.INFO
+            missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
+            _LOG.log(level, "%s: %s missed: %s", self.name, missed_now, blame)
         self._publish(Overrun(self.name, *missed, policy, blame))
 
     def _end_cycle(self, members: Sequence[Member]) -> None:

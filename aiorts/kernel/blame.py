@@ -53,10 +53,11 @@ class Entry(NamedTuple):
 
     blame: Blame
     last_ns: int
-    """How long its last run took."""
+    """How long its last run took, or the one that matters."""
     runs: int
     own: bool = False
     """Whether it is a hook of the context that is late."""
+    max_ns: int = 0
     key: int = 0
     """The same for all entries of one component in one context."""
 
@@ -122,9 +123,10 @@ def judge(
         longest = max(collected, key=lambda pause: pause.ended_ns - pause.began_ns)
         return Blame("gc", held_ns=longest.ended_ns - longest.began_ns, generation=longest.generation)
     away = sum(glance.absent_ns for glance in glances)
-    if 2 * away >= late:
-        return Blame("machine", held_ns=away)
     seen = _seen_longest(since_ns, now_ns, glances, books)
+    # Who was at it when the machine took the processor away is to blame until that explains nearly everything.
+    if 2 * away >= late and (seen is None or 4 * away >= 3 * late):
+        return Blame("machine", held_ns=away)
     if seen is not None:
         return seen
     long = [entry for entry in books if 2 * entry.last_ns >= late]

@@ -17,7 +17,7 @@ import weakref
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.clock import SimulatedClock
+from aiorts.clock import SimulatedClock, SystemClock
 from aiorts.kernel import timers
 from aiorts.kernel.blame import Entry, Glance, judge
 from aiorts.kernel.pauses import Pauses
@@ -58,10 +58,11 @@ class Watch:
         self._tolerance_ns = _LEAST_NS
         self._lazy_ns = 0
         self._glances: list[Glance] = []
-        self._seen: dict[tuple[int, str], int] = {}
+        self._seen: dict[tuple[int, str], Entry] = {}
         self._last: tuple[int, Blame] | None = None
         self._cpu_at = self._glance_cpu = (0, 0)
         self._period_ns = _NEVER
+        self._plain = type(kernel.clock) is SystemClock
         self._real = not isinstance(kernel.clock, SimulatedClock)
         self._fd = -1
         self._timer: Timerfd | None = None
@@ -69,7 +70,7 @@ class Watch:
         if self._real:
             self._open()
         for member, entry in books(kernel, context):
-            self._seen[id(member), entry.blame.hook] = entry.runs
+            self._seen[id(member), entry.blame.hook] = entry
 
     def _open(self) -> None:
         timer = timers._find_timerfd()
@@ -108,8 +109,7 @@ class Watch:
             return
         if self._glances:
             self._glances = []
-        now = time.monotonic_ns()
-        good = due_ns + self._lazy_ns
+        now, good = time.monotonic_ns(), due_ns + self._lazy_ns
         try:
             timer.set(self._fd, self._alarm_ns(good, now))
         except OSError:
@@ -119,7 +119,8 @@ class Watch:
         self._cpu_at = (now, time.process_time_ns())
 
     def _alarm_ns(self, due_ns: int, now_ns: int) -> int:
-        return min(max(self._kernel.clock.real_deadline_ns(due_ns), now_ns) + self._tolerance_ns, _NEVER)
+        real = due_ns if self._plain else self._kernel.clock.real_deadline_ns(due_ns)
+        return (real if real > now_ns else now_ns) + self._tolerance_ns
 
     def blame(self, now_ns: int, due_ns: int | None = None) -> Blame | None:
         """Who is to blame that what was due at `due_ns` (what it was armed for) had not begun at `now_ns`.
@@ -155,11 +156,16 @@ class Watch:
         fresh = []
         for member, entry in books(self._kernel, self._context):
             key = id(member), entry.blame.hook
-            if self._seen.get(key, 0) != entry.runs:
-                self._seen[key] = entry.runs
+            seen = self._seen.get(key)
+            if seen is None or seen.runs != entry.runs:
+                self._seen[key] = entry
+                # The longest run there ever was may have been the one that did it, though it was not the last.
+                longest = entry.max_ns if seen is None or seen.max_ns != entry.max_ns else entry.last_ns
                 # One that began before the last cycle did has not kept this one.
-                if entry.last_ns <= late_ns + self._period_ns:
-                    fresh.append(entry)
+                for took in (longest, entry.last_ns):
+                    if took <= late_ns + self._period_ns:
+                        fresh.append(entry._replace(last_ns=took))
+                        break
         return fresh
 
     def close(self) -> None:
@@ -271,7 +277,7 @@ class _Watcher:
         for ref in self.watches.values():
             watch = ref()
             if watch is not None:
-                watch._timer, watch._good_until_ns = None, _NEVER
+                watch._timer, watch._good_until_ns, watch._fd = None, _NEVER, -1
                 watch._finalizer.detach()
         self.watches.clear()
 

@@ -139,4 +139,6 @@ def _entry(member: Member, hook: str, *, own: bool = True) -> Entry:
     file, first, function = ("", 0, "") if line is None else (line.file, line.line, line.function)
     held = "its thread" if member.context.exclusive else "its context" if own else "the loop"
     blame = Blame("hook" if own else "loop", member.component.name, hook, file, first, function, held=held)
-    return Entry(blame, times.last_ns if times else 0, times.count if times else 0, own, id(member))
+    if times is None:
+        return Entry(blame, 0, 0, own, 0, id(member))
+    return Entry(blame, times.last_ns, times.count, own, times.max_ns, id(member))

@@ -18,8 +18,8 @@ OTHERS: Final = "others"
 _PLACES: Final = 32
 _TELL_EVERY_NS: Final = 5_000_000_000
 """One line of the log for each place in that time."""
-_TELL_FROM_NS: Final = 2_000_000
-"""Shorter holds are counted, published and not logged as a warning."""
+_TELL_FROM_NS: Final = 10_000_000
+"""Shorter holds are counted, published and not logged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,11 @@ class Blame:
     """Of a garbage collection."""
     held: str = "the loop"
     """What was held: "the loop", "its thread", or "its context" by a hook that waited."""
+
+    @property
+    def known(self) -> bool:
+        """Whether somebody in this process is to blame."""
+        return self.kind in ("hook", "loop", "gc")
 
     @property
     def place(self) -> str:
