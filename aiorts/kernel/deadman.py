@@ -120,7 +120,7 @@ class Watch:
 
     def _alarm_ns(self, due_ns: int, now_ns: int) -> int:
         real = due_ns if self._plain else self._kernel.clock.real_deadline_ns(due_ns)
-        return (real if real > now_ns else now_ns) + self._tolerance_ns
+        return max(real, now_ns) + self._tolerance_ns
 
     def blame(self, now_ns: int, due_ns: int | None = None) -> Blame | None:
         """Who is to blame that what was due at `due_ns` (what it was armed for) had not begun at `now_ns`.

@@ -42,13 +42,13 @@ class PoolWatch:
             self._timer = self._kernel.loop.call_later(_EVERY, self._look)
 
     def close(self) -> None:
-        """The kernel has closed."""
+        """Do not look any more."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
     def _look(self) -> None:
-        self._timer = None
+        self.close()
         kernel = self._kernel
         if not kernel._contexts:
             return

@@ -125,15 +125,27 @@ def test_what_called_the_event_loop_is_not_blamed_for_what_it_calls() -> None:
 @pytest.mark.parametrize(
     ("blame", "text"),
     [
-        (Blame("loop", "camera0", "on_execute", "/x/camera.py", 42, "grab", 37 * MS), "camera0.on_execute (camera.py:42 in grab) held the loop for 37 ms"),
-        (Blame("loop", "camera0", "on_execute", "/x/camera.py", 42, "on_execute", 1_234_567), "camera0.on_execute (camera.py:42) held the loop for 1.23 ms"),
-        (Blame("hook", "serial", "on_execute", held_ns=2 * S, held="its thread"), "serial.on_execute held its thread for 2000 ms"),
-        (Blame("loop", "camera0", "", "/x/camera.py", 9, "work", 37 * MS), "camera0, in a task of its own (camera.py:9 in work) held the loop for 37 ms"),
+        (
+            Blame("loop", "camera0", "on_execute", "/x/camera.py", 42, "grab", 37 * MS),
+            "camera0.on_execute (camera.py:42 in grab) held the loop for 37 ms",
+        ),
+        (
+            Blame("loop", "camera0", "on_execute", "/x/camera.py", 42, "on_execute", 1_234_567),
+            "camera0.on_execute (camera.py:42) held the loop for 1.23 ms",
+        ),
+        (
+            Blame("hook", "serial", "on_execute", held_ns=2 * S, held="its thread"),
+            "serial.on_execute held its thread for 2000 ms",
+        ),
+        (
+            Blame("loop", "camera0", "", "/x/camera.py", 9, "work", 37 * MS),
+            "camera0, in a task of its own (camera.py:9 in work) held the loop for 37 ms",
+        ),
         (Blame("loop", "", "", "/x/app.py", 10, "poll", 37 * MS), "poll (app.py:10) held the loop for 37 ms"),
         (Blame("gc", held_ns=37 * MS, generation=2), "garbage collection of generation 2 held the loop for 37 ms"),
         (Blame("machine", held_ns=37 * MS), "the machine: this process did not run, for 37 ms"),
     ],
-)  # fmt: skip
+)
 def test_a_blame_is_one_sentence(blame: Blame, text: str) -> None:
     assert str(blame) == text
     assert "ms" not in blame.place
