@@ -60,26 +60,28 @@ class Busy(Component):
             time.sleep(0.03)  # sleeps
 
 
-async def held_by(kernel: Kernel, disturb: Callable[[], object], rate: float = 200.0) -> tuple[list[Overrun], Context]:
-    """The overruns of a context that is disturbed once."""
-    seen: list[Overrun] = []
+async def held_by(
+    kernel: Kernel, who: str, begin: Callable[[], object] = lambda: None, again: Callable[[], object] = lambda: None
+) -> tuple[Blame, Context]:
+    """The blame of one who disturbs a context of 200 Hz, and the context.
+
+    On a busy machine the machine is to blame for much: they are given some seconds to be caught.
+    """
+    seen: list[Blame] = []
     ticker = await kernel.add(Ticker("ticker"))
-    context = await kernel.start(PeriodicContext(rate, name="loop"), ticker, activate=True)
-    kernel.bus.subscribe(Overrun, lambda event: seen.append(event) if event.context == "loop" else None)
+    context = await kernel.start(PeriodicContext(200.0, name="loop"), ticker, activate=True)
+    kernel.bus.subscribe(Overrun, lambda event: seen.append(event.blame) if event.context == "loop" else None)
     await asyncio.sleep(0.05)
-    result = disturb()
+    result = begin()
     if asyncio.iscoroutine(result):
         await result
-    await asyncio.sleep(0.25)
-    return seen, context
-
-
-def worst(seen: list[Overrun]) -> Blame:
-    """The blame of the latest cycle; what a busy machine did to the test does not count."""
-    blamed = [event for event in seen if event.blame is not None and event.blame.known]
-    blame = max(blamed, key=lambda event: event.late_ns).blame
-    assert blame is not None
-    return blame
+    for _ in range(40):
+        again()
+        await asyncio.sleep(0.2)
+        blames = [blame for blame in seen if who in (blame.component, blame.function, blame.kind)]
+        if blames:
+            return max(blames, key=lambda blame: blame.held_ns), context
+    pytest.fail(f"{who} was never blamed, but {sorted(set(map(str, seen)))}")
 
 
 @pytest.mark.anyio
@@ -87,12 +89,11 @@ async def test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line() -
     async with Kernel() as kernel:
         busy = await kernel.add(Busy("camera0"))
         start = lambda: kernel.start(PeriodicContext(50.0), busy, activate=True)  # noqa: E731
-        seen, context = await held_by(kernel, start)
-        blame = worst(seen)
+        blame, context = await held_by(kernel, "camera0", start)
         line = line_of("sleeps")
         assert (blame.kind, blame.component, blame.hook) == ("loop", "camera0", "on_execute")
         assert (blame.file, blame.line, blame.function) == (str(HERE), line, "grab")
-        assert 20 * MS < blame.held_ns < 1000 * MS
+        assert 20 * MS < blame.held_ns < 5000 * MS
         place = f"camera0.on_execute (test_blame.py:{line} in grab)"
         assert str(blame).startswith(f"{place} held the loop for ")
         assert str(blame).endswith(" ms")
@@ -107,8 +108,7 @@ async def test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line() -
 async def test_a_call_that_holds_the_interpreter_lock_is_named() -> None:
     async with Kernel() as kernel:
         busy = await kernel.add(Busy("adder", lambda: sum(range(4_000_000))))
-        seen, _ = await held_by(kernel, lambda: kernel.start(PeriodicContext(50.0), busy, activate=True))
-        blame = worst(seen)
+        blame, _ = await held_by(kernel, "adder", lambda: kernel.start(PeriodicContext(50.0), busy, activate=True))
         assert (blame.component, blame.hook) == ("adder", "on_execute")
         assert blame.file == str(HERE)
         assert blame.held_ns > 5 * MS
@@ -120,13 +120,8 @@ async def test_an_event_context_whose_times_nobody_takes_is_named() -> None:
         busy = await kernel.add(Busy("listener"))
         events = await kernel.start(EventContext(), busy, activate=True)
 
-        async def trigger() -> None:
-            for _ in range(3):
-                events.trigger()
-                await asyncio.sleep(0.01)
-
-        seen, _ = await held_by(kernel, trigger)
-        assert (worst(seen).component, worst(seen).line) == ("listener", line_of("sleeps"))
+        blame, _ = await held_by(kernel, "listener", again=events.trigger)
+        assert (blame.component, blame.hook, blame.line) == ("listener", "on_execute", line_of("sleeps"))
 
 
 @pytest.mark.anyio
@@ -135,8 +130,8 @@ async def test_code_of_the_application_is_named_by_function_and_line() -> None:
         time.sleep(0.03)  # polls
 
     async with Kernel() as kernel:
-        seen, _ = await held_by(kernel, lambda: asyncio.get_running_loop().call_soon(poll_the_disk) and None)
-        blame = worst(seen)
+        loop = asyncio.get_running_loop()
+        blame, _ = await held_by(kernel, "poll_the_disk", again=lambda: loop.call_soon(poll_the_disk))
         assert (blame.kind, blame.component, blame.hook) == ("loop", "", "")
         assert (blame.function, blame.line, blame.file) == ("poll_the_disk", line_of("polls"), str(HERE))
         assert blame.place == f"poll_the_disk (test_blame.py:{line_of('polls')})"
@@ -149,13 +144,16 @@ async def test_a_task_of_a_component_is_named_with_its_component() -> None:
             self.task = asyncio.ensure_future(self.worker())
 
         async def worker(self) -> None:
-            await asyncio.sleep(0.03)
-            time.sleep(0.03)  # works
+            while True:
+                await asyncio.sleep(0.1)
+                time.sleep(0.03)  # works
+
+        def on_deactivated(self) -> None:
+            self.task.cancel()
 
     async with Kernel() as kernel:
         starter = await kernel.add(Starter("starter"))
-        seen, _ = await held_by(kernel, lambda: kernel.start(EventContext(), starter, activate=True))
-        blame = worst(seen)
+        blame, _ = await held_by(kernel, "starter", lambda: kernel.start(EventContext(), starter, activate=True))
         assert (blame.kind, blame.component, blame.hook) == ("loop", "starter", "")
         assert (blame.line, blame.function) == (line_of("works"), "worker")
         assert "starter, in a task of its own (test_blame.py:" in str(blame)
@@ -200,9 +198,8 @@ async def test_without_a_timerfd_component_and_hook_are_named_with_the_line_the_
     monkeypatch.setattr(timers, "_find_timerfd", lambda: None)
     async with Kernel() as kernel:
         busy = await kernel.add(Busy("camera0"))
-        seen, _ = await held_by(kernel, lambda: kernel.start(PeriodicContext(50.0), busy, activate=True))
+        blame, _ = await held_by(kernel, "camera0", lambda: kernel.start(PeriodicContext(50.0), busy, activate=True))
         assert not [thread for thread in threading.enumerate() if thread.name == "aiorts deadman"]
-        blame = worst(seen)
     assert (blame.component, blame.hook, blame.function) == ("camera0", "on_execute", "on_execute")
     assert blame.line == Busy.on_execute.__code__.co_firstlineno
 
@@ -210,18 +207,16 @@ async def test_without_a_timerfd_component_and_hook_are_named_with_the_line_the_
 @pytest.mark.anyio
 @pytest.mark.fault("C07")
 async def test_a_garbage_collection_is_named_and_counted() -> None:
-    heap = [[number] for number in range(400_000)]
+    heap = [[number] for number in range(600_000)]
     async with Kernel() as kernel:
-        seen, _ = await held_by(kernel, lambda: gc.collect() and None, rate=500.0)
-        blames = [event.blame for event in seen if event.blame is not None and event.blame.kind == "gc"]
+        blame, _ = await held_by(kernel, "gc", again=gc.collect)
         pauses = kernel.gc_pauses[2]
-    assert blames
-    assert blames[0].generation == 2
-    assert "garbage collection of generation 2 held the loop for" in str(blames[0])
+    assert blame.generation == 2
+    assert str(blame).startswith("garbage collection of generation 2 held the loop for ")
     assert pauses.count >= 1
     assert pauses.max_ns >= 2 * MS
     assert pauses.total_ns >= pauses.max_ns >= pauses.last_ns > 0
-    assert len(heap) == 400_000
+    assert len(heap) == 600_000
 
 
 STOPPED = """
@@ -276,6 +271,20 @@ def test_in_virtual_time_the_books_are_judged_alike_every_time_and_nobody_watche
     assert texts == [f"catch_up ticker.on_execute (parts.py:{line}) held its context for 35 ms"] * len(texts)
     assert len(texts) == 3
     assert simulate(main) == texts
+
+
+def test_a_hook_that_was_slow_long_ago_is_not_blamed_for_as_long_again() -> None:
+    async def main(clock: SimulatedClock) -> list[int]:
+        held: list[int] = []
+        takes = iter([0.0, 0.055, *[0.0] * 10, 0.035, *[0.0] * 100])
+        async with Kernel() as kernel:
+            kernel.bus.subscribe(Overrun, lambda event: held.append(event.blame.held_ns // MS))
+            ticker = await kernel.add(Ticker("ticker", lambda: next(takes)))
+            await kernel.start(PeriodicContext(100.0), ticker, activate=True)
+            await asyncio.sleep(0.3)
+        return held
+
+    assert simulate(main) == [55, 35]
 
 
 @pytest.mark.anyio
