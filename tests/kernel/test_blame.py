@@ -238,7 +238,6 @@ asyncio.run(main())
 """
 
 
-@pytest.mark.fault("C06")
 def test_a_process_that_was_stopped_blames_the_machine() -> None:
     with subprocess.Popen([sys.executable, "-c", STOPPED], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
