@@ -140,10 +140,9 @@ class PeriodicContext(Context):
         blame = None if watch is None else watch.blame(now_ns, due_ns)
         policy = "skip" if plan is None else plan.overrun
         if blame is not None and (times := self._missed.add(blame, now_ns)):
-            # What the machine does is no fault of the system that runs on it.
-            level = logging.WARNING if blame.known else logging.INFO
+            # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
             missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
-            _LOG.log(level, "%s: %s missed: %s", self.name, missed_now, blame)
+            _LOG.info("%s: %s missed: %s", self.name, missed_now, blame)
         self._publish(Overrun(self.name, *missed, policy, blame))
 
     def _end_cycle(self, members: Sequence[Member]) -> None:

@@ -286,6 +286,20 @@ def test_a_hook_that_was_slow_long_ago_is_not_blamed_for_as_long_again() -> None
     assert simulate(main) == [55, 35]
 
 
+def test_a_blame_is_logged_once_for_its_place_and_as_information(caplog: pytest.LogCaptureFixture) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            ticker = await kernel.add(Ticker("ticker", 0.035))
+            await kernel.start(PeriodicContext(100.0, name="loop"), ticker, activate=True)
+            await asyncio.sleep(4.0)
+
+    with caplog.at_level("INFO", "aiorts.kernel"):
+        simulate(main)
+    lines = [record for record in caplog.records if "missed" in record.getMessage()]
+    assert [record.levelname for record in lines] == ["INFO"]
+    assert lines[0].getMessage().startswith("loop: 1 deadline missed: ticker.on_execute (parts.py:")
+
+
 @pytest.mark.anyio
 async def test_nothing_of_the_watching_is_left_when_the_last_context_has_stopped() -> None:
     def watchers() -> int:
