@@ -46,11 +46,6 @@ class Blame:
     """What was held: "the loop", "its thread", or "its context" by a hook that waited."""
 
     @property
-    def known(self) -> bool:
-        """Whether somebody in this process is to blame."""
-        return self.kind in ("hook", "loop", "gc")
-
-    @property
     def place(self) -> str:
         """The text without the duration: what missed deadlines are counted by."""
         if self.kind == "gc":
