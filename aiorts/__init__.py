@@ -27,7 +27,9 @@ from aiorts.kernel.bus import (
     PortRemoved,
     RateChanged,
     StateChanged,
+    ThreadsExhausted,
 )
+from aiorts.model.blame import Blame
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.running import run
 
@@ -35,6 +37,7 @@ __version__ = "0.1.0"
 
 __all__ = (
     "AiortsError",
+    "Blame",
     "Bus",
     "Clock",
     "Component",
@@ -70,6 +73,7 @@ __all__ = (
     "StateChanged",
     "SystemClock",
     "ThreadContext",
+    "ThreadsExhausted",
     "WouldBlock",
     "run",
 )

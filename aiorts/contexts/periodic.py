@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
@@ -10,12 +12,16 @@ from aiorts.contexts.schedule import MAX_RATE, Schedule, check_rate
 from aiorts.kernel.bus import Overrun, RateChanged
 from aiorts.kernel.context import Context
 from aiorts.kernel.life import Wait
+from aiorts.model.blame import MissedDeadlines
 from aiorts.model.profile import ContextStatistics
 
 if TYPE_CHECKING:
+    from aiorts.kernel.deadman import Watch
     from aiorts.kernel.member import Member
 
 __all__ = ("PeriodicContext",)
+
+_LOG = logging.getLogger("aiorts.kernel")
 
 
 class PeriodicContext(Context):
@@ -46,6 +52,8 @@ class PeriodicContext(Context):
         super().__init__(name=name, deadline=deadline, timing=timing)
         self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
         self._fresh = True
+        self._missed = MissedDeadlines()
+        self._watch: Watch | None = None
 
     @property
     def rate(self) -> float | None:
@@ -64,6 +72,9 @@ class PeriodicContext(Context):
             plan.lateness_max_ns,
             plan.lateness_total_ns,
             self._hook_statistics(),
+            plan.overrun,
+            self._missed.counts,
+            self._missed.last,
         )
 
     async def set_rate(self, rate: float, *, timeout: float | None = 5.0) -> None:
@@ -81,7 +92,23 @@ class PeriodicContext(Context):
 
     def _life_began(self) -> None:
         self._fresh = True
+        self._look_out()
         super()._life_began()
+
+    def _life_ended(self, error: BaseException | None) -> None:
+        if self._watch is not None:
+            self._require_kernel()._deadman.unwatch(self._watch)
+            self._watch = None
+        super()._life_ended(error)
+
+    def _look_out(self) -> None:
+        """Have missed deadlines of this rate watched; in the thread that runs the hooks."""
+        plan = self._schedule
+        if plan is None:
+            return
+        if self._watch is None:
+            self._watch = self._require_kernel()._deadman.watch(self, threading.get_ident())
+        self._watch.period(plan.period_ns)
 
     def _next_cause(self) -> Wait | None:
         plan = self._schedule
@@ -97,11 +124,26 @@ class PeriodicContext(Context):
         return Wait(plan.due_ns)
 
     def _begin_cycle(self) -> Sequence[Member]:
-        if self._schedule is not None:
-            missed = self._schedule.begin(self._now_ns())
+        plan, watch = self._schedule, self._watch
+        if plan is not None:
+            due_ns, now_ns = plan.due_ns, self._now_ns()
+            missed = plan.begin(now_ns)
             if missed is not None:
-                self._publish(Overrun(self.name, *missed))
+                self._tell_overrun(missed, due_ns, now_ns)
+            if watch is not None:
+                watch.arm(plan.due_ns + plan.period_ns)
         return super()._begin_cycle()
+
+    def _tell_overrun(self, missed: tuple[int, int], due_ns: int, now_ns: int) -> None:
+        """Count, publish and log who made this cycle late."""
+        plan, watch = self._schedule, self._watch
+        blame = None if watch is None else watch.blame(now_ns, due_ns)
+        policy = "skip" if plan is None else plan.overrun
+        if blame is not None and (times := self._missed.add(blame, now_ns)):
+            # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
+            missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
+            _LOG.info("%s: %s missed: %s", self.name, missed_now, blame)
+        self._publish(Overrun(self.name, *missed, policy, blame))
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
         if self._schedule is not None:
@@ -110,4 +152,7 @@ class PeriodicContext(Context):
     def _set_rate_now(self, rate: float) -> None:
         if self._schedule is not None:
             self._schedule.set_rate(rate, self._now_ns())
+            self._look_out()
+            if self._watch is not None:
+                self._watch.arm(self._schedule.due_ns)
         self._publish(RateChanged(self.name, rate))

@@ -64,6 +64,8 @@ class Schedule:
         self.due_ns = 0
         """When the next tick is due."""
         self.skipped = self.overruns = self.lateness_max_ns = self.lateness_total_ns = 0
+        self.period_ns = 0
+        """Rounded down."""
         self._tick = 0
         self._start_ns = 0
         self._over = False
@@ -83,7 +85,7 @@ class Schedule:
             else the one that begins, has been due, in nanoseconds.
         """
         behind = now_ns - self.due_ns
-        skipped = self._leave_out(now_ns) if behind >= self._least_ns else 0
+        skipped = self._leave_out(now_ns) if behind >= self.period_ns else 0
         late = now_ns - self.due_ns
         if late > 0:
             self.lateness_total_ns += late
@@ -126,7 +128,7 @@ class Schedule:
     def _set_ratio(self) -> None:
         numerator, denominator = self.rate.as_integer_ratio()
         self._period = (1_000_000_000 * denominator, numerator)
-        self._least_ns = 1_000_000_000 * denominator // numerator
+        self.period_ns = 1_000_000_000 * denominator // numerator
 
     def _newest(self, now_ns: int) -> int:
         """The newest tick that is due."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import DeclarationError
 
 if TYPE_CHECKING:
+    from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.model.profile import ConnectorProfile, PortProfile
 
@@ -38,6 +39,7 @@ __all__ = (
     "PortRemoved",
     "RateChanged",
     "StateChanged",
+    "ThreadsExhausted",
 )
 
 _LOG = logging.getLogger("aiorts.kernel")
@@ -177,6 +179,20 @@ class Overrun(Event):
     context: str
     skipped: int
     late_ns: int
+    policy: str = "skip"
+    """What is done about it: "skip" leaves the missed ticks out, "catch_up" runs them."""
+    blame: Blame | None = field(default=None, compare=False)
+    """Who made it late: a finding about the event, and no part of what makes two of them the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadsExhausted(Event):
+    """Calls wait for a thread of the pool (`anyio.to_thread`, `asyncio.to_thread`): once until none waits any more."""
+
+    waiting: int
+    """Calls that wait for a thread."""
+    threads: int
+    """Threads of that pool, all of them busy."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,11 +22,13 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
+from aiorts.kernel.deadman import Deadman
 from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.roster import Roster
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
+from aiorts.model.blame import GcPauses
 from aiorts.model.names import check_name
 
 if TYPE_CHECKING:
@@ -45,10 +47,9 @@ class Kernel:
     Args:
         name: for logs and paths.
         clock: SystemClock by default; on a simulated loop that loop's clock.
-        debug: check the thread of every port call and copy every sample: slow, finds writers that change what they
-            have written.
-        contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further
-            (`aiorts run` takes SIGINT itself). By default it is passed on after the component went to error.
+        debug: check the thread of every port call, copy every sample: slow; finds writers that change what they wrote.
+        contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further (`aiorts
+            run` takes SIGINT itself). By default it is passed on after the component went to error.
         plugins: where types asked for by name come from; installed packages by default.
     """
 
@@ -77,6 +78,7 @@ class Kernel:
         self._log_budget = SharedBudget(self.name, self._summarize_soon)
         self._summary: Cancellable | None = None
         self._timers: Any = None
+        self._deadman = Deadman(self)
         self._closed = False
         self._closing: asyncio.Task[None] | None = None
         self._closing_begun: asyncio.Future[StopBudget]
@@ -139,6 +141,7 @@ class Kernel:
                 self._summary.cancel()
             self._log_budget.summarize()
             self._timers.release()
+            self._deadman.close()
             embedding.leave(self, self.loop)
             if self._remove_probe is not None:
                 self._remove_probe()
@@ -190,6 +193,11 @@ class Kernel:
     def connectors(self) -> Mapping[str, Connector]:
         """The connectors, by name, in order of connection."""
         return MappingProxyType(self._connections.connectors)
+
+    @property
+    def gc_pauses(self) -> Mapping[int, GcPauses]:
+        """Garbage collections by generation, while a context with a rate ran: nothing else runs meanwhile."""
+        return self._deadman.gc_pauses
 
     def find(self, path: str) -> Component | Port[Any]:
         """The component or port of a path such as "pid0" or "pid0.command".

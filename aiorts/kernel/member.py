@@ -22,17 +22,19 @@ _ACTIVE = LifeCycleState.ACTIVE
 class HookTimes:
     """How often a hook ran and how long it took, in nanoseconds."""
 
-    __slots__ = ("count", "max_ns", "total_ns")
+    __slots__ = ("count", "last_ns", "max_ns", "total_ns")
 
     def __init__(self) -> None:
         self.count = 0
         self.total_ns = 0
         self.max_ns = 0
+        self.last_ns = 0
 
     def add(self, elapsed_ns: int) -> None:
         """One more run."""
         self.count += 1
         self.total_ns += elapsed_ns
+        self.last_ns = elapsed_ns
         self.max_ns = max(self.max_ns, elapsed_ns)
 
 

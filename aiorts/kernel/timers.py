@@ -8,7 +8,6 @@ millisecond of its poll. Without timerfd (other systems, loops without readers) 
 from __future__ import annotations
 
 import asyncio
-import functools
 import os
 import sys
 import time
@@ -300,8 +299,8 @@ class _LibcTimerfd:
             raise OSError(self._errno(), "timerfd_settime failed")
 
 
-@functools.cache
 def _find_timerfd() -> _Timerfd | None:
+    """One for each who waits: its buffer must not be filled by two threads at once."""
     if sys.platform != "linux":
         return None
     if hasattr(os, "timerfd_create"):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from aiorts.model.blame import Blame
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
@@ -118,6 +119,12 @@ class ContextStatistics:
     lateness_total_ns: int = 0
     hooks: Mapping[str, HookStatistics] = field(default_factory=lambda: _NOTHING)
     """By "component.hook", where execution times are taken."""
+    policy: str = ""
+    """What is done about missed ticks: "skip" or "catch_up"; empty for a context without a rate."""
+    missed: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    """Overruns by who is to blame (`Blame.place`), at most 32 and "others"."""
+    last_blame: Blame | None = None
+    """Who made the newest overrun late."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run",
     "aiorts/kernel/bus.py:publish",
+    # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
+    "aiorts/kernel/deadman.py:_ring",
     "aiorts/kernel/plugins.py:load",
     "aiorts/kernel/solo.py:_run",
     "aiorts/contexts/thread.py:_call",

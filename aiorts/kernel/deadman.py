@@ -1,0 +1,335 @@
+"""Watches contexts for missed deadlines: a deadman timer for each, which rings in another thread when one is late.
+
+A context that is on time pays one comparison in most cycles and one system call now and then. One thread for each
+process waits on all the timers without the interpreter lock; it runs only when a context is late, and then looks at
+what keeps it (`witness.py`), again and again at growing intervals. It is there while a context is watched. Where there
+is no timerfd, and on a simulated clock, nobody looks and the kernel's books alone are judged.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import threading
+import time
+import weakref
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.clock import SimulatedClock, SystemClock
+from aiorts.kernel import timers
+from aiorts.kernel.blame import Entry, Glance, judge
+from aiorts.kernel.pauses import Pauses
+from aiorts.kernel.pool import PoolWatch
+from aiorts.kernel.witness import books, depth_beneath_task, look
+from aiorts.model.blame import Blame, GcPauses
+
+if TYPE_CHECKING:
+    from aiorts.kernel.context import Context
+    from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.timers import _Timerfd as Timerfd
+
+__all__ = ("Deadman", "Watch")
+
+_LOG = logging.getLogger("aiorts.kernel")
+_NEVER: Final = 2**62
+_LEAST_NS: Final = 100_000
+_MOST_NS: Final = 2_000_000
+"""How late a context is when it is first looked at: an eighth of its period within these bounds."""
+_FAST_NS: Final = 2_000_000
+_LAZY_NS: Final = 1_000_000
+"""A context with a shorter period than the first re-arms its timer once in the second; it is looked at later by it."""
+_GLANCES: Final = 24
+"""Of one delay; the intervals double."""
+
+
+class Watch:
+    """The deadman of one context; `arm`, `disarm` and `blame` are for the thread that runs it, and take no lock."""
+
+    def __init__(self, kernel: Kernel, context: Context, thread_id: int, pauses: Pauses) -> None:
+        self.due_ns = _NEVER
+        """When the next cycle is due, on the kernel's clock."""
+        self._kernel = kernel
+        self._context = context
+        self._thread_id = thread_id
+        self._pauses = pauses
+        self._good_until_ns = _NEVER
+        self._tolerance_ns = _LEAST_NS
+        self._lazy_ns = 0
+        self._glances: list[Glance] = []
+        self._seen: dict[tuple[int, str], Entry] = {}
+        self._last: tuple[int, Blame] | None = None
+        self._cpu_at = self._glance_cpu = (0, 0)
+        self._period_ns = _NEVER
+        self._plain = type(kernel.clock) is SystemClock
+        self._real = not isinstance(kernel.clock, SimulatedClock)
+        self._fd = -1
+        self._timer: Timerfd | None = None
+        self._base = depth_beneath_task() if thread_id == kernel._thread_id else 0
+        if self._real:
+            self._open()
+        for member, entry in books(kernel, context):
+            self._seen[id(member), entry.blame.hook] = entry
+
+    def _open(self) -> None:
+        timer = timers._find_timerfd()
+        if timer is None:
+            return
+        try:
+            fd = timer.create()
+        except (OSError, NotImplementedError):
+            return  # none left, or blocked by a sandbox: the books alone
+        self._fd, self._timer, self._good_until_ns = fd, timer, -1
+        _join(self)
+        self._finalizer = weakref.finalize(self, _leave, fd)
+
+    # -- in the thread of the context ------------------------------------------------------------------------------
+
+    def period(self, period_ns: int) -> None:
+        """How long a period is, in nanoseconds of the kernel's clock: it says how soon a delay is looked at."""
+        self._period_ns = period_ns
+        self._tolerance_ns = min(max(period_ns // 8, _LEAST_NS), _MOST_NS)
+        self._lazy_ns = _LAZY_NS if period_ns < _FAST_NS else 0
+
+    def arm(self, due_ns: int) -> None:
+        """A cycle begins in time; the next is due at `due_ns` of the kernel's clock, whatever happens in between."""
+        self.due_ns = due_ns
+        if due_ns > self._good_until_ns:
+            self._rearm(due_ns)
+
+    def disarm(self) -> None:
+        """Nothing is due."""
+        self.due_ns = _NEVER
+        self._glances = []
+
+    def _rearm(self, due_ns: int) -> None:
+        timer = self._timer
+        if timer is None:
+            return
+        if self._glances:
+            self._glances = []
+        now, good = time.monotonic_ns(), due_ns + self._lazy_ns
+        try:
+            timer.set(self._fd, self._alarm_ns(good, now))
+        except OSError:
+            self._good_until_ns = _NEVER
+            return
+        self._good_until_ns = good
+        self._cpu_at = (now, time.process_time_ns())
+
+    def _alarm_ns(self, due_ns: int, now_ns: int) -> int:
+        real = due_ns if self._plain else self._kernel.clock.real_deadline_ns(due_ns)
+        return max(real, now_ns) + self._tolerance_ns
+
+    def blame(self, now_ns: int, due_ns: int | None = None) -> Blame | None:
+        """Who is to blame that what was due at `due_ns` (what it was armed for) had not begun at `now_ns`.
+
+        Both on the kernel's clock, in nanoseconds; None when it is not late.
+        """
+        due = self.due_ns if due_ns is None else due_ns
+        late = now_ns - due
+        if late <= 0 and due_ns is None:
+            return None
+        last = self._last
+        if last is not None and due < last[0]:
+            # Due before the last blame was found: what made that cycle late made this one late as well.
+            return last[1]
+        blame = self._judge(due, now_ns)
+        self._last = (now_ns, blame)
+        return blame
+
+    def _judge(self, due_ns: int, now_ns: int) -> Blame:
+        kernel = self._kernel
+        entries = self._fresh_entries(now_ns - due_ns)
+        if not self._real:
+            return judge(due_ns, now_ns, (), (), entries)
+        now = time.monotonic_ns()
+        speed = kernel.clock.speed
+        late = int((now_ns - due_ns) / speed)
+        began, used = self._cpu_at if self._timer is not None else (0, 0)
+        absent = max(0, min(now - began, late) - (time.process_time_ns() - used)) if began else 0
+        return judge(now - late, now, tuple(self._glances), tuple(self._pauses.recent), entries, absent)
+
+    def _fresh_entries(self, late_ns: int) -> list[Entry]:
+        """The books of hooks that have run since they were last asked for."""
+        fresh = []
+        for member, entry in books(self._kernel, self._context):
+            key = id(member), entry.blame.hook
+            seen = self._seen.get(key)
+            if seen is None or seen.runs != entry.runs:
+                self._seen[key] = entry
+                # The longest run there ever was may have been the one that did it, though it was not the last.
+                longest = entry.max_ns if seen is None or seen.max_ns != entry.max_ns else entry.last_ns
+                # One that began before the last cycle did has not kept this one.
+                for took in (longest, entry.last_ns):
+                    if took <= late_ns + self._period_ns:
+                        fresh.append(entry._replace(last_ns=took))
+                        break
+        return fresh
+
+    def close(self) -> None:
+        """The context has stopped. In any thread."""
+        self.due_ns = self._good_until_ns = _NEVER
+        self._glances = []
+        if self._timer is not None:
+            self._timer = None
+            self._finalizer()
+
+    # -- in the watcher's thread -----------------------------------------------------------------------------------
+
+    def ring(self, timer: Timerfd) -> None:
+        """The timer has expired: look at what keeps the context, unless it is in time."""
+        kernel, due = self._kernel, self.due_ns
+        if self._timer is None or due >= _NEVER:
+            return
+        now, used = time.monotonic_ns(), time.process_time_ns()
+        since = kernel.clock.real_deadline_ns(due)
+        if now < since + self._tolerance_ns:
+            timer.set(self._fd, self._alarm_ns(due + self._lazy_ns, now))
+            return
+        glances = self._glances
+        # On time it would have rung at the tolerance, or at twice the delay of the glance before.
+        before = glances[-1].at_ns if glances else 0
+        expected = before + max(before - since, _LEAST_NS) if glances else since + self._tolerance_ns + self._lazy_ns
+        began, cpu = self._glance_cpu if glances else self._cpu_at
+        glance = look(kernel, self._context, self._thread_id, self._base, now)
+        if self.due_ns != due:
+            return  # it has gone on meanwhile
+        absent = max(0, now - max(expected, began) - (used - cpu))
+        if len(glances) < _GLANCES:
+            glances.append(glance._replace(absent_ns=absent))
+            self._glance_cpu = (now, used)
+            timer.set(self._fd, now + max(now - since, _LEAST_NS))
+
+
+class Deadman:
+    """What a kernel has to watch its contexts with."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self.pool = PoolWatch(kernel)
+        self._pauses = Pauses()
+        # For a kernel that nobody closed.
+        weakref.finalize(kernel, self._pauses.stop).atexit = False
+        self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
+
+    @property
+    def gc_pauses(self) -> Mapping[int, GcPauses]:
+        """Garbage collections by generation, while a context was watched."""
+        return self._pauses.statistics
+
+    def close(self) -> None:
+        """The kernel has closed, its contexts have stopped."""
+        self.pool.close()
+
+    def watch(self, context: Context, thread_id: int) -> Watch:
+        """Watch a context that is run by this thread; called there. Ends with `unwatch`, which any thread may call."""
+        watch = Watch(context._require_kernel(), context, thread_id, self._pauses)
+        if watch._real:
+            with _LOCK:
+                self._watches.add(watch)
+                self._pauses.listen()
+        return watch
+
+    def unwatch(self, watch: Watch) -> None:
+        """The context has stopped."""
+        watch.close()
+        with _LOCK:
+            self._watches.discard(watch)
+            if not self._watches:
+                self._pauses.stop()
+
+
+class _Watcher:
+    """The thread that waits on the timers of all watches of the process."""
+
+    def __init__(self) -> None:
+        self.watches: dict[int, weakref.ref[Watch]] = {}
+        self.ending = False
+        self._epoll = select.epoll()
+        self._bell = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._epoll.register(self._bell, select.EPOLLIN)
+        self.thread = threading.Thread(target=self._run, name="aiorts deadman", daemon=True)
+        self.thread.start()
+
+    def add(self, fd: int, watch: Watch) -> None:
+        self.watches[fd] = weakref.ref(watch)
+        # Edge-triggered: set anew, a timer rings anew, without anybody reading it.
+        self._epoll.register(fd, select.EPOLLIN | select.EPOLLET)
+
+    def remove(self, fd: int) -> None:
+        del self.watches[fd]
+        self._epoll.unregister(fd)
+        os.close(fd)
+
+    def end(self) -> None:
+        """Have the thread end and wait for it, unless this is it."""
+        self.ending = True
+        os.eventfd_write(self._bell, 1)
+        if threading.current_thread() is not self.thread:
+            self.thread.join(1.0)
+
+    def drop(self) -> None:
+        """In the child of a fork the thread is not there, and what it waited on is shared with the parent."""
+        for fd in (*self.watches, self._bell):
+            os.close(fd)
+        self._epoll.close()
+        for ref in self.watches.values():
+            watch = ref()
+            if watch is not None:
+                watch._timer, watch._good_until_ns, watch._fd = None, _NEVER, -1
+                watch._finalizer.detach()
+        self.watches.clear()
+
+    def _run(self) -> None:
+        timer = timers._find_timerfd()
+        while not self.ending and timer is not None:
+            for fd, _ in self._epoll.poll():
+                ref = self.watches.get(fd)
+                watch = None if ref is None else ref()
+                if watch is not None:
+                    _ring(watch, timer)
+                del watch
+        self._epoll.close()
+        os.close(self._bell)
+
+
+def _ring(watch: Watch, timer: Timerfd) -> None:
+    try:
+        watch.ring(timer)
+    except Exception:  # noqa: BLE001 - what it looks at changes under it; a diagnosis may fail, its thread may not
+        _LOG.debug("a glance at %s failed", watch._context.name, exc_info=True)
+
+
+_LOCK = threading.RLock()
+_WATCHER: list[_Watcher] = []
+_FORKS: list[Callable[[], Any]] = []
+
+
+def _join(watch: Watch) -> None:
+    with _LOCK:
+        if not _WATCHER:
+            _WATCHER.append(_Watcher())
+            if not _FORKS:
+                _FORKS.append(_forked)
+                os.register_at_fork(after_in_child=_forked)
+        _WATCHER[0].add(watch._fd, watch)
+
+
+def _leave(fd: int) -> None:
+    # Re-entrant: a watch that nobody closed goes with its context, whenever the collector finds it.
+    with _LOCK:
+        if _WATCHER and fd in _WATCHER[0].watches:
+            watcher = _WATCHER[0]
+            watcher.remove(fd)
+            if not watcher.watches:
+                _WATCHER.clear()
+                watcher.end()
+
+
+def _forked() -> None:
+    global _LOCK
+    _LOCK = threading.RLock()
+    for watcher in _WATCHER:
+        watcher.drop()
+    _WATCHER.clear()

@@ -1,0 +1,110 @@
+"""Who made a cycle late, as values: a blame, counts of missed deadlines by blame, pauses of the garbage collector.
+
+Nothing here finds out anything (`aiorts.kernel.blame` judges, `aiorts.kernel.witness` looks); it names and counts.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+__all__ = ("OTHERS", "Blame", "GcPauses", "MissedDeadlines")
+
+OTHERS: Final = "others"
+"""What missed deadlines are counted under once there are too many places."""
+_PLACES: Final = 32
+_TELL_EVERY_NS: Final = 5_000_000_000
+"""One line of the log for each place in that time."""
+_TELL_FROM_NS: Final = 10_000_000
+"""Shorter holds are counted, published and not logged."""
+
+
+@dataclass(frozen=True, slots=True)
+class Blame:
+    """What held a context when a deadline was missed; its text is one sentence for a person."""
+
+    kind: str
+    """"hook": one of the context's own; "loop": other code on the event loop (a hook of another context, a task that a
+    component started, code of the application); "gc": a garbage collection; "machine": nobody in this process ran;
+    "unknown": it was over before anybody could look."""
+    component: str = ""
+    """Empty for the application's code, "gc", "machine" and "unknown"."""
+    hook: str = ""
+    """Empty for a task that the component started."""
+    file: str = ""
+    line: int = 0
+    """The line that ran; the first line of the hook where nobody could look in time."""
+    function: str = ""
+    held_ns: int = 0
+    """How long, as far as is known, in nanoseconds."""
+    generation: int | None = None
+    """Of a garbage collection."""
+    held: str = "the loop"
+    """What was held: "the loop", "its thread", or "its context" by a hook that waited."""
+
+    @property
+    def place(self) -> str:
+        """The text without the duration: what missed deadlines are counted by."""
+        if self.kind == "gc":
+            return f"garbage collection of generation {self.generation}"
+        if self.kind == "machine":
+            return "the machine: this process did not run"
+        if self.kind == "unknown":
+            return "unknown: other code on the loop, or the machine"
+        where = f"{os.path.basename(self.file)}:{self.line}" if self.file else ""
+        if self.component and self.hook:
+            who = f"{self.component}.{self.hook}"
+        elif self.component:
+            who = f"{self.component}, in a task of its own"
+        else:
+            return f"{self.function or 'code of the application'} ({where or 'line unknown'})"
+        inside = f" in {self.function}" if self.function and self.function != self.hook else ""
+        return f"{who} ({where}{inside})" if where else who
+
+    def __str__(self) -> str:
+        held = f"{self.held_ns / 1e6:.3g}" if self.held_ns < 10_000_000 else f"{self.held_ns / 1e6:.0f}"
+        if self.kind in ("machine", "unknown"):
+            return f"{self.place}, for {held} ms"
+        return f"{self.place} held {self.held} for {held} ms"
+
+
+@dataclass(frozen=True, slots=True)
+class GcPauses:
+    """Collections of one generation while a context with a rate ran; nothing else runs meanwhile. Nanoseconds."""
+
+    count: int = 0
+    total_ns: int = 0
+    max_ns: int = 0
+    last_ns: int = 0
+
+
+class MissedDeadlines:
+    """Missed deadlines of one context, counted by the place that is to blame; bounded, whatever happens."""
+
+    def __init__(self) -> None:
+        self.last: Blame | None = None
+        self._counts: dict[str, int] = {}
+        self._told: dict[str, tuple[int, int]] = {}
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """By `Blame.place`; the 33rd place and all after it are "others"."""
+        return MappingProxyType(self._counts.copy())
+
+    def add(self, blame: Blame, now_ns: int) -> int:
+        """One more. How many of its place have not been told of, when it is time to tell; else 0."""
+        self.last = blame
+        counts, place = self._counts, blame.place
+        if place not in counts and len(counts) >= _PLACES:
+            place = OTHERS
+        counts[place] = count = counts.get(place, 0) + 1
+        if blame.held_ns < _TELL_FROM_NS:
+            return 0
+        told_ns, told = self._told.get(place, (now_ns - _TELL_EVERY_NS, 0))
+        if now_ns - told_ns < _TELL_EVERY_NS:
+            return 0
+        self._told[place] = (now_ns, count)
+        return count - told
