@@ -156,9 +156,9 @@ class OutPort(Port[T]):
             self._choose_path()
         if sample.__class__ is not self._class:
             sample = self._checked(sample)
-        if self._without_room() is None:
-            return self._deliver(sample)
-        return await self._write_waiting(sample)
+        if (self._blocking or self._others) and self._without_room() is not None:
+            return await self._write_waiting(sample)
+        return self._deliver(sample)
 
     def write_blocking(self, sample: T, timeout: float | None = None) -> bool:
         """`write` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds or each
@@ -196,8 +196,7 @@ class OutPort(Port[T]):
             self._choose_path()
         if sample.__class__ is not self._class:
             sample = self._checked(sample)
-        full = self._without_room()
-        if full is not None:
+        if (self._blocking or self._others) and (full := self._without_room()) is not None:
             raise WouldBlock(f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread)")
         return self._deliver(sample)
 
@@ -252,7 +251,13 @@ class OutPort(Port[T]):
 
     async def _write_waiting(self, sample: T) -> bool:
         done, entries = self._offer(sample, self._bound().loop)
-        if entries:
+        if len(entries) == 1 and entries[0].connector.profile.timeout is None:
+            entry = entries[0]
+            try:
+                await entry.future  # type: ignore[misc] # made by the loop
+            finally:
+                entry.connector.give_up(entry)
+        elif entries:
             await self._wait_for(entries)
         return done
 
@@ -347,6 +352,9 @@ class OutPort(Port[T]):
         if host is None:
             return
         direct = frozenset(() if host.debug else (connector for connector in connectors if connector.direct))
+        # Two connectors to one reader keep their order: both go the direct way or none does.
+        slow = {connector.in_ for connector in connectors if connector not in direct}
+        direct = frozenset(connector for connector in direct if connector.in_ not in slow)
         for *_, connector in (*self._fan, *self._merged):
             connector.share(connector in direct and connector.out is self, self._sent)
         for connector in direct:
