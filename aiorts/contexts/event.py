@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from aiorts.kernel.context import Context
 from aiorts.kernel.in_port import NOTHING
 from aiorts.kernel.life import Wait
+from aiorts.kernel.port import OFF
 from aiorts.kernel.ports import InPort
 from aiorts.model.lifecycle import LifeCycleState
 
@@ -145,8 +146,17 @@ def _has_cause(member: Member) -> bool:
 
 def _took_and_left(member: Member) -> bool:
     """Whether a member read at least one sample and unread data remains."""
-    ports = member.in_ports
-    return any(port._took for port in ports) and any(port.is_new for port in ports)
+    # Written out: this ends every cycle.
+    for port in member.in_ports:
+        if port._last is not NOTHING:
+            break
+    else:
+        return False
+    for port in member.in_ports:
+        queue = port._direct
+        if queue or (queue is OFF and port._unread()):
+            return True
+    return False
 
 
 def _order(member: Member) -> int:

@@ -144,9 +144,7 @@ class Connector:
     def delivered(self) -> int:
         """Samples that were read: what was written, less what was dropped and what is still buffered."""
         with self._guard():
-            if self._displaced:
-                displaced, self._displaced = self._displaced, 0
-                self._drop("superseded" if self._push is _NEW else _DISPLACED[self._full], displaced)
+            self._count_displaced()
             return self._total() - sum(self._dropped.values()) - self._buffered
 
     def _total(self) -> int:
@@ -333,7 +331,14 @@ class Connector:
     def _guard(self) -> AbstractContextManager[Any]:
         return self.in_._lock or UNLOCKED
 
+    def _count_displaced(self) -> None:
+        if displaced := self._displaced:
+            reason = "superseded" if self._push is _NEW else _DISPLACED[self._full]
+            self._dropped[reason] = self._dropped.get(reason, 0) + displaced
+            self._displaced = 0
+
     def _drop(self, reason: str, count: int = 1) -> None:
+        self._count_displaced()
         self._dropped[reason] = self._dropped.get(reason, 0) + count
 
     def _discard_all(self, reason: str) -> None:

@@ -164,8 +164,9 @@ class InPort(Port[T]):
     @property
     def is_new(self) -> bool:
         """Whether there is an unread sample; with a pull connector, whether the writer has one."""
-        if self._fast:
-            return True
+        queue = self._fast
+        if queue is not OFF:
+            return bool(queue)
         self._bound()
         return self._unread()
 
@@ -275,11 +276,6 @@ class InPort(Port[T]):
 
     def _kept(self) -> T | None:
         return self._before if self._last is NOTHING else self._last
-
-    @property
-    def _took(self) -> bool:
-        """Whether a sample was read since an event context set the last one aside."""
-        return self._last is not NOTHING
 
     def _settle_tokens(self) -> None:
         """Rebuild the order of arrival after samples left the queues other than one by one from the front."""
