@@ -15,7 +15,7 @@ import pytest
 from aiorts import Connector, ExternalContext, Kernel, SimulatedClock, WouldBlock
 from aiorts.errors import PortTypeError, WriteTimeout
 from aiorts.testing.simulation import simulate
-from campaign import cases
+from campaign import CAMPAIGN, cases
 from ports.parts import ModelConnector, Sink, Source, long
 from ports.systems import Link, World, Write
 from ports.test_ports_model import COMBINATIONS
@@ -253,14 +253,20 @@ class System:
         self.world.set_open(number, not is_open)
 
 
+PARTS = 20 if CAMPAIGN else 1
+"""A campaign in parts, none of them longer than a test may take."""
+
+
 @pytest.mark.row(39, 40, 41)
 @pytest.mark.fault("B06")
 @pytest.mark.campaign
-def test_random_systems_do_what_the_reference_model_does_and_take_the_fast_paths() -> None:
+@pytest.mark.parametrize("part", range(PARTS))
+def test_random_systems_do_what_the_reference_model_does_and_take_the_fast_paths(part: int) -> None:
     hits: Counter[str] = Counter()
 
     async def main(clock: SimulatedClock) -> None:
-        for number in range(max(cases(20_000), 150)):
+        size = max(cases(1_000), 150)
+        for number in range(part * size, (part + 1) * size):
             await System(number, hits).play(clock)
 
     simulate(main)
@@ -277,7 +283,7 @@ def test_random_systems_in_debug_mode_take_the_general_path_and_do_the_same() ->
     hits: Counter[str] = Counter()
 
     async def main(clock: SimulatedClock) -> None:
-        for number in range(max(cases(2_000), 40)):
+        for number in range(max(cases(1_000), 40)):
             await System(number, hits, debug=True).play(clock)
 
     simulate(main)
