@@ -275,14 +275,18 @@ class Connector:
         """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
         with self._guard():
             if self.must_wait():
-                entry = Waiting(self, sample, future)
-                if self._waiting is None:
-                    self._waiting = deque()
-                self._waiting.append(entry)
-                self.in_._fast = OFF
-                return entry
+                return self.queue_up(sample, future)
             self.offer(sample)
             return None
+
+    def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
+        """Queue up for room that there is known not to be; across threads the caller holds the lock."""
+        entry = Waiting(self, sample, future)
+        if self._waiting is None:
+            self._waiting = deque()
+        self._waiting.append(entry)
+        self.in_._fast = OFF
+        return entry
 
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""
@@ -301,7 +305,18 @@ class Connector:
         waiting = self._waiting
         if not waiting:
             return
-        while waiting:
+        in_, queue = self.in_, self._queue
+        plain = self._stamp is None and self._push is not _SKIP and in_._lock is None
+        while plain and waiting and len(queue) < self._length:
+            # Written out: the writer and the reader of a full buffer do this once for each sample.
+            entry = waiting.popleft()
+            self._written += 1
+            queue.append(entry.sample)
+            in_._arrived(self, False)
+            entry.done = True
+            if entry.future is not None and not entry.future.done():
+                entry.future.set_result(None)
+        while waiting and not plain:
             sent = admits(self._push, self._skip, self._written + 1)
             if sent and len(self._queue) >= self._length:
                 break
@@ -313,8 +328,8 @@ class Connector:
                 self._drop("skipped")
             self._resolve(entry)
         if not waiting:
-            self.in_._fast = self.in_._direct
-        self.in_._room_made()
+            in_._fast = in_._direct
+        in_._room_made()
 
     def _resolve(self, entry: Waiting) -> None:
         entry.done = True

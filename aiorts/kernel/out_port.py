@@ -250,7 +250,11 @@ class OutPort(Port[T]):
         return done
 
     async def _write_waiting(self, sample: T) -> bool:
-        done, entries = self._offer(sample, self._bound().loop)
+        loop = self._bound().loop
+        if self._blocking and len(self._connectors) == 1:
+            done, entries = True, [self._connectors[0].queue_up(sample, loop.create_future())]
+        else:
+            done, entries = self._offer(sample, loop)
         if len(entries) == 1 and entries[0].connector.profile.timeout is None:
             entry = entries[0]
             try:

@@ -219,6 +219,8 @@ class System:
     async def connect(self) -> None:
         await self.tick()
         subscription, push, full = self.random.choice(self.combinations)
+        if self.random.random() < 0.3:
+            full = "block"
         options: dict[str, Any] = {"subscription": subscription, "push": push, "full": full}
         if push == "skip":
             options["skip"] = self.random.choice((0, 1, 2))
