@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.kernel.context import Context
-from aiorts.kernel.in_port import NOTHING
 from aiorts.kernel.life import Wait
-from aiorts.kernel.port import OFF
+from aiorts.kernel.port import NOTHING, OFF
 from aiorts.kernel.ports import InPort
 from aiorts.model.lifecycle import LifeCycleState
 

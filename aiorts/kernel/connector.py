@@ -136,9 +136,7 @@ class Connector:
             host.check_loop_thread(f"{self.name}: statistics")
         with self._guard():
             delivered = self.delivered
-            return ConnectorStatistics(
-                self._total(), delivered, self._buffered, MappingProxyType(dict(self._dropped))
-            )
+            return ConnectorStatistics(self._total(), delivered, self._buffered, MappingProxyType(dict(self._dropped)))
 
     @property
     def delivered(self) -> int:

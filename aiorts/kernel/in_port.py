@@ -10,26 +10,23 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Callable
-from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from anyio import WouldBlock
 
 from aiorts.errors import BusyError, ClosedError, ReadTimeout, StateError
 from aiorts.kernel.blocking import PortLock
-from aiorts.kernel.port import OFF, UNLOCKED, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.port import NOTHING, OFF, UNLOCKED, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.samples import Samples
 from aiorts.model.policy import Stamp
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import PortHost
 
-__all__ = ("NOTHING", "InPort")
+__all__ = ("InPort",)
 
 T = TypeVar("T")
-
-NOTHING: Final[Any] = object()
-"""In the place of the sample read last, while a cycle of an event context has read none."""
-
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _READ = Stamp.READ
 
@@ -103,7 +100,7 @@ class InPort(Port[T]):
         """
         try:
             sample = self._last = self._fast.popleft()
-            return sample  # noqa: TRY300 - the way that costs nothing
+            return sample
         except IndexError:
             pass
         return self._read_general()
@@ -198,7 +195,7 @@ class InPort(Port[T]):
             return self._read_general()
 
     def __aiter__(self) -> AsyncIterator[T]:
-        return _Samples(self)
+        return Samples(self)
 
     # -- the general path ------------------------------------------------------------------------------------------
 
@@ -215,14 +212,10 @@ class InPort(Port[T]):
     def _next(self) -> Connector | None:
         """The connector whose sample is the oldest unread one; the caller holds the lock."""
         tokens = self._tokens
-        if tokens is None:
-            connectors = self._connectors
-            return connectors[0] if connectors and connectors[0]._queue else None
-        while tokens:
-            if tokens[0]._queue:
-                return tokens[0]
-            tokens.popleft()
-        return None
+        if tokens is not None:
+            return tokens[0] if tokens else None
+        sole = self._sole
+        return sole if sole is not None and sole._queue else None
 
     def _newest(self) -> Connector | None:
         """The connector whose sample arrived last of all that are unread; the caller holds the lock."""
@@ -253,7 +246,7 @@ class InPort(Port[T]):
             if self._tokens is not None:
                 self._tokens.popleft()
             sample = cast("T", connector.take())
-            self._remember(sample, connector)
+            self._last, self._source = sample, connector
             return sample
 
     def _latest_general(self) -> T | None:
@@ -267,12 +260,8 @@ class InPort(Port[T]):
                 if other is not connector:
                     other.discard("superseded")
             self._settle_tokens()
-            self._remember(sample, connector)
+            self._last, self._source = sample, connector
             return sample
-
-    def _remember(self, sample: T, connector: Connector) -> None:
-        self._last = sample
-        self._source = connector
 
     def _kept(self) -> T | None:
         return self._before if self._last is NOTHING else self._last
@@ -406,20 +395,4 @@ class InPort(Port[T]):
         )
         if self._plain and len(connectors) == 1:
             self._direct = connectors[0]._queue
-            if not connectors[0]._waiting:
-                self._fast = self._direct
-
-
-class _Samples(AsyncIterator[T]):
-    """The samples of a port as they come; it ends when the port is closed."""
-
-    __slots__ = ("_port",)
-
-    def __init__(self, port: InPort[T]) -> None:
-        self._port = port
-
-    async def __anext__(self) -> T:
-        try:
-            return await self._port.read()
-        except ClosedError:
-            raise StopAsyncIteration from None
+            self._fast = OFF if connectors[0]._waiting else self._direct

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import PortHost
 
-__all__ = ("OFF", "UNLOCKED", "UNSUSPENDED", "Port", "Turns", "give_turn")
+__all__ = ("NOTHING", "OFF", "UNLOCKED", "UNSUSPENDED", "Port", "Turns", "give_turn")
 
 T = TypeVar("T")
 
@@ -28,6 +28,9 @@ UNLOCKED: Final = nullcontext()
 
 OFF: Final[deque[Any]] = deque(maxlen=0)
 """What a port has for a queue while its fast path is off: there is never anything in it."""
+
+NOTHING: Final[Any] = object()
+"""In the place of an in-port's sample read last, while a cycle of an event context has read none."""
 
 
 class Turns:
