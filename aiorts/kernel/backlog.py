@@ -139,7 +139,6 @@ class PeriodicConnector(Connector):
         backlog = self._backlog
         self._arming = False
         if backlog:
-            self._first += len(backlog)
             self._queue.extend(backlog)
             backlog.clear()
             self.in_._arrived(self, False)
