@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.kernel.context import Context
 from aiorts.kernel.life import Wait
+from aiorts.kernel.port import NOTHING, OFF
 from aiorts.kernel.ports import InPort
 from aiorts.model.lifecycle import LifeCycleState
 
@@ -89,14 +90,15 @@ class EventContext(Context):
             return None
         member = ready[0]
         rung = member.rung
-        if len(rung) != 1 or not rung[0]._fast or member.state is not _ACTIVE or member.failure is not None:
+        if len(rung) != 1 or not rung[0]._direct or member.state is not _ACTIVE or member.failure is not None:
             return None
         ready.clear()
         rung[0]._armed = True
         rung.clear()
         member.ready = member.triggered = False
         for port in member.in_ports:
-            port._took = False
+            if port._last is not NOTHING:
+                port._before, port._last = port._last, NOTHING
         self.ticks += 1
         return member
 
@@ -108,7 +110,8 @@ class EventContext(Context):
             member.ready = member.triggered = False
             member.rearm()
             for port in member.in_ports:
-                port._took = False
+                if port._last is not NOTHING:
+                    port._before, port._last = port._last, NOTHING
         return ready
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
@@ -142,8 +145,17 @@ def _has_cause(member: Member) -> bool:
 
 def _took_and_left(member: Member) -> bool:
     """Whether a member read at least one sample and unread data remains."""
-    ports = member.in_ports
-    return any(port._took for port in ports) and any(port.is_new for port in ports)
+    # Written out: this ends every cycle.
+    for port in member.in_ports:
+        if port._last is not NOTHING:
+            break
+    else:
+        return False
+    for port in member.in_ports:
+        queue = port._direct
+        if queue or (queue is OFF and port._unread()):
+            return True
+    return False
 
 
 def _order(member: Member) -> int:

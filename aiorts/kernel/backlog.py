@@ -14,13 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.kernel.connector import Connector
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.policy import Choice, choose
+from aiorts.model.policy import Choice, Push, choose
 from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import InPort, OutPort
 
 __all__ = ("PeriodicConnector",)
+
+
+# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+_ALL = Push.ALL
 
 
 class PeriodicConnector(Connector):
@@ -112,6 +116,9 @@ class PeriodicConnector(Connector):
     def _period_over(self) -> None:
         with self._guard():
             self._timer = None
+            if self._push is _ALL and self._takes_all():
+                self._move_all()
+                return
             for choice in choose(self._push, self._skip, self._first, len(self._backlog)):
                 if choice is not Choice.SEND:
                     self._leave(choice.value)
@@ -122,6 +129,19 @@ class PeriodicConnector(Connector):
             more = self._arming = bool(self._backlog)
         if more:
             self._arm()
+
+    def _takes_all(self) -> bool:
+        """Whether the reader has room for the whole backlog and there is nothing to stamp or to put in order."""
+        fits = len(self._queue) + len(self._backlog) <= self._length
+        return fits and self._stamp is None and self.in_._tokens is None
+
+    def _move_all(self) -> None:
+        backlog = self._backlog
+        self._arming = False
+        if backlog:
+            self._queue.extend(backlog)
+            backlog.clear()
+            self.in_._arrived(self, False)
 
     def _discard_all(self, reason: str) -> None:
         super()._discard_all(reason)

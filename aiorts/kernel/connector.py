@@ -2,7 +2,8 @@
 
 `OutPort` and `InPort` inline the common case (`out_port.py`, `in_port.py`) and come here for everything else. Only
 `written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment it is
-read. `model/policy.py` and `model/buffer.py` decide; this file carries out.
+read. What an out-port gives to all of its direct connectors alike it counts once, for all of them (`_sent`).
+`model/policy.py` and `model/buffer.py` decide; this file carries out.
 
 Across threads the in-port has a lock, and every path here that touches its queues takes it: the fast path is off for
 such ports.
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from aiorts.kernel.port import UNLOCKED
+from aiorts.kernel.port import OFF, UNLOCKED
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -39,6 +40,7 @@ _SEND = Stamp.SEND
 _RECEIVED = Stamp.RECEIVED
 _REFUSE = Verdict.REFUSE
 _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
+_DISPLACED = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
 
 
 @dataclass(eq=False, slots=True)
@@ -65,6 +67,7 @@ class Connector:
     __slots__ = (
         "_arrived_at",
         "_clock_ns",
+        "_displaced",
         "_dropped",
         "_full",
         "_length",
@@ -72,6 +75,7 @@ class Connector:
         "_push",
         "_queue",
         "_quiet",
+        "_shared",
         "_skip",
         "_stamp",
         "_waiting",
@@ -106,10 +110,16 @@ class Connector:
         self._skip = profile.skip
         self._stamp = profile.stamp
         self._written = 0
+        """Samples written, without those that the out-port counts for all of its direct connectors."""
+        self._shared = False
+        """Whether the out-port's count goes for this connector too."""
+        self._displaced = 0
+        """Samples that a full buffer displaced or refused and `_dropped` does not have yet."""
         self._arrived_at = 0
         """When the newest sample arrived, counted at an in-port with several connectors."""
         self._dropped: dict[str, int] = {}
-        self._waiting: deque[Waiting] = deque()
+        self._waiting: deque[Waiting] | None = None
+        """Who waits for room; the buffer is full as long as there is somebody. None before the first."""
         self._loop = loop
         self._clock_ns = clock_ns
 
@@ -126,15 +136,24 @@ class Connector:
         if self.in_._lock is None and host is not None:
             host.check_loop_thread(f"{self.name}: statistics")
         with self._guard():
-            return ConnectorStatistics(
-                self._written, self.delivered, self._buffered, MappingProxyType(dict(self._dropped))
-            )
+            delivered = self.delivered
+            return ConnectorStatistics(self._total(), delivered, self._buffered, MappingProxyType(dict(self._dropped)))
 
     @property
     def delivered(self) -> int:
         """Samples that were read: what was written, less what was dropped and what is still buffered."""
         with self._guard():
-            return self._written - sum(self._dropped.values()) - self._buffered
+            self._count_displaced()
+            return self._total() - sum(self._dropped.values()) - self._buffered
+
+    def _total(self) -> int:
+        return self._written + self.out._sent if self._shared else self._written
+
+    def share(self, shared: bool, sent: int) -> None:
+        """From now on the out-port counts for this connector, or no longer: it has counted `sent`."""
+        if shared is not self._shared:
+            self._shared = shared
+            self._written += -sent if shared else sent
 
     @property
     def timing(self) -> PublisherTiming | None:
@@ -163,17 +182,30 @@ class Connector:
 
     @property
     def direct(self) -> bool:
-        """Whether a write may go straight into the queue while it has room: nothing to choose, stamp, lock or wait
-        for."""
+        """Whether a write may go straight into the queue: nothing to choose, stamp or lock."""
         return (
             not self.closed
             and not self._quiet
             and self._push is not _SKIP
             and self._stamp is None
-            and not self._waiting
             and self.in_._open
             and self.in_._lock is None
         )
+
+    @property
+    def room(self) -> int:
+        """How many unread samples fit."""
+        return 1 if self._push is _NEW else self._length
+
+    @property
+    def keeps(self) -> bool:
+        """Whether a full buffer keeps what it has."""
+        return self._push is not _NEW and self._full is not FullPolicy.OVERWRITE
+
+    @property
+    def blocks(self) -> bool:
+        """Whether a writer waits while the buffer is full."""
+        return self._push is not _NEW and self._full is _BLOCK
 
     def must_wait(self) -> bool:
         """Whether a sample written now would have to wait for room."""
@@ -237,8 +269,8 @@ class Connector:
 
     def _end_all(self, reason: str) -> None:
         self._discard_all(reason)
-        waiting, self._waiting = self._waiting, deque()
-        for entry in waiting:
+        waiting, self._waiting = self._waiting, None
+        for entry in waiting or ():
             self._written += 1
             self._drop(reason)
             self._resolve(entry)
@@ -250,21 +282,28 @@ class Connector:
         """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
         with self._guard():
             if self.must_wait():
-                entry = Waiting(self, sample, future)
-                self._waiting.append(entry)
-                self._waiting_changed()
-                return entry
+                return self.queue_up(sample, future)
             self.offer(sample)
             return None
+
+    def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
+        """Queue up for room that there is known not to be; across threads the caller holds the lock."""
+        entry = Waiting(self, sample, future)
+        if self._waiting is None:
+            self._waiting = deque()
+        self._waiting.append(entry)
+        self.in_._fast = OFF
+        return entry
 
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""
         with self._guard():
-            if entry not in self._waiting:
+            waiting = self._waiting
+            if entry.done or not waiting or entry not in waiting:
                 return False
-            self._waiting.remove(entry)
-            if not self._waiting:
-                self._waiting_changed()
+            waiting.remove(entry)
+            if not waiting:
+                self.in_._fast = self.in_._direct
             return True
 
     def _admit_waiting(self) -> None:
@@ -273,7 +312,18 @@ class Connector:
         waiting = self._waiting
         if not waiting:
             return
-        while waiting:
+        in_, queue = self.in_, self._queue
+        plain = self._stamp is None and self._push is not _SKIP and in_._lock is None
+        while plain and waiting and len(queue) < self._length:
+            # Written out: the writer and the reader of a full buffer do this once for each sample.
+            entry = waiting.popleft()
+            self._written += 1
+            queue.append(entry.sample)
+            in_._arrived(self, False)
+            entry.done = True
+            if entry.future is not None and not entry.future.done():
+                entry.future.set_result(None)
+        while waiting and not plain:
             sent = admits(self._push, self._skip, self._written + 1)
             if sent and len(self._queue) >= self._length:
                 break
@@ -285,14 +335,8 @@ class Connector:
                 self._drop("skipped")
             self._resolve(entry)
         if not waiting:
-            self._waiting_changed()
-        self.in_._room_made()
-
-    def _waiting_changed(self) -> None:
-        """The fast path is off while somebody waits; across threads it always is."""
-        if self.in_._lock is None:
-            self.out._choose_path()
-            self.in_._choose_path()
+            in_._fast = in_._direct
+        in_._room_made()
 
     def _resolve(self, entry: Waiting) -> None:
         entry.done = True
@@ -309,7 +353,14 @@ class Connector:
     def _guard(self) -> AbstractContextManager[Any]:
         return self.in_._lock or UNLOCKED
 
+    def _count_displaced(self) -> None:
+        if displaced := self._displaced:
+            reason = "superseded" if self._push is _NEW else _DISPLACED[self._full]
+            self._dropped[reason] = self._dropped.get(reason, 0) + displaced
+            self._displaced = 0
+
     def _drop(self, reason: str, count: int = 1) -> None:
+        self._count_displaced()
         self._dropped[reason] = self._dropped.get(reason, 0) + count
 
     def _discard_all(self, reason: str) -> None:

@@ -1,7 +1,8 @@
 """The reading end of a stream: one bounded queue for each connector, read in the order of arrival.
 
-`read` and `read_nowait` write the common case out in full: one connector, no lock. With several connectors the port
-keeps one token, the connector, for each unread sample, so that reading in order costs the same at any number of them.
+`read` and `read_nowait` write the common case out in full: one connector, no lock, nobody who waits for room. With
+several connectors the port keeps one token, the connector, for each unread sample, so that reading in order costs the
+same at any number of them.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from anyio import WouldBlock
 
 from aiorts.errors import BusyError, ClosedError, ReadTimeout, StateError
 from aiorts.kernel.blocking import PortLock
-from aiorts.kernel.port import UNLOCKED, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.port import NOTHING, OFF, UNLOCKED, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.samples import Samples
 from aiorts.model.policy import Stamp
 
 if TYPE_CHECKING:
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 __all__ = ("InPort",)
 
 T = TypeVar("T")
+# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+_READ = Stamp.READ
 
 
 class InPort(Port[T]):
@@ -36,13 +40,15 @@ class InPort(Port[T]):
     __slots__ = (
         "_armed",
         "_arrivals",
+        "_before",
+        "_direct",
         "_last",
         "_open",
+        "_plain",
         "_sole",
         "_sole_delivered",
         "_source",
         "_tokens",
-        "_took",
         "_waiter",
         "_wakes",
     )
@@ -61,8 +67,13 @@ class InPort(Port[T]):
     ) -> None:
         super().__init__(type, unit=unit, shape=shape, doc=doc, name=name, max_connectors=max_connectors)
         self._open = True
-        self._last: T | None = None
-        self._took = False
+        self._last: T = NOTHING
+        """The sample read last, in this cycle of an event context; it sets it aside when the next one begins."""
+        self._before: T | None = None
+        self._direct: deque[T] = OFF
+        """The queue that `_fast` is while nobody waits for room in it."""
+        self._plain = False
+        """Whether reading is the same at every connector: no lock, no stamp, no check."""
         self._tokens: deque[Connector] | None = None
         self._arrivals = 0
         """Samples that arrived while there were several connectors."""
@@ -87,10 +98,11 @@ class InPort(Port[T]):
         Raises:
             WouldBlock: there is none.
         """
-        if queue := self._fast:
-            sample = self._last = queue.popleft()
-            self._took = True
+        try:
+            sample = self._last = self._fast.popleft()
             return sample
+        except IndexError:
+            pass
         return self._read_general()
 
     async def read(self) -> T:
@@ -109,7 +121,6 @@ class InPort(Port[T]):
         while True:
             if queue := self._fast:
                 sample = self._last = queue.popleft()
-                self._took = True
                 return sample
             if self._unread():
                 return self._read_general()
@@ -119,12 +130,11 @@ class InPort(Port[T]):
     def latest(self) -> T | None:
         """The newest unread sample, dropping older ones; asked again it is the same; None before the first."""
         queue = self._fast
-        if queue is not None and len(queue) == 1:
+        if len(queue) == 1:
             sample = self._last = queue.popleft()
-            self._took = True
             return sample
-        if queue is not None and not queue:
-            return self._last
+        if not queue and queue is not OFF:
+            return self._kept()
         return self._latest_general()
 
     def peek(self) -> T | None:
@@ -141,7 +151,6 @@ class InPort(Port[T]):
             samples = list(queue)
             queue.clear()
             self._last = samples[-1]
-            self._took = True
             return samples
         samples = []
         with self._guard():
@@ -152,7 +161,8 @@ class InPort(Port[T]):
     @property
     def is_new(self) -> bool:
         """Whether there is an unread sample; with a pull connector, whether the writer has one."""
-        if (queue := self._fast) is not None:
+        queue = self._fast
+        if queue is not OFF:
             return bool(queue)
         self._bound()
         return self._unread()
@@ -185,7 +195,7 @@ class InPort(Port[T]):
             return self._read_general()
 
     def __aiter__(self) -> AsyncIterator[T]:
-        return _Samples(self)
+        return Samples(self)
 
     # -- the general path ------------------------------------------------------------------------------------------
 
@@ -193,21 +203,19 @@ class InPort(Port[T]):
         return self._lock or UNLOCKED
 
     def _unread(self) -> bool:
-        if (queue := self._fast) is not None:
-            return bool(queue)
-        return any(connector._queue for connector in self._connectors)
+        tokens = self._tokens
+        if tokens is not None:
+            return bool(tokens)
+        sole = self._sole
+        return sole is not None and bool(sole._queue)
 
     def _next(self) -> Connector | None:
         """The connector whose sample is the oldest unread one; the caller holds the lock."""
         tokens = self._tokens
-        if tokens is None:
-            connectors = self._connectors
-            return connectors[0] if connectors and connectors[0]._queue else None
-        while tokens:
-            if tokens[0]._queue:
-                return tokens[0]
-            tokens.popleft()
-        return None
+        if tokens is not None:
+            return tokens[0] if tokens else None
+        sole = self._sole
+        return sole if sole is not None and sole._queue else None
 
     def _newest(self) -> Connector | None:
         """The connector whose sample arrived last of all that are unread; the caller holds the lock."""
@@ -219,6 +227,16 @@ class InPort(Port[T]):
         return newest
 
     def _read_general(self) -> T:
+        if self._plain:
+            # Several connectors, or somebody waits for room: still no lock and nothing to stamp.
+            connector = self._sole
+            if tokens := self._tokens:
+                connector = self._source = tokens.popleft()
+            if connector is not None and (queue := connector._queue):
+                sample = self._last = queue.popleft()
+                if connector._waiting:
+                    connector._admit_waiting()
+                return cast("T", sample)
         self._bound()
         with self._guard():
             connector = self._next()
@@ -228,7 +246,7 @@ class InPort(Port[T]):
             if self._tokens is not None:
                 self._tokens.popleft()
             sample = cast("T", connector.take())
-            self._remember(sample, connector)
+            self._last, self._source = sample, connector
             return sample
 
     def _latest_general(self) -> T | None:
@@ -236,19 +254,17 @@ class InPort(Port[T]):
         with self._guard():
             connector = self._newest()
             if connector is None:
-                return self._last
+                return self._kept()
             sample = cast("T", connector.take_newest())
             for other in self._connectors:
                 if other is not connector:
                     other.discard("superseded")
             self._settle_tokens()
-            self._remember(sample, connector)
+            self._last, self._source = sample, connector
             return sample
 
-    def _remember(self, sample: T, connector: Connector) -> None:
-        self._last = sample
-        self._source = connector
-        self._took = True
+    def _kept(self) -> T | None:
+        return self._before if self._last is NOTHING else self._last
 
     def _settle_tokens(self) -> None:
         """Rebuild the order of arrival after samples left the queues other than one by one from the front."""
@@ -342,7 +358,8 @@ class InPort(Port[T]):
             if self._tokens is not None:
                 self._tokens.clear()
             if is_open:
-                self._last = self._source = self._sole = None
+                self._last, self._before = NOTHING, None
+                self._source = self._sole = None
             self._refresh()
         for connector in self._connectors:
             connector.out._refresh()
@@ -368,25 +385,14 @@ class InPort(Port[T]):
         self._choose_path()
 
     def _choose_path(self) -> None:
-        self._fast = None
-        if len(self._connectors) != 1 or self._lock is not None or self._host is None or self._host.debug:
-            return
-        only = self._connectors[0]
-        if only._waiting or only._stamp is Stamp.READ:
-            return
-        self._fast = only._queue
-
-
-class _Samples(AsyncIterator[T]):
-    """The samples of a port as they come; it ends when the port is closed."""
-
-    __slots__ = ("_port",)
-
-    def __init__(self, port: InPort[T]) -> None:
-        self._port = port
-
-    async def __anext__(self) -> T:
-        try:
-            return await self._port.read()
-        except ClosedError:
-            raise StopAsyncIteration from None
+        self._fast = self._direct = OFF
+        host, connectors = self._host, self._connectors
+        self._plain = (
+            self._lock is None
+            and host is not None
+            and not host.debug
+            and all(connector._stamp is not _READ for connector in connectors)
+        )
+        if self._plain and len(connectors) == 1:
+            self._direct = connectors[0]._queue
+            self._fast = OFF if connectors[0]._waiting else self._direct

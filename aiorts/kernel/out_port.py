@@ -1,23 +1,24 @@
 """The writing end of a stream.
 
 `write` and `write_nowait` write the common case out in full: one connector, one reader, open, room. A Python call
-costs 25-40 ns, so a chain port -> connector -> buffer does not fit the budget. `_refresh` decides whether that path
-is on; nothing on it asks again.
+costs 25-40 ns, so a chain port -> connector -> buffer does not fit the budget. `_deliver` does the same for a full
+buffer and for any number of connectors. `_choose_path` decides at the first write after a change what goes which way;
+nothing on these paths asks again.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 from anyio import WouldBlock
 
 from aiorts.errors import ClosedError, DeclarationError, PortTypeError, RecordError, StateError, WriteTimeout
-from aiorts.kernel.port import UNSUSPENDED, Port, give_turn
-from aiorts.model.policy import Push
+from aiorts.kernel.port import OFF, UNSUSPENDED, Port, give_turn
 
 if TYPE_CHECKING:
     import asyncio
+    from collections import deque
 
     from aiorts.kernel.connector import Connector, Waiting
     from aiorts.kernel.host import PortHost
@@ -36,7 +37,19 @@ class OutPort(Port[T]):
         stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is what the writer said.
     """
 
-    __slots__ = ("_class", "_only", "_reader", "_room", "_shapes", "stamp")
+    __slots__ = (
+        "_blocking",
+        "_class",
+        "_fan",
+        "_merged",
+        "_others",
+        "_reader",
+        "_room",
+        "_sent",
+        "_shapes",
+        "_stale",
+        "stamp",
+    )
 
     direction: ClassVar[str] = "out"
 
@@ -55,10 +68,22 @@ class OutPort(Port[T]):
         if stamp not in (None, "write"):
             raise DeclarationError(f'{name or "out-port"}: stamp is "write" or None, got {stamp!r}')
         self.stamp = stamp
-        self._class: Any = self.type
-        self._only: Connector | None = None
+        self._class: Any = _NoClass
+        """The class of the samples that need no check; none while there must be one."""
         self._reader: InPort[Any] | None = None
         self._room = 0
+        self._sent = 0
+        """Samples written to all direct connectors at once; each of them counts them as its own."""
+        self._stale = True
+        """Whether the connectors changed since the path was chosen."""
+        self._fan: tuple[_Way, ...] = ()
+        """The direct connectors whose reader has no other."""
+        self._merged: tuple[_Way, ...] = ()
+        """The direct connectors whose reader has several, and keeps the order of arrival."""
+        self._others: tuple[Connector, ...] = ()
+        """The connectors that have to choose, stamp or lock."""
+        self._blocking: tuple[_Way, ...] = ()
+        """The direct connectors with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
         """Shapes that a sample must have, and which port says so: this one or a reader."""
 
@@ -90,15 +115,13 @@ class OutPort(Port[T]):
             WouldBlock: a reader with full = block has no room; nobody got the sample.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
         """
-        queue = self._fast
-        if queue is not None and sample.__class__ is self._class:
-            buffered = len(queue)
-            if buffered < self._room:
+        if sample.__class__ is self._class:
+            queue = self._fast
+            if len(queue) < self._room:
                 queue.append(sample)
-                self._only._written += 1  # type: ignore[union-attr] # _refresh set both
-                reader = self._reader
-                if reader._armed:  # type: ignore[union-attr]
-                    reader._notify()  # type: ignore[union-attr]
+                self._sent += 1
+                if self._reader._armed:  # type: ignore[union-attr] # set where there is room
+                    self._reader._notify()  # type: ignore[union-attr]
                 return True
         return self._write_general(sample)
 
@@ -121,17 +144,21 @@ class OutPort(Port[T]):
         else:
             turns.left = UNSUSPENDED
             await give_turn()
-        queue = self._fast
-        if queue is not None and sample.__class__ is self._class:
-            buffered = len(queue)
-            if buffered < self._room:
+        if sample.__class__ is self._class:
+            queue = self._fast
+            if len(queue) < self._room:
                 queue.append(sample)
-                self._only._written += 1  # type: ignore[union-attr] # _refresh set both
-                reader = self._reader
-                if reader._armed:  # type: ignore[union-attr]
-                    reader._notify()  # type: ignore[union-attr]
+                self._sent += 1
+                if self._reader._armed:  # type: ignore[union-attr] # set where there is room
+                    self._reader._notify()  # type: ignore[union-attr]
                 return True
-        return await self._write_waiting(sample)
+        if self._stale:
+            self._choose_path()
+        if sample.__class__ is not self._class:
+            sample = self._checked(sample)
+        if (self._blocking or self._others) and self._without_room() is not None:
+            return await self._write_waiting(sample)
+        return self._deliver(sample)
 
     def write_blocking(self, sample: T, timeout: float | None = None) -> bool:
         """`write` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds or each
@@ -165,19 +192,76 @@ class OutPort(Port[T]):
     # -- the general path ------------------------------------------------------------------------------------------
 
     def _write_general(self, sample: T) -> bool:
-        sample = self._checked(sample)
-        connectors = self._connectors
-        for connector in connectors:
+        if self._stale:
+            self._choose_path()
+        if sample.__class__ is not self._class:
+            sample = self._checked(sample)
+        if (self._blocking or self._others) and (full := self._without_room()) is not None:
+            raise WouldBlock(f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread)")
+        return self._deliver(sample)
+
+    def _without_room(self) -> Connector | None:
+        """A connector that a write would have to wait for."""
+        for queue, room, _, _, connector in self._blocking:
+            if len(queue) >= room:
+                return connector
+        for connector in self._others:
             if connector.must_wait():
-                raise WouldBlock(f"{self.path}: {connector.in_.path} has no room ({connector.profile.length} unread)")
+                return connector
+        return None
+
+    def _deliver(self, sample: T) -> bool:
+        """To every connector; none has to be waited for. All have the sample before anybody is woken."""
         done = True
-        for connector in connectors:
+        rung: list[InPort[Any]] = []
+        for queue, room, keeps, reader, connector in self._fan:
+            if len(queue) < room:
+                queue.append(sample)
+            else:
+                connector._displaced += 1
+                if keeps:
+                    done = False
+                    continue
+                queue.popleft()
+                queue.append(sample)
+            if reader._armed:
+                rung.append(reader)
+        for queue, room, keeps, reader, connector in self._merged:
+            if len(queue) < room:
+                queue.append(sample)
+                reader._tokens.append(connector)  # type: ignore[union-attr] # it has several connectors
+            else:
+                connector._displaced += 1
+                if keeps:
+                    done = False
+                    continue
+                queue.popleft()
+                queue.append(sample)
+            reader._arrivals += 1
+            connector._arrived_at = reader._arrivals
+            if reader._armed:
+                rung.append(reader)
+        self._sent += 1
+        for reader in rung:
+            if reader._armed:
+                reader._notify()
+        for connector in self._others:
             done &= connector.offer(sample)
         return done
 
     async def _write_waiting(self, sample: T) -> bool:
-        done, entries = self._offer(self._checked(sample), self._bound().loop)
-        if entries:
+        loop = self._bound().loop
+        if self._blocking and len(self._connectors) == 1:
+            done, entries = True, [self._connectors[0].queue_up(sample, loop.create_future())]
+        else:
+            done, entries = self._offer(sample, loop)
+        if len(entries) == 1 and entries[0].connector.profile.timeout is None:
+            entry = entries[0]
+            try:
+                await entry.future  # type: ignore[misc] # made by the loop
+            finally:
+                entry.connector.give_up(entry)
+        elif entries:
             await self._wait_for(entries)
         return done
 
@@ -261,22 +345,45 @@ class OutPort(Port[T]):
         return stamped
 
     def _refresh(self) -> None:
-        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in self._connectors))
-        self._shapes = tuple((port, port.shape) for port in ports if port.shape is not None)
-        self._choose_path()
+        # Only noted: with many connectors each change would else cost as much as all of them.
+        self._stale = True
+        self._class = _NoClass
+        self._fast = OFF
+        self._room = 0
 
     def _choose_path(self) -> None:
-        self._fast = None
-        host = self._host
-        if host is None or len(self._connectors) != 1 or self.stamp is not None or self._shapes:
+        host, connectors = self._host, self._connectors
+        if host is None:
             return
-        only = self._connectors[0]
-        if self._type.mutable or host.debug or not only.direct or only.in_._tokens is not None:
+        direct = frozenset(() if host.debug else (connector for connector in connectors if connector.direct))
+        # Two connectors to one reader keep their order: both go the direct way or none does.
+        slow = {connector.in_ for connector in connectors if connector not in direct}
+        direct = frozenset(connector for connector in direct if connector.in_ not in slow)
+        for *_, connector in (*self._fan, *self._merged):
+            connector.share(connector in direct and connector.out is self, self._sent)
+        for connector in direct:
+            connector.share(True, self._sent)
+        ways = [(c._queue, c.room, c.keeps, c.in_, c) for c in connectors if c in direct]
+        self._fan = tuple(way for way in ways if way[3]._tokens is None)
+        self._merged = tuple(way for way in ways if way[3]._tokens is not None)
+        self._others = tuple(connector for connector in connectors if connector not in direct)
+        self._blocking = tuple(way for way in ways if way[4].blocks)
+        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in connectors))
+        self._shapes = tuple((port, port.shape) for port in ports if port.shape is not None)
+        self._stale = False
+        if not connectors or self.stamp is not None or self._shapes or self._type.mutable or host.debug:
             return
-        self._only = only
-        self._reader = only.in_
-        self._room = 1 if only._push is Push.NEW else only._length
-        self._fast = only._queue
+        self._class = self.type
+        if len(connectors) == 1 and self._fan:
+            self._fast, self._room, _, self._reader, _ = self._fan[0]
+
+
+class _NoClass:
+    """The class of no sample."""
+
+
+_Way: TypeAlias = "tuple[deque[Any], int, bool, InPort[Any], Connector]"
+"""A direct connector: the queue, how many samples fit, whether it keeps them when full, who to wake, who counts."""
 
 
 def _raise_late(path: str, late: list[tuple[Connector, float | None]]) -> None:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Generator
 from contextlib import nullcontext
 from types import coroutine
-from typing import TYPE_CHECKING, ClassVar, Final, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 from aiorts.errors import ClosedError
 from aiorts.kernel.port_types import PortType
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import PortHost
 
-__all__ = ("UNLOCKED", "UNSUSPENDED", "Port", "Turns", "give_turn")
+__all__ = ("NOTHING", "OFF", "UNLOCKED", "UNSUSPENDED", "Port", "Turns", "give_turn")
 
 T = TypeVar("T")
 
@@ -25,6 +25,12 @@ UNSUSPENDED: Final = 255
 """Awaited reads and writes that may follow one another without giving the loop a turn."""
 
 UNLOCKED: Final = nullcontext()
+
+OFF: Final[deque[Any]] = deque(maxlen=0)
+"""What a port has for a queue while its fast path is off: there is never anything in it."""
+
+NOTHING: Final[Any] = object()
+"""In the place of an in-port's sample read last, while a cycle of an event context has read none."""
 
 
 class Turns:
@@ -89,7 +95,7 @@ class Port(Generic[T]):
         self.max_connectors = max_connectors
         self._host: PortHost | None = None
         self._connectors: tuple[Connector, ...] = ()
-        self._fast: deque[T] | None = None
+        self._fast: deque[T] = OFF
         self._lock: PortLock | None = None
         self._turns = Turns()
 

@@ -294,3 +294,30 @@ def test_a_port_added_at_run_time_wakes_its_member() -> None:
             assert port._wakes == ()
 
     simulate(main)
+
+
+@pytest.mark.row(28)
+def test_latest_is_still_there_in_a_cycle_without_new_data() -> None:
+    class Asking(Component):
+        inp = InPort(TimedLong)
+        seen: list[int | None]
+
+        async def on_execute(self) -> None:
+            latest = self.inp.latest
+            self.seen.append(None if latest is None else latest.data)
+
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            asking, source = await kernel.add(Asking("asking")), await kernel.add(Sender("sender"))
+            asking.seen = []
+            await kernel.connect(source.output, asking.inp)
+            context = await kernel.start(EventContext(), asking, activate=True)
+            for _ in range(2):
+                source.send(5)
+                await asyncio.sleep(0.01)
+                for _ in range(2):
+                    context.trigger()
+                    await asyncio.sleep(0.01)
+            assert asking.seen == [5] * 6
+
+    simulate(main)

@@ -208,3 +208,18 @@ async def test_new_never_strands_the_newest_sample(anyio_backend: Any) -> None:
             assert received[-1] == 2 * number + 1
         reading.cancel()
         await asyncio.wait([reading])
+
+
+@pytest.mark.row(41)
+async def test_a_reader_is_fast_again_once_nobody_waits_for_room(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        sources, inp = await fan_in(kernel, {"length": 1, "full": "block"})
+        fast = inp._fast
+        await sources[0].out.write(long(1))
+        writer = asyncio.ensure_future(sources[0].out.write(long(2)))
+        await asyncio.sleep(0)
+        assert inp._fast is not fast
+        assert inp.read_nowait().data == 1
+        assert await writer
+        assert inp._fast is fast
+        assert inp.read_nowait().data == 2
