@@ -17,7 +17,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from aiorts.kernel.port import OFF, UNLOCKED
 from aiorts.model.buffer import FullPolicy, Verdict, decide
@@ -86,6 +86,8 @@ class Connector:
         "out",
         "profile",
     )
+    _plain: ClassVar[bool] = True
+    """Whether a sample on its way in may pass by `_push_in`."""
 
     def __init__(
         self,
@@ -313,7 +315,7 @@ class Connector:
         if not waiting:
             return
         in_, queue = self.in_, self._queue
-        plain = self._stamp is None and self._push is not _SKIP and in_._lock is None
+        plain = self._plain and self._stamp is None and self._push is not _SKIP and in_._lock is None
         while plain and waiting and len(queue) < self._length:
             # Written out: the writer and the reader of a full buffer do this once for each sample.
             entry = waiting.popleft()

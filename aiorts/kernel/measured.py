@@ -23,6 +23,7 @@ class MeasuredConnector(Connector):
     """A connector that times each send. See `Connector`."""
 
     __slots__ = ("_monotonic_ns", "_times")
+    _plain = False
 
     def __init__(self, profile: ConnectorProfile, *rest: Any, monotonic_ns: Callable[[], int]) -> None:
         super().__init__(profile, *rest)
@@ -62,6 +63,10 @@ class MeasuredPeriodicConnector(PeriodicConnector):
     def _push_in(self, sample: Any, *, counted: bool = False) -> None:
         super()._push_in(sample, counted=counted)
         self._sent = True
+
+    def _move_all(self) -> None:
+        self._sent = bool(self._backlog)
+        super()._move_all()
 
     def _period_over(self) -> None:
         began_ns = self._now_ns()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort, PeriodicContext
@@ -67,6 +69,21 @@ async def test_a_skipped_or_rejected_sample_is_no_send() -> None:
         assert (skipping.timing.exec.count, rejecting.timing.exec.count) == (3, 2)
         assert skipping.statistics.balanced
         assert rejecting.statistics.balanced
+
+
+@simulated
+async def test_a_writer_that_waited_sends_when_it_is_let_in() -> None:
+    async with Kernel() as kernel:
+        ticker, sink = await kernel.create(Ticker), await kernel.create(Sink)
+        connector = await kernel.connect(ticker.out, sink.inp, full="block", length=1, timeout=None, measure=100)
+        writing = [asyncio.ensure_future(ticker.out.write(TimedLong(0, number))) for number in range(3)]
+        for _ in range(3):
+            await kernel.sleep(2.0)
+            sink.inp.read_nowait()
+        await asyncio.gather(*writing)
+        assert connector.timing is not None
+        assert connector.timing.period.count == 2
+        assert connector.timing.period.max_ns == 2_000_000_000
 
 
 @simulated
