@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.kernel.port import UNLOCKED
 from aiorts.model.buffer import FullPolicy, Verdict, decide
@@ -38,6 +38,7 @@ _SEND = Stamp.SEND
 _RECEIVED = Stamp.RECEIVED
 _REFUSE = Verdict.REFUSE
 _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
+_NOTHING: Final[Mapping[str, int]] = MappingProxyType({})
 
 
 @dataclass(eq=False, slots=True)
@@ -107,8 +108,9 @@ class Connector:
         self._written = 0
         self._arrived_at = 0
         """When the newest sample arrived, counted at an in-port with several connectors."""
-        self._dropped: dict[str, int] = {}
-        self._waiting: deque[Waiting] = deque()
+        self._dropped: Mapping[str, int] = _NOTHING
+        self._waiting: deque[Waiting] | None = None
+        """Who waits for room; None as long as nobody ever did."""
         self._loop = loop
         self._clock_ns = clock_ns
 
@@ -228,8 +230,8 @@ class Connector:
 
     def _end_all(self, reason: str) -> None:
         self._discard_all(reason)
-        waiting, self._waiting = self._waiting, deque()
-        for entry in waiting:
+        waiting, self._waiting = self._waiting, None
+        for entry in waiting or ():
             self._written += 1
             self._drop(reason)
             self._resolve(entry)
@@ -242,6 +244,8 @@ class Connector:
         with self._guard():
             if self.must_wait():
                 entry = Waiting(self, sample, future)
+                if self._waiting is None:
+                    self._waiting = deque()
                 self._waiting.append(entry)
                 self._waiting_changed()
                 return entry
@@ -251,7 +255,7 @@ class Connector:
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""
         with self._guard():
-            if entry not in self._waiting:
+            if not self._waiting or entry not in self._waiting:
                 return False
             self._waiting.remove(entry)
             if not self._waiting:
@@ -301,7 +305,10 @@ class Connector:
         return self.in_._lock or UNLOCKED
 
     def _drop(self, reason: str, count: int = 1) -> None:
-        self._dropped[reason] = self._dropped.get(reason, 0) + count
+        dropped = self._dropped
+        if not isinstance(dropped, dict):
+            dropped = self._dropped = {}
+        dropped[reason] = dropped.get(reason, 0) + count
 
     def _discard_all(self, reason: str) -> None:
         if self._queue:

@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import ClosedError, ConfigurationError, StateError
 from aiorts.kernel.bulkhead import TaskDriver
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 __all__ = ("Context",)
 
 _LOG = logging.getLogger("aiorts.kernel")
+_NO_HOOKS: Final[Mapping[str, HookStatistics]] = MappingProxyType({})
 
 
 class Context:
@@ -64,12 +65,14 @@ class Context:
         self._kernel: Kernel | None = None
         self._driver: Driver | None = None
         self._members: list[Member] = []
-        self._actions: deque[Action] = deque()
+        self._actions: deque[Action] | None = None
+        """What is to be done between cycles; None when there is nothing. Taken by `_next_action`."""
         self._life = Life(self)
         self._requests = Requests(self)
-        self._last_hooks: Mapping[str, HookStatistics] = MappingProxyType({})
+        self._last_hooks = _NO_HOOKS
         self._stopping = False
-        self._updating = False
+        self._updating = 0
+        """How many members have an `on_state_update`."""
         self._order = 0
         self._began: asyncio.Future[None] | None = None
 
@@ -216,7 +219,7 @@ class Context:
 
     def _check_can_add(self, component: Component) -> None:
         """Raise StateError when the component cannot run here."""
-        if any(member.component is component for member in self._members):
+        if any(member.context is self for member in component._rt_members):
             raise StateError(f"{component.name}: is in {self.name} already")
         if component._rt_abandoned is not None:
             raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
@@ -227,7 +230,7 @@ class Context:
                 raise StateError(f"{component.name}: is in {other.name}; a member of a thread context is in no other")
 
     def _make_driver(self, kernel: Kernel) -> Driver:
-        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later, kernel.bus)
+        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._call_at, kernel._call_later, kernel.bus)
 
     # -- members ---------------------------------------------------------------------------------------------------
 
@@ -239,7 +242,7 @@ class Context:
         component = member.component
         self._members.append(member)
         component._rt_members.append(member)
-        self._updating = any(m.updates for m in self._members)
+        self._updating += member.updates
         for port in component.ports.values():
             self._port_added(member, port)
         self._set_ports_open(member)
@@ -247,11 +250,14 @@ class Context:
     def _detach(self, member: Member) -> None:
         member.left = True
         component = member.component
-        if member in self._members:
-            self._members.remove(member)
         if member in component._rt_members:
             component._rt_members.remove(member)
-        self._updating = any(m.updates for m in self._members)
+            # Of ten thousand the last goes first when the context ends.
+            if self._members[-1] is member:
+                self._members.pop()
+            else:
+                self._members.remove(member)
+            self._updating -= member.updates
         for port in component.ports.values():
             self._port_removed(member, port)
         self._set_ports_open(member)
@@ -280,8 +286,8 @@ class Context:
         self._submit(Action(lambda: self._life.finish(member)))
 
     def _member(self, component: Component) -> Member:
-        for member in self._members:
-            if member.component is component:
+        for member in component._rt_members:
+            if member.context is self:
                 return member
         raise StateError(f"{component.name}: is not in {self.name or 'this context'}")
 
@@ -312,9 +318,20 @@ class Context:
         return self._requests.inside()
 
     def _submit(self, action: Action) -> None:
+        if self._actions is None:
+            self._actions = deque()
         self._actions.append(action)
         if self._driver is not None:
             self._driver.kick()
+
+    def _next_action(self) -> Action:
+        """The oldest of what is to be done between cycles, taken out; the caller has looked whether there is one."""
+        actions = self._actions
+        assert actions is not None  # noqa: S101 - the caller has looked
+        action = actions.popleft()
+        if not actions:
+            self._actions = None
+        return action
 
     # -- starting and stopping -------------------------------------------------------------------------------------
 
@@ -322,7 +339,8 @@ class Context:
         """Start with these members; `activate` has them active before the first cycle."""
         self._kernel = kernel
         self._stopping = False
-        self._actions.clear()
+        while self._actions:
+            self._next_action()  # what was wished of it before does not count
         for component in components:
             self._check_can_add(component)
             self._attach(self._new_member(component))
@@ -330,9 +348,11 @@ class Context:
         asked = self._requests.submit(kernel, [self._requests.transition(m, Transition.ACTIVATE) for m in first])
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
-        await asyncio.wait([self._began, self._driver.ended], return_when=asyncio.FIRST_COMPLETED)
+        await self._began
+        self._began = None
         if asked:
             await asyncio.wait([one.future for one in asked])
+            self._requests.forget(asked)
         for one in asked:
             one.result(self.name, None)
 
@@ -354,7 +374,7 @@ class Context:
         for member in tuple(reversed(self._members)):
             self._detach(member)
         while self._actions:
-            action = self._actions.popleft()
+            action = self._next_action()
             if action.done is not None:
                 action.done(ClosedError(f"{self.name}: the context has stopped"))
         self._requests.close()

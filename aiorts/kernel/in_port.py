@@ -345,7 +345,7 @@ class InPort(Port[T]):
                 self._last = self._source = self._sole = None
             self._refresh()
         for connector in self._connectors:
-            connector.out._refresh()
+            connector.out._choose_path()
 
     def _wake_waiter(self) -> None:
         """Let a waiting read find out that the port is gone."""
