@@ -217,7 +217,10 @@ class _ThreadDriver:
         context, component = self.context, member.component
         component._rt_host.thread_id = threading.get_ident()
         component._rt_host.blocking = self._blocking
-        kind, function = member.hooks[hook]
+        try:
+            kind, function = member.hooks[hook]
+        except KeyError:
+            kind, function = member.hook_of(hook)
         watched = context._hooks_wanted()
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None

@@ -247,7 +247,10 @@ class TaskDriver:
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         """Run one hook; whatever comes out of it is this component's affair."""
-        kind, function = member.hooks[hook]
+        try:
+            kind, function = member.hooks[hook]
+        except KeyError:
+            kind, function = member.hook_of(hook)
         context, component = self.context, member.component
         watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:

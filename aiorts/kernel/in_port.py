@@ -195,6 +195,8 @@ class InPort(Port[T]):
     def _unread(self) -> bool:
         if (queue := self._fast) is not None:
             return bool(queue)
+        if self._tokens is not None and self._lock is None:
+            return self._next() is not None  # ten thousand connectors are not asked one by one
         return any(connector._queue for connector in self._connectors)
 
     def _next(self) -> Connector | None:

@@ -39,22 +39,6 @@ class HookTimes:
         self.max_ns = max(self.max_ns, elapsed_ns)
 
 
-class _Hooks(dict[str, tuple[int, Callable[..., Any]]]):
-    """Kind and method of each hook, bound when it first runs: most components have two or three of the twelve."""
-
-    __slots__ = ("_component",)
-
-    def __init__(self, component: Component) -> None:
-        self._component = component
-
-    def __missing__(self, hook: str) -> tuple[int, Callable[..., Any]]:
-        kind = self._component._rt_hook_kinds[hook]
-        if kind == HookKind.ABSENT:
-            return _ABSENT
-        bound = self[hook] = kind, getattr(self._component, hook)
-        return bound
-
-
 class Member:
     """One component in one context."""
 
@@ -84,7 +68,8 @@ class Member:
         self.order = order
         """Position in the order of addition."""
         self.state = LifeCycleState.INACTIVE
-        self.hooks: dict[str, tuple[int, Callable[..., Any]]] = _Hooks(component)
+        self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {}
+        """Kind and method of the hooks that have run; `hook_of` for any."""
         self.updates = component._rt_hook_kinds["on_state_update"] != HookKind.ABSENT
         self.hook = ""
         """The hook that runs now."""
@@ -104,6 +89,14 @@ class Member:
     def active(self) -> bool:
         """Whether it is executed: active and not about to go to error."""
         return self.state is _ACTIVE and self.failure is None and not self.abandoned
+
+    def hook_of(self, hook: str) -> tuple[int, Callable[..., Any]]:
+        """Kind and method of a hook, bound when it first runs: most components have two or three of the twelve."""
+        kind = self.component._rt_hook_kinds[hook]
+        if kind == HookKind.ABSENT:
+            return _ABSENT
+        bound = self.hooks[hook] = kind, getattr(self.component, hook)
+        return bound
 
     def ring(self, port: InPort[Any]) -> None:
         """A sample came in: this member has a cause to run."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import WiringError
 from aiorts.kernel.backlog import PeriodicConnector
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
 
 __all__ = ("plan", "unwire", "wire")
+
+T = TypeVar("T")
 
 
 def plan(
@@ -94,7 +96,7 @@ def unwire(connector: Connector) -> None:
             in_._settle_tokens()
         in_._refresh()
     if in_.shape is not None:
-        out._refresh()
+        out._shapes = _without(out._shapes, (in_, in_.shape))
     _choose_paths(out, in_, several)
 
 
@@ -106,12 +108,12 @@ def _choose_paths(out: OutPort[Any], in_: InPort[Any], several: bool) -> None:
             other.out._choose_path()
 
 
-def _without(connectors: tuple[Connector, ...], connector: Connector) -> tuple[Connector, ...]:
+def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:
     """Of ten thousand the first or the last goes mostly: they end in the order they came, or in reverse."""
-    if connectors[-1] is connector:
-        return connectors[:-1]
-    index = connectors.index(connector)
-    return connectors[:index] + connectors[index + 1 :]
+    if those[-1] == one:
+        return those[:-1]
+    index = those.index(one)
+    return those[:index] + those[index + 1 :]
 
 
 def _check_alive(kernel: Kernel, port: Port[Any]) -> None:
