@@ -88,11 +88,10 @@ class Requests:
     def submit(self, kernel: Kernel, wishes: Sequence[Wish]) -> list[_Asked]:
         """Queue the wishes for somebody who waits."""
         asked = [_Asked(what, steps, kernel) for what, steps in wishes]
-        pending = self._pending
-        if pending is None:
-            pending = self._pending = {}
+        if self._pending is None and asked:
+            self._pending = {}
         for one in asked:
-            pending[one] = None
+            self._pending[one] = None  # type: ignore[index] # made above
             self._context._submit(Action(one.steps, one.done))
         return asked
 
