@@ -140,7 +140,7 @@ class Lines:
         sys.settrace(self._before)
 
     def _trace(self, _frame: FrameType, event: str, _argument: object) -> Any:
-        self._count += event == "line"
+        self._count += event != "return"  # a generator in a one-line loop is called for each item
         return self._trace
 
     def mark(self, step: str) -> None:
