@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -20,7 +21,7 @@ from aiorts.errors import ClosedError, HookAbandoned, StateError
 from aiorts.kernel.blocking import PortLock, blocking_for
 from aiorts.kernel.bus import HookAfter, HookBefore
 from aiorts.kernel.hooks import HookKind, bad_return, coroutine_hooks
-from aiorts.kernel.life import Batch, Call, Step, Wait
+from aiorts.kernel.life import Action, Batch, Call, Step, Wait
 from aiorts.kernel.ports import InPort
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ class ThreadContext(PeriodicContext):
         timing: bool = True,
     ) -> None:
         super().__init__(1.0 if rate is None else rate, overrun=overrun, max_rate=max_rate, name=name, timing=timing)
+        self._actions = deque()  # made now and kept: the loop and the thread both put in what they wish
         self._plan = self._schedule
         self._aborted = False
         self._begun_ns = -1
@@ -76,6 +78,10 @@ class ThreadContext(PeriodicContext):
             # A simulated clock has not moved: hooks that wait for nothing would keep it from ever moving.
             return Wait(self._begun_ns + _LEAST_NS)
         return None
+
+    def _next_action(self) -> Action:
+        assert self._actions is not None  # noqa: S101 - made in __init__
+        return self._actions.popleft()
 
     def _begin_cycle(self) -> Sequence[Member]:
         self._begun_ns = self._now_ns()
@@ -211,7 +217,10 @@ class _ThreadDriver:
         context, component = self.context, member.component
         component._rt_host.thread_id = threading.get_ident()
         component._rt_host.blocking = self._blocking
-        kind, function = member.hooks[hook]
+        try:
+            kind, function = member.hooks[hook]
+        except KeyError:
+            kind, function = member.hook_of(hook)
         watched = context._hooks_wanted()
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None

@@ -42,6 +42,8 @@ class _LeftBehind(BaseException):
 class _DriverTask(asyncio.Task[None]):
     """The task of a context: it knows what a cancellation by somebody else means."""
 
+    __slots__ = ("_aiorts_driver",)
+
     def __init__(self, driver: TaskDriver, life: Coroutine[Any, Any, None]) -> None:
         self._aiorts_driver = driver
         super().__init__(life, loop=driver.loop, name=f"aiorts {driver.context.name}")
@@ -69,6 +71,30 @@ class _DriverTask(asyncio.Task[None]):
 class TaskDriver:
     """Carries out the steps of a context's life in a task of its own."""
 
+    __slots__ = (
+        "__weakref__",
+        "_batch",
+        "_bus",
+        "_call_at",
+        "_ended",
+        "_kicked",
+        "_member",
+        "_over",
+        "_sleeper",
+        "_steps",
+        "_stopped_by_host",
+        "_turn",
+        "_watch",
+        "budget",
+        "call_later",
+        "cancelled_by_others",
+        "context",
+        "deadline",
+        "hooks_run",
+        "loop",
+        "task",
+    )
+
     def __init__(
         self,
         context: Context,
@@ -95,8 +121,18 @@ class TaskDriver:
         self._sleeper: asyncio.Future[None] | None = None
         self._turn: asyncio.Future[bool] | None = None
         self._kicked = False
-        self.ended: asyncio.Future[None] = loop.create_future()
+        self._over = False
+        self._ended: asyncio.Future[None] | None = None
         self.task = _DriverTask(self, self._drive(None))
+
+    @property
+    def ended(self) -> asyncio.Future[None]:
+        """Done when the last step was carried out; made when somebody asks for it first."""
+        if self._ended is None:
+            self._ended = self.loop.create_future()
+            if self._over:
+                self._ended.set_result(None)
+        return self._ended
 
     @property
     def current(self) -> Member | None:
@@ -181,8 +217,9 @@ class TaskDriver:
     def _end(self, error: BaseException | None) -> None:
         self._steps.close()
         self.context._life_ended(error)
-        if not self.ended.done():
-            self.ended.set_result(None)
+        self._over = True
+        if self._ended is not None and not self._ended.done():
+            self._ended.set_result(None)
 
     async def _sleep(self, deadline_ns: int | None) -> None:
         if self._kicked:
@@ -210,7 +247,10 @@ class TaskDriver:
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         """Run one hook; whatever comes out of it is this component's affair."""
-        kind, function = member.hooks[hook]
+        try:
+            kind, function = member.hooks[hook]
+        except KeyError:
+            kind, function = member.hook_of(hook)
         context, component = self.context, member.component
         watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:

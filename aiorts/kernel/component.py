@@ -52,6 +52,13 @@ class Component:
     _rt_port_declarations: ClassVar[dict[str, Port[Any]]] = {}
     _rt_parameter_specs: ClassVar[dict[str, ParameterSpec]] = {}
     _rt_hook_kinds: ClassVar[dict[str, int]] = {}
+    # What few instances ever have stands in the class until then: an instance without it is smaller.
+    _rt_last_error: BaseException | None = None
+    _rt_abandoned: BaseException | None = None
+    """Why it never runs again: a hook ignored every cancellation and was left behind."""
+    _rt_failed_in: tuple[Member, str] | None = None
+    """The hook whose failure is being logged."""
+    _rt_log: ComponentLog | None = None
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -77,13 +84,7 @@ class Component:
         self._rt_kernel: Kernel | None = None
         self._rt_members: list[Member] = []
         self._rt_running: Member | None = None
-        self._rt_last_error: BaseException | None = None
         self._rt_gate = Gate(self)
-        self._rt_abandoned: BaseException | None = None
-        """Why it never runs again: a hook ignored every cancellation and was left behind."""
-        self._rt_failed_in: tuple[Member, str] | None = None
-        """The hook whose failure is being logged."""
-        self._rt_log: ComponentLog | None = None
         self._rt_params = Parameters(self._rt_host.name, self._rt_parameter_specs)
         for parameter in self._rt_params.values():
             setattr(self, parameter.name, parameter.value)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from aiorts.errors import WiringError
 from aiorts.kernel import wiring
 from aiorts.kernel.bus import Connected, Disconnected
+from aiorts.model.numbering import Numbering
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
@@ -24,6 +25,7 @@ class Connections:
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self.connectors: dict[str, Connector] = {}
+        self._numbering = Numbering(self.connectors.__contains__)
 
     def make(self, ports: Sequence[Port[Any]], options: Mapping[str, Any]) -> list[Connector]:
         """Connect every out-port with every in-port.
@@ -46,10 +48,7 @@ class Connections:
         base = given or path
         if given and count == 1 and given in self.connectors:
             raise WiringError(f"{path}: there is a connector named {given!r}; choose another")
-        name, number = base, 2
-        while name in self.connectors:
-            name, number = f"{base}-{number}", number + 1
-        return name
+        return self._numbering.lowest(f"{base}-", 2) if base in self.connectors else base
 
     def check_mine(self, connector: Connector) -> None:
         """Raise WiringError unless it is one of this kernel's, closed or not."""
@@ -62,6 +61,7 @@ class Connections:
             return
         wiring.unwire(connector)
         self.connectors.pop(connector.name, None)
+        self._numbering.free(connector.name)
         self._kernel.bus.publish(Disconnected(connector.profile))
 
     def end_all(self) -> None:

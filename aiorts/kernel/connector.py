@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.kernel.port import OFF, UNLOCKED
 from aiorts.model.buffer import FullPolicy, Verdict, decide
@@ -41,6 +41,7 @@ _RECEIVED = Stamp.RECEIVED
 _REFUSE = Verdict.REFUSE
 _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
 _DISPLACED = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
+_NOTHING: Final[Mapping[str, int]] = MappingProxyType({})
 
 
 @dataclass(eq=False, slots=True)
@@ -119,7 +120,7 @@ class Connector:
         """Samples that a full buffer displaced or refused and `_dropped` does not have yet."""
         self._arrived_at = 0
         """When the newest sample arrived, counted at an in-port with several connectors."""
-        self._dropped: dict[str, int] = {}
+        self._dropped: Mapping[str, int] = _NOTHING
         self._waiting: deque[Waiting] | None = None
         """Who waits for room; the buffer is full as long as there is somebody. None before the first."""
         self._loop = loop
@@ -358,12 +359,18 @@ class Connector:
     def _count_displaced(self) -> None:
         if displaced := self._displaced:
             reason = "superseded" if self._push is _NEW else _DISPLACED[self._full]
-            self._dropped[reason] = self._dropped.get(reason, 0) + displaced
             self._displaced = 0
+            self._note_drop(reason, displaced)
 
     def _drop(self, reason: str, count: int = 1) -> None:
         self._count_displaced()
-        self._dropped[reason] = self._dropped.get(reason, 0) + count
+        self._note_drop(reason, count)
+
+    def _note_drop(self, reason: str, count: int) -> None:
+        dropped = self._dropped
+        if not isinstance(dropped, dict):
+            dropped = self._dropped = {}
+        dropped[reason] = dropped.get(reason, 0) + count
 
     def _discard_all(self, reason: str) -> None:
         if self._queue:

@@ -13,15 +13,15 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import ClosedError, ConfigurationError, StateError
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.life import Action, Life, Wait
-from aiorts.kernel.member import Member, is_open
-from aiorts.kernel.ports import InPort
+from aiorts.kernel.member import Member
+from aiorts.kernel.members import Members
 from aiorts.kernel.requests import Requests, Wish
 from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifeCycleState
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.driver import Driver
     from aiorts.kernel.kernel import Kernel
-    from aiorts.kernel.ports import Port
 
 __all__ = ("Context",)
 
 _LOG = logging.getLogger("aiorts.kernel")
+_NO_HOOKS: Final[Mapping[str, HookStatistics]] = MappingProxyType({})
 
 
-class Context:
+class Context(Members):
     """Base of all execution contexts. Given to `Kernel.start`; ends with `stop` or with its kernel.
 
     Args:
@@ -54,7 +54,7 @@ class Context:
     """Whether a member can be in no other context."""
 
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
-        self.name = check_name(name, "context") if name else ""
+        super().__init__(check_name(name, "context") if name else "")
         self._named = bool(name)
         if deadline is not None and (not isinstance(deadline, int | float) or not 0 < deadline < math.inf):
             raise ConfigurationError(f"{name or self.kind}: deadline = {deadline!r}: expected seconds above 0, or None")
@@ -63,13 +63,12 @@ class Context:
         self.ticks = 0
         self._kernel: Kernel | None = None
         self._driver: Driver | None = None
-        self._members: list[Member] = []
-        self._actions: deque[Action] = deque()
+        self._actions: deque[Action] | None = None
+        """What is to be done between cycles; None when there is nothing. Taken by `_next_action`."""
         self._life = Life(self)
         self._requests = Requests(self)
-        self._last_hooks: Mapping[str, HookStatistics] = MappingProxyType({})
+        self._last_hooks = _NO_HOOKS
         self._stopping = False
-        self._updating = False
         self._order = 0
         self._began: asyncio.Future[None] | None = None
 
@@ -84,11 +83,6 @@ class Context:
     def rate(self) -> float | None:
         """Hz, for contexts that have a rate."""
         return None
-
-    @property
-    def members(self) -> tuple[Component, ...]:
-        """The components in this context, in order of execution."""
-        return tuple(member.component for member in self._members)
 
     @property
     def statistics(self) -> ContextStatistics:
@@ -113,10 +107,6 @@ class Context:
         """What this context is, frozen."""
         members = tuple(member.component.name for member in self._members)
         return ContextProfile(self.name, self.kind, self.rate, self.running, members)
-
-    def state(self, component: Component) -> LifeCycleState:
-        """The life-cycle state of a member; StateError when the component is not one."""
-        return self._member(component).state
 
     def __repr__(self) -> str:
         members = ", ".join(f"{m.component.name}: {m.state}" for m in self._members)
@@ -216,7 +206,7 @@ class Context:
 
     def _check_can_add(self, component: Component) -> None:
         """Raise StateError when the component cannot run here."""
-        if any(member.component is component for member in self._members):
+        if any(member.context is self for member in component._rt_members):
             raise StateError(f"{component.name}: is in {self.name} already")
         if component._rt_abandoned is not None:
             raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
@@ -227,63 +217,14 @@ class Context:
                 raise StateError(f"{component.name}: is in {other.name}; a member of a thread context is in no other")
 
     def _make_driver(self, kernel: Kernel) -> Driver:
-        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._timers.call_at, kernel.call_later, kernel.bus)
-
-    # -- members ---------------------------------------------------------------------------------------------------
+        return TaskDriver(self, self._life.steps(), kernel.loop, kernel._call_at, kernel._call_later, kernel.bus)
 
     def _new_member(self, component: Component) -> Member:
         self._order += 1
         return Member(component, self, self._order)
 
-    def _attach(self, member: Member) -> None:
-        component = member.component
-        self._members.append(member)
-        component._rt_members.append(member)
-        self._updating = any(m.updates for m in self._members)
-        for port in component.ports.values():
-            self._port_added(member, port)
-        self._set_ports_open(member)
-
-    def _detach(self, member: Member) -> None:
-        member.left = True
-        component = member.component
-        if member in self._members:
-            self._members.remove(member)
-        if member in component._rt_members:
-            component._rt_members.remove(member)
-        self._updating = any(m.updates for m in self._members)
-        for port in component.ports.values():
-            self._port_removed(member, port)
-        self._set_ports_open(member)
-
-    def _port_added(self, member: Member, port: Port[object]) -> None:
-        """A member has another port; it is open when the component is."""
-        if isinstance(port, InPort):
-            member.in_ports.append(port)
-            takes = is_open(member.component)
-            if port._open is not takes:
-                port._set_open(takes)
-
-    def _port_removed(self, member: Member, port: Port[object]) -> None:
-        """A member lost a port, or the port lost its member."""
-        if isinstance(port, InPort) and port in member.in_ports:
-            member.in_ports.remove(port)
-
-    def _set_ports_open(self, member: Member) -> None:
-        """In-ports take samples while the component is active somewhere, or is in no context at all."""
-        takes = is_open(member.component)
-        for port in member.component.ports.values():
-            if isinstance(port, InPort) and port._open is not takes:
-                port._set_open(takes)
-
     def _member_finished(self, member: Member) -> None:
         self._submit(Action(lambda: self._life.finish(member)))
-
-    def _member(self, component: Component) -> Member:
-        for member in self._members:
-            if member.component is component:
-                return member
-        raise StateError(f"{component.name}: is not in {self.name or 'this context'}")
 
     # -- asking ----------------------------------------------------------------------------------------------------
 
@@ -312,9 +253,20 @@ class Context:
         return self._requests.inside()
 
     def _submit(self, action: Action) -> None:
+        if self._actions is None:
+            self._actions = deque()
         self._actions.append(action)
         if self._driver is not None:
             self._driver.kick()
+
+    def _next_action(self) -> Action:
+        """The oldest of what is to be done between cycles, taken out; the caller has looked whether there is one."""
+        actions = self._actions
+        assert actions is not None  # noqa: S101 - the caller has looked
+        action = actions.popleft()
+        if not actions:
+            self._actions = None
+        return action
 
     # -- starting and stopping -------------------------------------------------------------------------------------
 
@@ -322,7 +274,8 @@ class Context:
         """Start with these members; `activate` has them active before the first cycle."""
         self._kernel = kernel
         self._stopping = False
-        self._actions.clear()
+        while self._actions:
+            self._next_action()  # what was wished of it before does not count
         for component in components:
             self._check_can_add(component)
             self._attach(self._new_member(component))
@@ -330,9 +283,11 @@ class Context:
         asked = self._requests.submit(kernel, [self._requests.transition(m, Transition.ACTIVATE) for m in first])
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
-        await asyncio.wait([self._began, self._driver.ended], return_when=asyncio.FIRST_COMPLETED)
+        await self._began
+        self._began = None
         if asked:
             await asyncio.wait([one.future for one in asked])
+            self._requests.forget(asked)
         for one in asked:
             one.result(self.name, None)
 
@@ -354,7 +309,7 @@ class Context:
         for member in tuple(reversed(self._members)):
             self._detach(member)
         while self._actions:
-            action = self._actions.popleft()
+            action = self._next_action()
             if action.done is not None:
                 action.done(ClosedError(f"{self.name}: the context has stopped"))
         self._requests.close()

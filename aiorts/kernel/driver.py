@@ -15,9 +15,12 @@ __all__ = ("Driver",)
 class Driver(Protocol):
     """A task on the loop (`bulkhead.py`) or a thread."""
 
-    ended: asyncio.Future[None]
-    """Done when the last step was carried out, or the driver gave up."""
     hooks_run: int
+
+    @property
+    def ended(self) -> asyncio.Future[None]:
+        """Done when the last step was carried out, or the driver gave up."""
+        ...
 
     @property
     def current(self) -> Member | None:

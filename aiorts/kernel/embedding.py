@@ -55,7 +55,7 @@ class Guest:
         if owner is not None and owner._rt_kernel in self.kernels:
             task._aiorts_component = owner
             task._aiorts_creator = _creator(creator)
-            owner._rt_kernel._roster.adopt(task)
+            owner._rt_kernel._roster.adopt(owner, task)
             task.add_done_callback(self._task_done)
         return task
 

@@ -7,7 +7,6 @@ its gate open and pays for looking, no more.
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,7 +22,8 @@ class Gate:
 
     def __init__(self, component: Component) -> None:
         self._component = component
-        self.waiting: deque[asyncio.Future[bool]] = deque()
+        self.waiting: dict[asyncio.Future[bool], None] | None = None
+        """Who waits, first come first; None as long as nobody ever did."""
 
     @property
     def open(self) -> bool:
@@ -32,12 +32,14 @@ class Gate:
 
     async def wait(self, turn: asyncio.Future[bool]) -> bool:
         """Wait for one's turn and enter at once; False when somebody resolved `turn` so, as a deadline does."""
-        self.waiting.append(turn)
+        if self.waiting is None:
+            self.waiting = {}
+        self.waiting[turn] = None
         granted = False
         try:
             granted = await turn
         finally:
-            self.waiting.remove(turn)
+            del self.waiting[turn]
             if not granted:
                 self.pass_on()
         return granted
@@ -46,7 +48,7 @@ class Gate:
         """Let the first who waits come in, when nobody is inside."""
         if self._component._rt_running is not None:
             return
-        for turn in self.waiting:
+        for turn in self.waiting or ():
             if turn.done():
                 # It was let in (or has given up and passes it on itself) and did not run yet.
                 return

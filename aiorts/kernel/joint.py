@@ -35,14 +35,14 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
 
     if not isinstance(context, Context):
         raise DeclarationError(f"{context!r}: expected an execution context such as PeriodicContext(rate=100.0)")
-    if context.running or context in kernel._contexts.values():
+    if context.running or (context.name and kernel._contexts.get(context.name) is context):
         raise StateError(f"{context.name}: runs already")
     for component in components:
         kernel._check_mine(component, "start a context with")
         context._check_can_add(component)
     if len(set(map(id, components))) != len(components):
         raise StateError(f"{context.name or context.kind}: a component was given twice")
-    if not context._named and context.name in ("", *kernel._contexts):
+    if not context._named and (context.name == "" or context.name in kernel._contexts):
         context.name = kernel._free_name(context.kind or type(context).__name__)
     if context.name in kernel._contexts:
         raise InvalidNameError(f"{context.name}: there is a context of that name in {kernel.name}; choose another")

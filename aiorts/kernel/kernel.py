@@ -30,6 +30,7 @@ from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through
 from aiorts.kernel.timers import sleep, timers_for
 from aiorts.model.blame import GcPauses
 from aiorts.model.names import check_name
+from aiorts.model.numbering import Numbering
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
@@ -75,10 +76,14 @@ class Kernel:
         self._roster = Roster(self)
         self._connections = Connections(self)
         self._contexts: dict[str, Context] = {}
+        self._numbering = Numbering(lambda name: name in self._roster.components or name in self._contexts)
         self._log_budget = SharedBudget(self.name, self._summarize_soon)
         self._summary: Cancellable | None = None
         self._timers: Any = None
         self._deadman = Deadman(self)
+        self._clock_ns: Callable[[], int]
+        self._call_at: Callable[[int, Callable[[], None]], Cancellable]
+        self._call_later: Callable[[float, Callable[[], None]], Cancellable]
         self._closed = False
         self._closing: asyncio.Task[None] | None = None
         self._closing_begun: asyncio.Future[StopBudget]
@@ -96,6 +101,8 @@ class Kernel:
         clock = self._clock or current_clock() or SystemClock()
         self._timers = timers_for(clock)
         self._loop, self._clock, self._thread_id = loop, clock, threading.get_ident()
+        # Made once: each look-up of a method makes another, and every connector and context keeps them.
+        self._clock_ns, self._call_at, self._call_later = clock.time_ns, self._timers.call_at, self.call_later
         self._closing_begun = loop.create_future()
         self._timers.acquire()
         add_probe = getattr(clock, "add_probe", None)
@@ -263,10 +270,7 @@ class Kernel:
         await self._roster.remove(component)
 
     def _free_name(self, stem: str) -> str:
-        stem, number = stem.lower(), 0
-        while f"{stem}{number}" in self.components or f"{stem}{number}" in self._contexts:
-            number += 1
-        return f"{stem}{number}"
+        return self._numbering.lowest(stem.lower())
 
     # -- connecting ------------------------------------------------------------------------------------------------
 
@@ -392,6 +396,7 @@ class Kernel:
     def _context_ended(self, context: Context) -> None:
         if self._contexts.get(context.name) is context:
             del self._contexts[context.name]
+            self._numbering.free(context.name)
 
     def _interrupted(self, error: KeyboardInterrupt) -> None:
         """From any thread; once for each interrupt."""

@@ -79,6 +79,8 @@ class Action:
 class Life:
     """The life of one context from its start to its end."""
 
+    __slots__ = ("_context",)
+
     def __init__(self, context: Context) -> None:
         self._context = context
 
@@ -91,7 +93,7 @@ class Life:
         worked = False
         while not context._stopping:
             if context._actions:
-                yield from context._actions.popleft().steps()
+                yield from context._next_action().steps()
                 continue
             wait = context._next_cause()
             if wait is not None:

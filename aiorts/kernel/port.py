@@ -9,7 +9,7 @@ from types import coroutine
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 from aiorts.errors import ClosedError
-from aiorts.kernel.port_types import PortType
+from aiorts.kernel.port_types import port_type
 from aiorts.model.profile import PortProfile
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class Port(Generic[T]):
     def _attach(self, host: PortHost, name: str) -> None:
         self._host = host
         self.name = name
-        self._type = PortType(self.type)
+        self._type = port_type(self.type)
         self._turns = host.turns
 
     @property

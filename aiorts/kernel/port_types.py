@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import is_dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
-__all__ = ("PortType",)
+__all__ = ("PortType", "port_type")
 
 
 class PortType:
@@ -53,3 +54,20 @@ class PortType:
         from aiorts.types import with_tm
 
         return with_tm(sample, tm)
+
+
+_KNOWN: WeakKeyDictionary[type[Any], PortType] = WeakKeyDictionary()
+
+
+def port_type(cls: type[Any]) -> PortType:
+    """What ports of this type know about it, made once.
+
+    Raises:
+        DeclarationError: a value of this type cannot travel.
+    """
+    if not isinstance(cls, type):
+        return PortType(cls)  # says what is wrong
+    known = _KNOWN.get(cls)
+    if known is None:
+        known = _KNOWN[cls] = PortType(cls)
+    return known

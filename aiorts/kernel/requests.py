@@ -33,9 +33,11 @@ Wish: TypeAlias = tuple[str, Callable[[Done], Steps]]
 class Requests:
     """The wishes of one context that somebody waits for."""
 
+    __slots__ = ("_context", "_pending")
+
     def __init__(self, context: Context) -> None:
         self._context = context
-        self._pending: dict[_Asked, None] = {}
+        self._pending: dict[_Asked, None] | None = None
 
     # -- what can be wished for ------------------------------------------------------------------------------------
 
@@ -79,22 +81,33 @@ class Requests:
         finally:
             for one in asked:
                 one.withdraw()
-                self._pending.pop(one, None)
+            self.forget(asked)
         for one in asked:
             one.result(self._context.name, timeout)
 
     def submit(self, kernel: Kernel, wishes: Sequence[Wish]) -> list[_Asked]:
         """Queue the wishes for somebody who waits."""
         asked = [_Asked(what, steps, kernel) for what, steps in wishes]
+        if self._pending is None and asked:
+            self._pending = {}
         for one in asked:
-            self._pending[one] = None
+            self._pending[one] = None  # type: ignore[index] # made above
             self._context._submit(Action(one.steps, one.done))
         return asked
 
+    def forget(self, asked: Sequence[_Asked]) -> None:
+        """Nobody waits for these any more."""
+        if self._pending is None:
+            return
+        for one in asked:
+            self._pending.pop(one, None)
+        if not self._pending:
+            self._pending = None
+
     def close(self) -> None:
         """The context has ended: whatever was not done will not be."""
-        pending, self._pending = self._pending, {}
-        for one in pending:
+        pending, self._pending = self._pending, None
+        for one in pending or ():
             one.done(ClosedError(f"{self._context.name}: the context has stopped; {one.what} was not done"))
 
     def inside(self) -> bool:
@@ -134,6 +147,8 @@ def _resolve(future: asyncio.Future[None]) -> None:
 
 class _Asked:
     """One wish of somebody who waits for it."""
+
+    __slots__ = ("_chance", "_kernel", "_wish", "_withdrawn", "future", "what")
 
     def __init__(self, what: str, wish: Callable[[Done], Steps], kernel: Kernel) -> None:
         self.what = what

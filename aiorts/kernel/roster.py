@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
@@ -39,7 +41,9 @@ class Roster:
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self.components: dict[str, Component] = {}
-        self.tasks: set[asyncio.Task[Any]] = set()
+        self._kinds: Counter[type[Component]] = Counter()
+        """How many there are of each type."""
+        self.tasks: dict[Component, set[asyncio.Task[Any]]] = {}
         """Tasks that components started and that have not ended."""
         self._arriving: dict[Component, asyncio.Future[None]] = {}
         self._leaving: dict[Component, asyncio.Task[BaseException | None]] = {}
@@ -89,6 +93,7 @@ class Roster:
         component._rt_kernel = kernel
         component._rt_host.kernel = kernel
         self.components[component.name] = component
+        self._kinds[type(component)] += 1
         arrived = self._arriving[component] = kernel.loop.create_future()
         try:
             await self._initialize(component)
@@ -123,7 +128,7 @@ class Roster:
             raise InvalidNameError(f"{name}: there is a component of that name in {self._kernel.name}; choose another")
         limit = kind.max_instance
         if limit is not None:
-            count = sum(type(other) is kind for other in self.components.values())
+            count = self._kinds[kind]
             if count >= limit:
                 raise StateError(f"{name}: {kind.__name__} allows {limit} instances, {count} exist")
 
@@ -187,7 +192,7 @@ class Roster:
         embedding.settle(self._kernel, self._kernel.loop)
         for component in reversed(tuple(self.components.values())):
             await self._finalize(component, budget)
-        await self._end_tasks(self.tasks, budget)
+        await self._end_tasks([task for tasks in self.tasks.values() for task in tasks], budget)
         embedding.settle(self._kernel, self._kernel.loop)
 
     async def _finalize(self, component: Component, budget: StopBudget) -> None:
@@ -203,21 +208,29 @@ class Roster:
             component.log.error("on_finalize failed: %s: %s", type(error).__name__, error, exc_info=error)
             if isinstance(error, KeyboardInterrupt):
                 kernel._interrupted(error)
-        await self._end_tasks([task for task in self.tasks if _is_of(task, component)], budget)
+        await self._end_tasks(self.tasks.get(component, ()), budget)
         self._forget(component)
-        component.log.flush()
+        if component._rt_log is not None:
+            component._rt_log.flush()
         kernel.bus.publish(ComponentRemoved(component.name))
 
     def _forget(self, component: Component) -> None:
         self._disconnect(component)
-        self.components.pop(component.name, None)
+        if self.components.pop(component.name, None) is not None:
+            self._leave_out(component)
         component._rt_host.alive = False
         for port in component.ports.values():
             if isinstance(port, InPort):
                 port._wake_waiter()
-        for task in self.tasks:
-            if _is_of(task, component):
-                task.cancel()
+        for task in tuple(self.tasks.get(component, ())):
+            task.cancel()
+
+    def _leave_out(self, component: Component) -> None:
+        kind = type(component)
+        self._kinds[kind] -= 1
+        if not self._kinds[kind]:
+            del self._kinds[kind]
+        self._kernel._numbering.free(component.name)
 
     def _disconnect(self, component: Component) -> None:
         for port in component.ports.values():
@@ -245,10 +258,17 @@ class Roster:
 
     # -- what they started -----------------------------------------------------------------------------------------
 
-    def adopt(self, task: asyncio.Task[Any]) -> None:
+    def adopt(self, component: Component, task: asyncio.Task[Any]) -> None:
         """A task that a component started."""
-        self.tasks.add(task)
-        task.add_done_callback(self.tasks.discard)
+        self.tasks.setdefault(component, set()).add(task)
+        task.add_done_callback(partial(self._disown, component))
+
+    def _disown(self, component: Component, task: asyncio.Task[Any]) -> None:
+        tasks = self.tasks.get(component)
+        if tasks is not None:
+            tasks.discard(task)
+            if not tasks:
+                del self.tasks[component]
 
     def task_failed(self, component: Component, name: str, error: BaseException) -> None:
         """A task that a component started has failed and nobody asked for its exception."""
@@ -275,12 +295,9 @@ class Roster:
             _, left = await asyncio.wait(left, timeout=budget.grace)
         for task in left:
             _LOG.error("task %s ignored %s cancellations and was left behind", task.get_name(), CANCELLATIONS)
-            self.tasks.discard(task)
+            if (owner := owner_of(task)) is not None:
+                self._disown(owner, task)
             leave_behind(task)
-
-
-def _is_of(task: asyncio.Task[Any], component: Component) -> bool:
-    return getattr(task, "_aiorts_component", None) is component
 
 
 def _log_error(task: asyncio.Task[BaseException | None]) -> None:

@@ -5,8 +5,9 @@ Either all connectors of one `connect` come into being or none.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import WiringError
 from aiorts.kernel.backlog import PeriodicConnector
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
 
 __all__ = ("plan", "unwire", "wire")
+
+T = TypeVar("T")
 
 
 def plan(
@@ -42,57 +45,73 @@ def plan(
     base, limits = connector_profile(where, options, "", paths)
     allow = limits.get("allow_duplicate", False)
     pairs = [(out, in_) for out in outs for in_ in ins]
-    for number, (out, in_) in enumerate(pairs):
+    seen: set[tuple[OutPort[Any], InPort[Any]]] = set()
+    for out, in_ in pairs:
         _check_pair(out, in_)
         if allow:
             continue
-        if (out, in_) in pairs[:number] or any(connector.in_ is in_ for connector in out.connectors):
+        if (out, in_) in seen or _connected(out, in_):
             raise WiringError(
                 f"{out.path} -> {in_.path}: connected already; allow_duplicate=True makes a second connector"
             )
+        seen.add((out, in_))
     _check_stamp(base, pairs)
-    for port in dict.fromkeys(ports):
-        _check_limit(port, sum(port in pair for pair in pairs), limits)
+    for port, count in Counter(port for pair in pairs for port in pair).items():
+        _check_limit(port, count, limits)
     return [(out, in_, base) for out, in_ in pairs]
 
 
 def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> Connector:
     """Make the connector and put it in force."""
-    loop, clock = kernel.loop, kernel.clock
+    loop, clock, clock_ns = kernel.loop, kernel.clock, kernel._clock_ns
     connector: Connector
     if profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH:
         periodic = MeasuredPeriodicConnector if profile.measure else PeriodicConnector
-        connector = periodic(
-            profile, out, in_, loop, clock.time_ns, timers=kernel._timers, clock_now_ns=clock.monotonic_ns
-        )
+        connector = periodic(profile, out, in_, loop, clock_ns, timers=kernel._timers, clock_now_ns=clock.monotonic_ns)
     elif profile.measure:
-        connector = MeasuredConnector(profile, out, in_, loop, clock.time_ns, monotonic_ns=clock.monotonic_ns)
+        connector = MeasuredConnector(profile, out, in_, loop, clock_ns, monotonic_ns=clock.monotonic_ns)
     else:
-        connector = Connector(profile, out, in_, loop, clock.time_ns)
+        connector = Connector(profile, out, in_, loop, clock_ns)
     if out._host is not None and in_._host is not None and (out._host.threaded or in_._host.threaded):
         in_._make_locked()
+    several = in_._tokens is not None
     with in_._guard():
         in_._connectors += (connector,)
         in_._refresh()
     out._connectors += (connector,)
-    for other in in_._connectors:
-        other.out._refresh()
+    _refresh_writers(out, in_, several)
     return connector
 
 
 def unwire(connector: Connector) -> None:
     """Take the connector out of force: what is queued in it is dropped, writers that wait go on."""
     out, in_ = connector.out, connector.in_
-    out._connectors = tuple(other for other in out._connectors if other is not connector)
+    out._connectors = _without(out._connectors, connector)
+    several = in_._tokens is not None
     with in_._guard():
+        unread = connector.unread
         connector.close()
-        in_._connectors = tuple(other for other in in_._connectors if other is not connector)
-        if in_._tokens is not None:
+        in_._connectors = _without(in_._connectors, connector)
+        if several and unread:
             in_._settle_tokens()
         in_._refresh()
+    _refresh_writers(out, in_, several)
+
+
+def _refresh_writers(out: OutPort[Any], in_: InPort[Any], several: bool) -> None:
+    """The way of a write depends on its port's own connectors and on whether its reader has others."""
     out._refresh()
-    for other in in_._connectors:
-        other.out._refresh()
+    if several is (in_._tokens is None):
+        for other in in_._connectors:
+            other.out._refresh()
+
+
+def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:
+    """Of ten thousand the first or the last goes mostly: they end in the order they came, or in reverse."""
+    if those[-1] == one:
+        return those[:-1]
+    index = those.index(one)
+    return those[:index] + those[index + 1 :]
 
 
 def _check_alive(kernel: Kernel, port: Port[Any]) -> None:
@@ -104,6 +123,13 @@ def _check_alive(kernel: Kernel, port: Port[Any]) -> None:
         )
     if port._removed():
         raise WiringError(f"{port.path}: this port or its component was removed")
+
+
+def _connected(out: OutPort[Any], in_: InPort[Any]) -> bool:
+    # A thousand may hang on one of the two.
+    if len(out.connectors) <= len(in_.connectors):
+        return any(connector.in_ is in_ for connector in out.connectors)
+    return any(connector.out is out for connector in in_.connectors)
 
 
 def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:

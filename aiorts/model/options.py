@@ -28,6 +28,8 @@ MEASURED_SENDS: Final = 1000
 
 E = TypeVar("E", bound=StrEnum)
 
+_NO_EXTRA: Final[Mapping[str, str]] = MappingProxyType({})
+
 _EITHER_SIDE: Final[tuple[tuple[str, str], ...]] = (
     # OpenRTM key, ours. Later rows win over earlier ones.
     ("dataflow_type", "dataflow"),
@@ -122,7 +124,7 @@ def connector_profile(
         timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
         stamp=get.choice("stamp", Stamp, None) if own.get("stamp") else None,
         measure=_measured(where, own, get),
-        extra=MappingProxyType(extra),
+        extra=MappingProxyType(extra) if extra else _NO_EXTRA,
     )
     limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}
     for key in ("fan_in", "fan_out"):

@@ -52,7 +52,7 @@ class ObeysInTheMiddle(ExternalContext):
             return
         for step in action.steps():
             if isinstance(step, Call):
-                step.member.hooks[step.hook][1](*step.args)
+                step.member.hook_of(step.hook)[1](*step.args)
 
 
 class Reenters(ExternalContext):
@@ -64,7 +64,7 @@ class Reenters(ExternalContext):
             for hook in ("on_execute", "on_state_update"):
                 for member in self._members:
                     if member.state is LifeCycleState.ACTIVE:
-                        result: Any = member.hooks[hook][1]()
+                        result: Any = member.hook_of(hook)[1]()
                         if result is not None:
                             await result
 
