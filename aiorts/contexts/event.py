@@ -82,15 +82,15 @@ class EventContext(Context):
         self._ready = [member for member in ready if _has_cause(member)]
         return None if self._ready else _FOR_EVER
 
-    def _alone(self) -> Member | None:
+    def _alone(self) -> tuple[Member, ...]:
         # Written out: this stands between a sample and the hook it is for.
         ready = self._ready
         if len(ready) != 1 or self._actions or self._stopping or self._updating:
-            return None
+            return ()
         member = ready[0]
         rung = member.rung
         if len(rung) != 1 or not rung[0]._fast or member.state is not _ACTIVE or member.failure is not None:
-            return None
+            return ()
         ready.clear()
         rung[0]._armed = True
         rung.clear()
@@ -98,7 +98,7 @@ class EventContext(Context):
         for port in member.in_ports:
             port._took = False
         self.ticks += 1
-        return member
+        return (member,)
 
     def _begin_cycle(self) -> Sequence[Member]:
         ready, self._ready = self._ready, []

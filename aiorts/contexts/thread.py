@@ -231,7 +231,7 @@ class _ThreadDriver:
         if self._gone:
             return None
         self._member = component._rt_running = None
-        member.hook = ""
+        member.hook = "on_execute"
         if context._stopping and isinstance(error, ClosedError):
             error = None  # a blocking read or write was woken to let the context stop
         if context.timing:

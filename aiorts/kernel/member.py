@@ -22,18 +22,21 @@ _ACTIVE = LifeCycleState.ACTIVE
 class HookTimes:
     """How often a hook ran and how long it took, in nanoseconds."""
 
-    __slots__ = ("count", "max_ns", "total_ns")
+    __slots__ = ("count", "last_ns", "max_ns", "total_ns")
 
     def __init__(self) -> None:
         self.count = 0
         self.total_ns = 0
         self.max_ns = 0
+        self.last_ns = 0
 
     def add(self, elapsed_ns: int) -> None:
         """One more run."""
         self.count += 1
         self.total_ns += elapsed_ns
-        self.max_ns = max(self.max_ns, elapsed_ns)
+        self.last_ns = elapsed_ns
+        if elapsed_ns > self.max_ns:
+            self.max_ns = elapsed_ns
 
 
 class Member:
@@ -41,8 +44,11 @@ class Member:
 
     __slots__ = (
         "abandoned",
+        "awaits",
         "component",
         "context",
+        "execute",
+        "execute_times",
         "failure",
         "finishing",
         "hook",
@@ -52,6 +58,7 @@ class Member:
         "order",
         "ready",
         "rung",
+        "runs",
         "started",
         "state",
         "times",
@@ -68,9 +75,14 @@ class Member:
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {
             hook: (kind, getattr(component, hook)) for hook, kind in component._rt_hook_kinds.items()
         }
+        kind, self.execute = self.hooks["on_execute"]
+        """What every cycle runs, its kind and its times (from the first run on), laid out for the cycle."""
+        self.runs = kind != HookKind.ABSENT
+        self.awaits = kind == HookKind.ASYNC
+        self.execute_times: HookTimes | None = None
         self.updates = self.hooks["on_state_update"][0] != HookKind.ABSENT
-        self.hook = ""
-        """The hook that runs now."""
+        self.hook = "on_execute"
+        """The hook that runs now, while one runs."""
         self.failure: BaseException | None = None
         """What it is in error for, or about to be."""
         self.abandoned = False
@@ -112,6 +124,8 @@ class Member:
         times = self.times.get(hook)
         if times is None:
             times = self.times[hook] = HookTimes()
+            if hook == "on_execute":
+                self.execute_times = times
         return times
 
 
