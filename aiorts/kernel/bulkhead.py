@@ -234,15 +234,15 @@ class TaskDriver:
         task, timing = self.task, context.timing
         begun_ns = now_ns() if timing else 0
         for member in members:
-            component = member.component
-            waiting = component._rt_gate.waiting
+            gate = member.gate
+            waiting = gate.waiting
             if (
                 member.state is not _ACTIVE
                 or member.failure is not None
                 or member.left
                 or member.abandoned
                 or not member.runs
-                or component._rt_running is not None
+                or gate.inside is not None
                 or waiting
                 or self._careful
                 or bus.hooks_wanted
@@ -254,19 +254,20 @@ class TaskDriver:
                     begun_ns = now_ns()
                 continue
             error = None
-            self._member = component._rt_running = member
+            self._member = gate.inside = member
             self.hooks_run += 1
             try:
-                result = await member.execute() if member.awaits else member.execute()
+                execute = member.execute
+                result = await execute() if member.awaits else execute()
             except BaseException as raised:  # noqa: BLE001 - the border round a hook
                 error, result = raised, None
             if error is not None or result is not None or self._careful:
                 if self.task is not task:
                     raise _LeftBehind
                 error = await self._outcome(member, "on_execute", error, result)
-            self._member = component._rt_running = None
+            self._member = gate.inside = None
             if waiting:
-                component._rt_gate.pass_on()
+                gate.pass_on()
             if timing:
                 ended_ns = now_ns()
                 times = member.execute_times or member.timed("on_execute")
@@ -284,11 +285,11 @@ class TaskDriver:
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         """Run one hook; whatever comes out of it is this component's affair."""
         kind, function = member.hooks[hook]
-        context, component = self.context, member.component
+        context, component, gate = self.context, member.component, member.gate
         watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
-        if component._rt_running is not None or component._rt_gate.waiting:
+        if gate.inside is not None or gate.waiting:
             busy = await self._wait_for_turn(member, hook)
             if busy is not None or member.abandoned:
                 return busy
@@ -298,7 +299,7 @@ class TaskDriver:
         if self.deadline is not None or self.budget is not None:
             self._watch = Watch(self)
             self._watch.arm()
-        self._member = component._rt_running = member
+        self._member = gate.inside = member
         member.hook = hook
         self.hooks_run += 1
         task = self.task
@@ -316,10 +317,10 @@ class TaskDriver:
             raise _LeftBehind
         if error is not None or result is not None or self._watch is not None or self.cancelled_by_others:
             error = await self._outcome(member, hook, error, result)
-        self._member = component._rt_running = None
+        self._member = gate.inside = None
         member.hook = "on_execute"
-        if component._rt_gate.waiting:
-            component._rt_gate.pass_on()
+        if gate.waiting:
+            gate.pass_on()
         if context.timing:
             member.timed(hook).add(context._now_ns() - started_ns)
         if watched:
@@ -334,13 +335,13 @@ class TaskDriver:
         if self.budget is not None:
             timer = self.loop.call_later(self.budget.limit, _resolve, turn, False)
         try:
-            if await component._rt_gate.wait(turn):
+            if await member.gate.wait(turn):
                 return None
         finally:
             self._turn = None
             if timer is not None:
                 timer.cancel()
-        inside = component._rt_running
+        inside = member.gate.inside
         where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
         return HookTimeout(f"{component.name}.{hook}: did not run: the component was busy in {where}")
 
@@ -414,10 +415,10 @@ class TaskDriver:
         for other in component._rt_members:
             other.abandoned = True
         self._member, self._watch = None, None
-        component._rt_running = None
+        member.gate.inside = None
         member.hook = "on_execute"
         self.cancelled_by_others = False
-        component._rt_gate.pass_on()
+        member.gate.pass_on()
         if self.context._hooks_wanted():
             self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:

@@ -76,9 +76,8 @@ class Component:
         self._rt_named = bool(name)
         self._rt_kernel: Kernel | None = None
         self._rt_members: list[Member] = []
-        self._rt_running: Member | None = None
         self._rt_last_error: BaseException | None = None
-        self._rt_gate = Gate(self)
+        self._rt_gate = Gate()
         self._rt_abandoned: BaseException | None = None
         """Why it never runs again: a hook ignored every cancellation and was left behind."""
         self._rt_failed_in: tuple[Member, str] | None = None
@@ -112,8 +111,9 @@ class Component:
     @property
     def context(self) -> Context:
         """The execution context that runs this hook; outside of hooks the only one; StateError where that is nobody."""
-        if self._rt_running is not None:
-            return self._rt_running.context
+        running = self._rt_running
+        if running is not None:
+            return running.context
         if len(self._rt_members) == 1:
             return self._rt_members[0].context
         raise StateError(f"{self.name}: is in {len(self._rt_members)} contexts and no hook runs; say which")
@@ -147,6 +147,11 @@ class Component:
             kernel = self.kernel
             self._rt_log = ComponentLog(self._rt_log_fields, kernel.clock.monotonic_ns, shared=kernel._log_budget)
         return self._rt_log
+
+    @property
+    def _rt_running(self) -> Member | None:
+        """The member whose hook runs now."""
+        return self._rt_gate.inside
 
     def _rt_log_fields(self) -> LogFields:
         kernel = self._rt_kernel.name if self._rt_kernel is not None else ""

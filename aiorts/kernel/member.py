@@ -51,6 +51,7 @@ class Member:
         "execute_times",
         "failure",
         "finishing",
+        "gate",
         "hook",
         "hooks",
         "in_ports",
@@ -69,6 +70,7 @@ class Member:
     def __init__(self, component: Component, context: Context, order: int) -> None:
         self.component = component
         self.context = context
+        self.gate = component._rt_gate
         self.order = order
         """Position in the order of addition."""
         self.state = LifeCycleState.INACTIVE
