@@ -22,7 +22,6 @@ from aiorts.kernel.life import Batch, Call, Steps, Wait, first_pass
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, leave_behind, owner_of
 from aiorts.kernel.watch import Watch
-from aiorts.model.lifecycle import LifeCycleState
 
 if TYPE_CHECKING:
     from aiorts.kernel.context import Context
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 __all__ = ("TaskDriver",)
 
 _LOG = logging.getLogger("aiorts.kernel")
-# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
-_ACTIVE = LifeCycleState.ACTIVE
 _ABSENT = HookKind.ABSENT
 _ASYNC = HookKind.ASYNC
 _NOTHING_LEFT = Batch(iter(()), first_pass)
@@ -231,54 +228,46 @@ class TaskDriver:
         Between two hooks nothing runs but this: the end of one is the beginning of the next.
         """
         context, bus, now_ns = self.context, self._bus, self.context._now_ns
-        task, timing = self.task, context.timing
+        task, timing, careful, run = self.task, context.timing, self._careful, self.hooks_run
         begun_ns = now_ns() if timing else 0
+        error = None
         for member in members:
-            gate = member.gate
-            waiting = gate.waiting
-            if (
-                member.state is not _ACTIVE
-                or member.failure is not None
-                or member.left
-                or member.abandoned
-                or not member.runs
-                or gate.inside is not None
-                or waiting
-                or self._careful
-                or bus.hooks_wanted
-            ):
+            execute, gate = member.execute, member.gate
+            if execute is None or gate.inside is not None or gate.waiting or careful or bus.hooks_wanted:
                 hook = first_pass(member)
                 if hook:
                     await self._run_and_record(member, hook)
+                    careful, run = self._careful, self.hooks_run
                 if timing:
                     begun_ns = now_ns()
                 continue
-            error = None
             self._member = gate.inside = member
-            self.hooks_run += 1
+            self.hooks_run = run = run + 1
             try:
-                execute = member.execute
                 result = await execute() if member.awaits else execute()
             except BaseException as raised:  # noqa: BLE001 - the border round a hook
-                error, result = raised, None
-            if error is not None or result is not None or self._careful:
+                error = result = raised
+            if result is not None or self._careful:
                 if self.task is not task:
                     raise _LeftBehind
                 error = await self._outcome(member, "on_execute", error, result)
+                careful = self._careful
             self._member = gate.inside = None
-            if waiting:
+            if gate.waiting:
                 gate.pass_on()
             if timing:
                 ended_ns = now_ns()
                 times = member.execute_times or member.timed("on_execute")
+                elapsed_ns = ended_ns - begun_ns
+                begun_ns = ended_ns
                 times.count += 1
-                times.last_ns = elapsed_ns = ended_ns - begun_ns
                 times.total_ns += elapsed_ns
+                times.last_ns = elapsed_ns
                 if elapsed_ns > times.max_ns:
                     times.max_ns = elapsed_ns
-                begun_ns = ended_ns
             if error is not None:
                 context._life.failed(member, "on_execute", error)
+                error = None
                 if timing:
                     begun_ns = now_ns()
 

@@ -22,8 +22,8 @@ class Gate:
     def __init__(self) -> None:
         self.inside: Member | None = None
         """The member whose hook runs now."""
-        self.waiting: list[asyncio.Future[bool]] = []
-        """Who wants to come in, in the order they came; always this list."""
+        self.waiting: list[asyncio.Future[bool]] | None = None
+        """Who wants to come in, in the order they came."""
 
     @property
     def open(self) -> bool:
@@ -32,12 +32,17 @@ class Gate:
 
     async def wait(self, turn: asyncio.Future[bool]) -> bool:
         """Wait for one's turn and enter at once; False when somebody resolved `turn` so, as a deadline does."""
-        self.waiting.append(turn)
+        if self.waiting is None:
+            self.waiting = []
+        waiting = self.waiting
+        waiting.append(turn)
         granted = False
         try:
             granted = await turn
         finally:
-            self.waiting.remove(turn)
+            waiting.remove(turn)
+            if not waiting:
+                self.waiting = None
             if not granted:
                 self.pass_on()
         return granted
@@ -46,7 +51,7 @@ class Gate:
         """Let the first who waits come in, when nobody is inside."""
         if self.inside is not None:
             return
-        for turn in self.waiting:
+        for turn in self.waiting or ():
             if turn.done():
                 # It was let in (or has given up and passes it on itself) and did not run yet.
                 return

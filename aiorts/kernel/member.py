@@ -43,25 +43,25 @@ class Member:
     """One component in one context."""
 
     __slots__ = (
-        "abandoned",
+        "_abandoned",
+        "_execute",
+        "_failure",
+        "_left",
+        "_state",
         "awaits",
         "component",
         "context",
         "execute",
         "execute_times",
-        "failure",
         "finishing",
         "gate",
         "hook",
         "hooks",
         "in_ports",
-        "left",
         "order",
         "ready",
         "rung",
-        "runs",
         "started",
-        "state",
         "times",
         "triggered",
         "updates",
@@ -73,23 +73,22 @@ class Member:
         self.gate = component._rt_gate
         self.order = order
         """Position in the order of addition."""
-        self.state = LifeCycleState.INACTIVE
+        self._state = LifeCycleState.INACTIVE
+        self._failure: BaseException | None = None
+        self._abandoned = self._left = False
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {
             hook: (kind, getattr(component, hook)) for hook, kind in component._rt_hook_kinds.items()
         }
-        kind, self.execute = self.hooks["on_execute"]
-        """What every cycle runs, its kind and its times (from the first run on), laid out for the cycle."""
-        self.runs = kind != HookKind.ABSENT
+        kind, function = self.hooks["on_execute"]
+        self._execute = None if kind == HookKind.ABSENT else function
         self.awaits = kind == HookKind.ASYNC
+        self.execute: Callable[..., Any] | None = None
+        """`on_execute` where it is the next cycle's affair: it is there, and the member active. And its times."""
         self.execute_times: HookTimes | None = None
         self.updates = self.hooks["on_state_update"][0] != HookKind.ABSENT
         self.hook = "on_execute"
         """The hook that runs now, while one runs."""
-        self.failure: BaseException | None = None
-        """What it is in error for, or about to be."""
-        self.abandoned = False
         self.finishing = False
-        self.left = False
         self.started = False
         self.ready = False
         self.in_ports: list[InPort[Any]] = []
@@ -97,10 +96,57 @@ class Member:
         self.triggered = False
         self.times: dict[str, HookTimes] = {}
 
+    # -- what decides whether it is executed: set, each of these lays out anew what a cycle looks at ---------------
+
+    @property
+    def state(self) -> LifeCycleState:
+        """The life-cycle state in this context."""
+        return self._state
+
+    @state.setter
+    def state(self, state: LifeCycleState) -> None:
+        self._state = state
+        self._settle()
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What it is in error for, or about to be."""
+        return self._failure
+
+    @failure.setter
+    def failure(self, failure: BaseException | None) -> None:
+        self._failure = failure
+        self._settle()
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether one of the component's hooks was left behind: none runs again."""
+        return self._abandoned
+
+    @abandoned.setter
+    def abandoned(self, abandoned: bool) -> None:
+        self._abandoned = abandoned
+        self._settle()
+
+    @property
+    def left(self) -> bool:
+        """Whether it is no longer in the context."""
+        return self._left
+
+    @left.setter
+    def left(self, left: bool) -> None:
+        self._left = left
+        self._settle()
+
+    def _settle(self) -> None:
+        self.execute = self._execute if self.active and not self._left else None
+
     @property
     def active(self) -> bool:
         """Whether it is executed: active and not about to go to error."""
-        return self.state is _ACTIVE and self.failure is None and not self.abandoned
+        return self._state is _ACTIVE and self._failure is None and not self._abandoned
+
+    # -- causes to run, and what is known of its runs --------------------------------------------------------------
 
     def ring(self, port: InPort[Any]) -> None:
         """A sample came in: this member has a cause to run."""
