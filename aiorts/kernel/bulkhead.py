@@ -257,7 +257,9 @@ class TaskDriver:
                 gate.pass_on()
             if timing:
                 ended_ns = now_ns()
-                times = member.execute_times or member.timed("on_execute")
+                times = member.execute_times
+                if times is None:
+                    times = member.timed("on_execute")
                 elapsed_ns = ended_ns - begun_ns
                 begun_ns = ended_ns
                 times.count += 1
