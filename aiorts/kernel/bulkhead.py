@@ -87,7 +87,6 @@ class TaskDriver:
         self.hooks_run = 0
         self._stopped_by_host = False
         self.cancelled_by_others = False
-        self._debug = context._require_kernel().debug
         self._careful = False
         """Whether hooks take the long way: they have a deadline, a stop began, or somebody cancelled."""
         self._bus = bus
@@ -139,7 +138,7 @@ class TaskDriver:
             self.kick()
 
     def _beware(self) -> None:
-        self._careful = self._debug or self.deadline is not None or self.budget is not None
+        self._careful = self.deadline is not None or self.budget is not None
 
     # -- the task --------------------------------------------------------------------------------------------------
 
