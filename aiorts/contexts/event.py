@@ -148,5 +148,3 @@ def _took_and_left(member: Member) -> bool:
     """Whether a member read at least one sample and unread data remains."""
     ports = member.in_ports
     return any(port._took for port in ports) and any(port.is_new for port in ports)
-
-

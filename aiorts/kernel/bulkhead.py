@@ -14,13 +14,13 @@ import logging
 from collections.abc import Callable, Coroutine, Iterable
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import HookAbandoned, HookTimeout
 from aiorts.kernel.bus import Bus, HookAfter, HookBefore
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.hooks import HookKind, bad_return
 from aiorts.kernel.life import Batch, Call, Steps, Wait, first_pass
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, leave_behind, owner_of
+from aiorts.kernel.verdict import judged, left_behind, not_let_in
 from aiorts.kernel.watch import Watch
 
 if TYPE_CHECKING:
@@ -85,8 +85,7 @@ class TaskDriver:
         self.deadline: float | None = context.deadline
         self.budget: StopBudget | None = None
         self.hooks_run = 0
-        self._stopped_by_host = False
-        self.cancelled_by_others = False
+        self._stopped_by_host = self.cancelled_by_others = False
         self._careful = False
         """Whether hooks take the long way: they have a deadline, a stop began, or somebody cancelled."""
         self._bus = bus
@@ -237,8 +236,7 @@ class TaskDriver:
                 if hook:
                     await self._run_and_record(member, hook)
                     careful, run = self._careful, self.hooks_run
-                if timing:
-                    begun_ns = now_ns()
+                begun_ns = now_ns() if timing else 0
                 continue
             self._member = gate.inside = member
             self.hooks_run = run = run + 1
@@ -268,9 +266,8 @@ class TaskDriver:
                     times.max_ns = elapsed_ns
             if error is not None:
                 context._life.failed(member, "on_execute", error)
-                error = None
-                if timing:
-                    begun_ns = now_ns()
+                error, careful = None, self._careful
+                begun_ns = now_ns() if timing else 0
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         """Run one hook; whatever comes out of it is this component's affair."""
@@ -296,7 +293,6 @@ class TaskDriver:
         error: BaseException | None = None
         result = None
         try:
-            # One coroutine call for a hook that does not suspend: nothing more may stand between it and the loop.
             if kind == _ASYNC:
                 result = await function(*args)
             elif kind != _ABSENT:
@@ -319,7 +315,6 @@ class TaskDriver:
 
     async def _wait_for_turn(self, member: Member, hook: str) -> BaseException | None:
         """Another context is inside the component: wait for it; while this one stops, no longer than it may."""
-        component = member.component
         turn = self._turn = self.loop.create_future()
         timer = None
         if self.budget is not None:
@@ -331,9 +326,7 @@ class TaskDriver:
             self._turn = None
             if timer is not None:
                 timer.cancel()
-        inside = member.gate.inside
-        where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
-        return HookTimeout(f"{component.name}.{hook}: did not run: the component was busy in {where}")
+        return not_let_in(member, hook)
 
     async def _outcome(
         self, member: Member, hook: str, error: BaseException | None, result: object
@@ -343,8 +336,11 @@ class TaskDriver:
         if watch is not None:
             watch.disarm()
             self._watch = None
-        if self.cancelled_by_others and error is None and self.task.cancelling():
-            error = await self._take_cancellation()
+        if self.cancelled_by_others and error is None:
+            if self.task.cancelling():
+                error = await self._take_cancellation()
+            else:
+                self._uncancel()  # a scope's or a time-out's, and over
         if error is not None or (watch is not None and watch.cancels):
             return self._judge(member, hook, error, watch)
         return None if result is None else bad_return(member, hook, result)
@@ -372,20 +368,7 @@ class TaskDriver:
             raise error  # the loop is gone and this task with it
         wanted = self.cancelled_by_others and self._stopped_by_host
         self._uncancel()
-        if watch is None or not watch.cancels:
-            return None if wanted and isinstance(error, asyncio.CancelledError) else error
-        where = f"{member.component.name}.{hook}"
-        if watch.stopping and error is None:
-            return None
-        if error is not None and not isinstance(error, asyncio.CancelledError):
-            return error
-        late = HookTimeout(
-            f"{where}: still ran when the time its context had to stop was over; it was cancelled"
-            if watch.stopping
-            else f"{where}: did not return within {self.deadline} s; it was cancelled"
-        )
-        late.__cause__ = error
-        return late
+        return judged(member, hook, error, watch, wanted=wanted)
 
     # -- leaving a hook behind -------------------------------------------------------------------------------------
 
@@ -395,17 +378,13 @@ class TaskDriver:
         if member is None or watch is None:
             return
         hook = member.hook
-        error = HookAbandoned(
-            f"{member.component.name}.{hook}: ignored {watch.cancels} cancellations; it was left behind "
-            "and never runs again"
-        )
+        error = left_behind(member, hook, watch.cancels)
         leave_behind(self.task)
         component = member.component
         component._rt_abandoned = error
         for other in component._rt_members:
             other.abandoned = True
-        self._member, self._watch = None, None
-        member.gate.inside = None
+        self._member = self._watch = member.gate.inside = None
         member.hook = "on_execute"
         self.cancelled_by_others = False
         member.gate.pass_on()
@@ -413,9 +392,7 @@ class TaskDriver:
             self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:
             self.context._life.failed(member, hook, error)
-            self.task = _DriverTask(self, self._drive(None))
-        else:
-            self.task = _DriverTask(self, self._drive(error))
+        self.task = _DriverTask(self, self._drive(error if self._batch is None else None))
 
 
 def _resolve(future: asyncio.Future[bool], outcome: bool) -> None:

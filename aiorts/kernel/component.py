@@ -131,8 +131,9 @@ class Component:
     @property
     def state(self) -> LifeCycleState | None:
         """The life-cycle state in the context at hand; None in no context."""
-        if self._rt_running is not None:
-            return self._rt_running.state
+        running = self._rt_running
+        if running is not None:
+            return running.state
         return self._rt_members[0].state if self._rt_members else None
 
     @property
@@ -155,10 +156,11 @@ class Component:
 
     def _rt_log_fields(self) -> LogFields:
         kernel = self._rt_kernel.name if self._rt_kernel is not None else ""
+        running = self._rt_running
         if self._rt_failed_in is not None:
             member, hook = self._rt_failed_in
-        elif self._rt_running is not None:
-            member, hook = self._rt_running, self._rt_running.hook
+        elif running is not None:
+            member, hook = running, running.hook
         else:
             return LogFields(kernel, self.name)
         return LogFields(kernel, self.name, hook, member.context.ticks)
@@ -276,8 +278,9 @@ class Component:
         """Say that this source has nothing more: it is deactivated after this cycle."""
         if self._rt_kernel is not None and self._rt_host.thread_id != threading.get_ident():
             self._rt_kernel.check_thread(f"{self.name}.finish")
-        if self._rt_running is not None:
-            self._rt_running.finish()
+        running = self._rt_running
+        if running is not None:
+            running.finish()
             return
         for member in self._rt_members:
             member.finish()

@@ -14,8 +14,18 @@ from typing import Any
 import anyio
 import pytest
 
-from aiorts import Component, Context, EventContext, ExternalContext, InPort, Kernel, OutPort, PeriodicContext
-from aiorts import SimulatedClock, WouldBlock
+from aiorts import (
+    Component,
+    Context,
+    EventContext,
+    ExternalContext,
+    InPort,
+    Kernel,
+    OutPort,
+    PeriodicContext,
+    SimulatedClock,
+    WouldBlock,
+)
 from aiorts.errors import AiortsError
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import Event, HookAfter, HookBefore
@@ -185,7 +195,9 @@ def _context(chance: random.Random, number: int) -> Context:
 async def _disturb(world: World, context: Context) -> None:
     """Something from outside, in a task of its own."""
     chance = world.chance
-    what = chance.choice(("trigger", "tick", "reset", "reset", "reset", "deactivate", "spy", "stop", "cancel", "wait", "remove"))
+    what = chance.choice(
+        ("trigger", "tick", "reset", "reset", "reset", "deactivate", "spy", "stop", "cancel", "wait", "remove")
+    )
     if what in ("stop", "cancel", "remove") and chance.random() < 0.9:
         return
     world.note("asks", what, context.name)
