@@ -1,4 +1,4 @@
-"""What a hook that did not simply return comes to: the component's error, or nothing; this file only decides and words."""
+"""What becomes of a hook that did not simply return: its error, or nothing; this file only decides and words."""
 
 from __future__ import annotations
 

@@ -34,6 +34,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # a reason.
 BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run",
+    # `_run` written out for the hooks of a cycle.
+    "aiorts/kernel/bulkhead.py:_run_quickly",
     "aiorts/kernel/bus.py:publish",
     "aiorts/kernel/plugins.py:load_extension",
     "aiorts/kernel/solo.py:_run",
