@@ -8,6 +8,7 @@ asked again before more comes.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.kernel.context import Context
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ("EventContext",)
 
 _FOR_EVER = Wait(None)
+_order = attrgetter("order")
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _ACTIVE = LifeCycleState.ACTIVE
 _INACTIVE = LifeCycleState.INACTIVE
@@ -41,15 +43,17 @@ class EventContext(Context):
     def trigger(self, *components: Component) -> None:
         """Give these members, or all, a cause to run. Triggers before the next cycle coalesce."""
         self._check("trigger")
-        members = [self._member(component) for component in components] if components else self._members
-        for member in members:
-            self._make_ready(member)
+        self._make_ready([self._member(component) for component in components] if components else self._members)
 
-    def _make_ready(self, member: Member) -> None:
-        member.triggered = True
-        if not member.ready:
-            member.ready = True
-            self._member_ready(member)
+    def _make_ready(self, members: Sequence[Member]) -> None:
+        ready = self._ready
+        for member in members:
+            member.triggered = True
+            if not member.ready:
+                member.ready = True
+                ready.append(member)
+        if self._driver is not None:
+            self._driver.kick()
 
     def _member_ready(self, member: Member) -> None:
         self._ready.append(member)
@@ -57,7 +61,7 @@ class EventContext(Context):
             self._driver.kick()
 
     def _member_aborted(self, member: Member) -> None:
-        self._make_ready(member)
+        self._make_ready((member,))
 
     def _port_added(self, member: Member, port: Port[object]) -> None:
         super()._port_added(member, port)
@@ -73,25 +77,21 @@ class EventContext(Context):
 
     def _next_cause(self) -> Wait | None:
         ready = self._ready
-        if not ready:
-            return _FOR_EVER
-        if len(ready) == 1:
-            if _has_cause(ready[0]):
+        while ready:
+            if _has_cause(ready[-1]):
                 return None
-            ready.clear()
-            return _FOR_EVER
-        self._ready = [member for member in ready if _has_cause(member)]
-        return None if self._ready else _FOR_EVER
+            ready.pop()
+        return _FOR_EVER
 
-    def _alone(self) -> Member | None:
+    def _alone(self) -> tuple[Member, ...]:
         # Written out: this stands between a sample and the hook it is for.
         ready = self._ready
         if len(ready) != 1 or self._actions or self._stopping or self._updating:
-            return None
+            return ()
         member = ready[0]
         rung = member.rung
         if len(rung) != 1 or not rung[0]._direct or member.state is not _ACTIVE or member.failure is not None:
-            return None
+            return ()
         ready.clear()
         rung[0]._armed = True
         rung.clear()
@@ -100,24 +100,28 @@ class EventContext(Context):
             if port._last is not NOTHING:
                 port._before, port._last = port._last, NOTHING
         self.ticks += 1
-        return member
+        return (member,)
 
     def _begin_cycle(self) -> Sequence[Member]:
         ready, self._ready = self._ready, []
         if len(ready) > 1:
             ready.sort(key=_order)
+        members = []
         for member in ready:
-            member.ready = member.triggered = False
-            member.rearm()
-            for port in member.in_ports:
-                if port._last is not NOTHING:
-                    port._before, port._last = port._last, NOTHING
-        return ready
+            if (member.triggered and member.execute is not None) or _has_cause(member):
+                members.append(member)
+                member.ready = member.triggered = False
+                if member.rung:
+                    member.rearm()
+                for port in member.in_ports:
+                    if port._last is not NOTHING:
+                        port._before, port._last = port._last, NOTHING
+        return members
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
-        for member in members:
-            if member.active and _took_and_left(member):
-                self._make_ready(member)
+        again = [m for m in members if m.in_ports and m.active and _took_and_left(m)]
+        if again:
+            self._make_ready(again)
 
 
 def _has_cause(member: Member) -> bool:
@@ -156,7 +160,3 @@ def _took_and_left(member: Member) -> bool:
         if queue or (queue is OFF and port._unread()):
             return True
     return False
-
-
-def _order(member: Member) -> int:
-    return member.order

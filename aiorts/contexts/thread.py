@@ -228,7 +228,7 @@ class _ThreadDriver:
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
         self.hooks_run += 1
-        self._member = component._rt_running = member
+        self._member = member.gate.inside = member
         member.hook = hook
         error: BaseException | None = None
         try:
@@ -239,8 +239,8 @@ class _ThreadDriver:
             error = raised
         if self._gone:
             return None
-        self._member = component._rt_running = None
-        member.hook = ""
+        self._member = member.gate.inside = None
+        member.hook = "on_execute"
         if context._stopping and isinstance(error, ClosedError):
             error = None  # a blocking read or write was woken to let the context stop
         if context.timing:
@@ -284,7 +284,7 @@ class _ThreadDriver:
             member.abandoned = True
             self.context._life._record(member, member.hook, error)
             member.component._rt_abandoned = error
-            member.component._rt_running = None
+            member.gate.inside = None
         self._blocking.end()
         self._let_go(None)
         self.ended.set_result(None)

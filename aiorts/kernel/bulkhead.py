@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterable
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import HookAbandoned, HookTimeout
 from aiorts.kernel.bus import Bus, HookAfter, HookBefore
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.hooks import HookKind, bad_return
-from aiorts.kernel.life import Batch, Call, Steps, Wait
+from aiorts.kernel.life import Batch, Call, Steps, Wait, first_pass
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, leave_behind, owner_of
+from aiorts.kernel.verdict import judged, left_behind, not_let_in
 from aiorts.kernel.watch import Watch
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ __all__ = ("TaskDriver",)
 _LOG = logging.getLogger("aiorts.kernel")
 _ABSENT = HookKind.ABSENT
 _ASYNC = HookKind.ASYNC
+_NOTHING_LEFT = Batch(iter(()), first_pass)
 
 
 class _LeftBehind(BaseException):
@@ -60,7 +61,7 @@ class _DriverTask(asyncio.Task[None]):
         if driver.current is None:
             # Between hooks there is nothing that a component could want to cancel.
             return by_host
-        driver.cancelled_by_others = True
+        driver.cancelled_by_others = driver._careful = True
         return super().cancel(msg)
 
     def cancel_hook(self) -> None:
@@ -76,6 +77,7 @@ class TaskDriver:
         "_batch",
         "_bus",
         "_call_at",
+        "_careful",
         "_ended",
         "_kicked",
         "_member",
@@ -110,12 +112,13 @@ class TaskDriver:
         self.deadline: float | None = context.deadline
         self.budget: StopBudget | None = None
         self.hooks_run = 0
-        self._stopped_by_host = False
-        self.cancelled_by_others = False
+        self._stopped_by_host = self.cancelled_by_others = False
+        self._careful = False
+        """Whether hooks take the long way: they have a deadline, a stop began, or somebody cancelled."""
         self._bus = bus
         self._call_at = call_at
         self._steps = steps
-        self._batch: Iterator[tuple[Member, str]] | None = None
+        self._batch: Batch | None = None
         self._member: Member | None = None
         self._watch: Watch | None = None
         self._sleeper: asyncio.Future[None] | None = None
@@ -123,6 +126,7 @@ class TaskDriver:
         self._kicked = False
         self._over = False
         self._ended: asyncio.Future[None] | None = None
+        self._beware()
         self.task = _DriverTask(self, self._drive(None))
 
     @property
@@ -151,6 +155,7 @@ class TaskDriver:
         """A stop began: hooks are limited from now on, the one that runs included."""
         if self.budget is None:
             self.budget = budget
+            self._careful = True
             if self._watch is None and self._member is not None:
                 self._watch = Watch(self)
                 self._watch.arm()
@@ -168,6 +173,9 @@ class TaskDriver:
             self.hurry(StopBudget(self.loop))
             self.kick()
 
+    def _beware(self) -> None:
+        self._careful = self.deadline is not None or self.budget is not None
+
     # -- the task --------------------------------------------------------------------------------------------------
 
     async def _drive(self, outcome: BaseException | None) -> None:
@@ -179,7 +187,12 @@ class TaskDriver:
                 step = steps.send(outcome)
                 outcome = None
                 if isinstance(step, Batch):
-                    await self._run_batch(step.hooks)
+                    if step.hook_of is first_pass and not self._careful:
+                        self._batch = step
+                        await self._run_quickly(step.members)
+                        self._batch = None
+                    else:
+                        await self._run_batch(step)
                 elif isinstance(step, Wait):
                     if step.deadline_ns is not None or self._kicked:
                         await self._sleep(step.deadline_ns)
@@ -189,14 +202,12 @@ class TaskDriver:
                         await self._sleeper
                         self._sleeper = None
                         self._kicked = False
-                        member = self.context._alone()
-                        if member is not None:
-                            self._batch = iter(())  # nothing would be left to do for who takes over
-                            error = await self._run(member, "on_execute", ())
+                        alone = self.context._alone()
+                        if alone:
+                            self._batch = _NOTHING_LEFT  # for who takes over
+                            await self._run_quickly(alone)
                             self._batch = None
-                            if error is not None:
-                                self.context._life.failed(member, "on_execute", error)
-                            self.context._end_cycle((member,))
+                            self.context._end_cycle(alone)
                             if self._kicked:  # work is left, or somebody wants something
                                 self._kicked = False
                                 await give_turn()
@@ -236,14 +247,65 @@ class TaskDriver:
             if timer is not None:
                 timer.cancel()
 
-    async def _run_batch(self, hooks: Iterator[tuple[Member, str]]) -> None:
-        self._batch = hooks
-        for member, hook in hooks:
-            args = (member.failure,) if hook == "on_error" else ()
-            error = await self._run(member, hook, args)
-            if error is not None:
-                self.context._life.failed(member, hook, error)
+    async def _run_batch(self, batch: Batch) -> None:
+        self._batch = batch
+        for member, hook in batch.hooks:
+            await self._run_and_record(member, hook)
         self._batch = None
+
+    async def _run_and_record(self, member: Member, hook: str) -> None:
+        error = await self._run(member, hook, (member.failure,) if hook == "on_error" else ())
+        if error is not None:
+            self.context._life.failed(member, hook, error)
+
+    async def _run_quickly(self, members: Iterable[Member]) -> None:
+        """The first pass of a cycle: `_run_batch` and `_run`, written out for hooks that nothing unusual is about.
+
+        Between two hooks nothing runs but this: the end of one is the beginning of the next.
+        """
+        context, bus, now_ns = self.context, self._bus, self.context._now_ns
+        task, timing, careful, run = self.task, context.timing, self._careful, self.hooks_run
+        begun_ns = now_ns() if timing else 0
+        error = None
+        for member in members:
+            execute, gate = member.execute, member.gate
+            if execute is None or gate.inside is not None or gate.waiting or careful or bus.hooks_wanted:
+                hook = first_pass(member)
+                if hook:
+                    await self._run_and_record(member, hook)
+                    careful, run = self._careful, self.hooks_run
+                begun_ns = now_ns() if timing else 0
+                continue
+            self._member = gate.inside = member
+            self.hooks_run = run = run + 1
+            try:
+                result = await execute() if member.awaits else execute()
+            except BaseException as raised:  # noqa: BLE001 - the border round a hook
+                error = result = raised
+            if result is not None or self._careful:
+                if self.task is not task:
+                    raise _LeftBehind
+                error = await self._outcome(member, "on_execute", error, result)
+                careful = self._careful
+            self._member = gate.inside = None
+            if gate.waiting:
+                gate.pass_on()
+            if timing:
+                ended_ns = now_ns()
+                times = member.execute_times
+                if times is None:
+                    times = member.timed("on_execute")
+                elapsed_ns = ended_ns - begun_ns
+                begun_ns = ended_ns
+                times.count += 1
+                times.total_ns += elapsed_ns
+                times.last_ns = elapsed_ns
+                if elapsed_ns > times.max_ns:
+                    times.max_ns = elapsed_ns
+            if error is not None:
+                context._life.failed(member, "on_execute", error)
+                error, careful = None, self._careful
+                begun_ns = now_ns() if timing else 0
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         """Run one hook; whatever comes out of it is this component's affair."""
@@ -251,11 +313,11 @@ class TaskDriver:
             kind, function = member.hooks[hook]
         except KeyError:
             kind, function = member.hook_of(hook)
-        context, component = self.context, member.component
+        context, component, gate = self.context, member.component, member.gate
         watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
-        if component._rt_running is not None or component._rt_gate.waiting:
+        if gate.inside is not None or gate.waiting:
             busy = await self._wait_for_turn(member, hook)
             if busy is not None or member.abandoned:
                 return busy
@@ -265,14 +327,13 @@ class TaskDriver:
         if self.deadline is not None or self.budget is not None:
             self._watch = Watch(self)
             self._watch.arm()
-        self._member = component._rt_running = member
+        self._member = gate.inside = member
         member.hook = hook
         self.hooks_run += 1
         task = self.task
         error: BaseException | None = None
         result = None
         try:
-            # One coroutine call for a hook that does not suspend: nothing more may stand between it and the loop.
             if kind == _ASYNC:
                 result = await function(*args)
             elif kind != _ABSENT:
@@ -283,10 +344,10 @@ class TaskDriver:
             raise _LeftBehind
         if error is not None or result is not None or self._watch is not None or self.cancelled_by_others:
             error = await self._outcome(member, hook, error, result)
-        self._member = component._rt_running = None
-        member.hook = ""
-        if component._rt_gate.waiting:
-            component._rt_gate.pass_on()
+        self._member = gate.inside = None
+        member.hook = "on_execute"
+        if gate.waiting:
+            gate.pass_on()
         if context.timing:
             member.timed(hook).add(context._now_ns() - started_ns)
         if watched:
@@ -295,21 +356,18 @@ class TaskDriver:
 
     async def _wait_for_turn(self, member: Member, hook: str) -> BaseException | None:
         """Another context is inside the component: wait for it; while this one stops, no longer than it may."""
-        component = member.component
         turn = self._turn = self.loop.create_future()
         timer = None
         if self.budget is not None:
             timer = self.loop.call_later(self.budget.limit, _resolve, turn, False)
         try:
-            if await component._rt_gate.wait(turn):
+            if await member.gate.wait(turn):
                 return None
         finally:
             self._turn = None
             if timer is not None:
                 timer.cancel()
-        inside = component._rt_running
-        where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
-        return HookTimeout(f"{component.name}.{hook}: did not run: the component was busy in {where}")
+        return not_let_in(member, hook)
 
     async def _outcome(
         self, member: Member, hook: str, error: BaseException | None, result: object
@@ -319,8 +377,11 @@ class TaskDriver:
         if watch is not None:
             watch.disarm()
             self._watch = None
-        if self.cancelled_by_others and error is None and self.task.cancelling():
-            error = await self._take_cancellation()
+        if self.cancelled_by_others and error is None:
+            if self.task.cancelling():
+                error = await self._take_cancellation()
+            else:
+                self._uncancel()  # a scope's or a time-out's, and over
         if error is not None or (watch is not None and watch.cancels):
             return self._judge(member, hook, error, watch)
         return None if result is None else bad_return(member, hook, result)
@@ -336,6 +397,7 @@ class TaskDriver:
 
     def _uncancel(self) -> None:
         self.cancelled_by_others = False
+        self._beware()
         while self.task.cancelling():
             self.task.uncancel()
 
@@ -347,20 +409,7 @@ class TaskDriver:
             raise error  # the loop is gone and this task with it
         wanted = self.cancelled_by_others and self._stopped_by_host
         self._uncancel()
-        if watch is None or not watch.cancels:
-            return None if wanted and isinstance(error, asyncio.CancelledError) else error
-        where = f"{member.component.name}.{hook}"
-        if watch.stopping and error is None:
-            return None
-        if error is not None and not isinstance(error, asyncio.CancelledError):
-            return error
-        late = HookTimeout(
-            f"{where}: still ran when the time its context had to stop was over; it was cancelled"
-            if watch.stopping
-            else f"{where}: did not return within {self.deadline} s; it was cancelled"
-        )
-        late.__cause__ = error
-        return late
+        return judged(member, hook, error, watch, wanted=wanted)
 
     # -- leaving a hook behind -------------------------------------------------------------------------------------
 
@@ -370,27 +419,21 @@ class TaskDriver:
         if member is None or watch is None:
             return
         hook = member.hook
-        error = HookAbandoned(
-            f"{member.component.name}.{hook}: ignored {watch.cancels} cancellations; it was left behind "
-            "and never runs again"
-        )
+        error = left_behind(member, hook, watch.cancels)
         leave_behind(self.task)
         component = member.component
         component._rt_abandoned = error
         for other in component._rt_members:
             other.abandoned = True
-        self._member, self._watch = None, None
-        component._rt_running = None
-        member.hook = ""
+        self._member = self._watch = member.gate.inside = None
+        member.hook = "on_execute"
         self.cancelled_by_others = False
-        component._rt_gate.pass_on()
+        member.gate.pass_on()
         if self.context._hooks_wanted():
             self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:
             self.context._life.failed(member, hook, error)
-            self.task = _DriverTask(self, self._drive(None))
-        else:
-            self.task = _DriverTask(self, self._drive(error))
+        self.task = _DriverTask(self, self._drive(error if self._batch is None else None))
 
 
 def _resolve(future: asyncio.Future[bool], outcome: bool) -> None:

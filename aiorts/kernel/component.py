@@ -83,8 +83,7 @@ class Component:
         self._rt_named = bool(name)
         self._rt_kernel: Kernel | None = None
         self._rt_members: list[Member] = []
-        self._rt_running: Member | None = None
-        self._rt_gate = Gate(self)
+        self._rt_gate = Gate()
         self._rt_params = Parameters(self._rt_host.name, self._rt_parameter_specs)
         for parameter in self._rt_params.values():
             setattr(self, parameter.name, parameter.value)
@@ -113,8 +112,9 @@ class Component:
     @property
     def context(self) -> Context:
         """The execution context that runs this hook; outside of hooks the only one; StateError where that is nobody."""
-        if self._rt_running is not None:
-            return self._rt_running.context
+        running = self._rt_running
+        if running is not None:
+            return running.context
         if len(self._rt_members) == 1:
             return self._rt_members[0].context
         raise StateError(f"{self.name}: is in {len(self._rt_members)} contexts and no hook runs; say which")
@@ -132,8 +132,9 @@ class Component:
     @property
     def state(self) -> LifeCycleState | None:
         """The life-cycle state in the context at hand; None in no context."""
-        if self._rt_running is not None:
-            return self._rt_running.state
+        running = self._rt_running
+        if running is not None:
+            return running.state
         return self._rt_members[0].state if self._rt_members else None
 
     @property
@@ -154,12 +155,18 @@ class Component:
             self._rt_log = ComponentLog(self._rt_log_fields, kernel.clock.monotonic_ns, shared=kernel._log_budget)
         return self._rt_log
 
+    @property
+    def _rt_running(self) -> Member | None:
+        """The member whose hook runs now."""
+        return self._rt_gate.inside
+
     def _rt_log_fields(self) -> LogFields:
         kernel = self._rt_kernel.name if self._rt_kernel is not None else ""
+        running = self._rt_running
         if self._rt_failed_in is not None:
             member, hook = self._rt_failed_in
-        elif self._rt_running is not None:
-            member, hook = self._rt_running, self._rt_running.hook
+        elif running is not None:
+            member, hook = running, running.hook
         else:
             return LogFields(kernel, self.name)
         return LogFields(kernel, self.name, hook, member.context.ticks)
@@ -277,8 +284,9 @@ class Component:
         """Say that this source has nothing more: it is deactivated after this cycle."""
         if self._rt_kernel is not None and self._rt_host.thread_id != threading.get_ident():
             self._rt_kernel.check_thread(f"{self.name}.finish")
-        if self._rt_running is not None:
-            self._rt_running.finish()
+        running = self._rt_running
+        if running is not None:
+            running.finish()
             return
         for member in self._rt_members:
             member.finish()

@@ -11,7 +11,7 @@ import asyncio
 import logging
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
@@ -71,6 +71,8 @@ class Context(Members):
         self._stopping = False
         self._order = 0
         self._began: asyncio.Future[None] | None = None
+        self._now_ns: Callable[[], int] = self._no_time
+        """The time on the kernel's clock: its own function, since every hook asks it."""
 
     # -- what tools see --------------------------------------------------------------------------------------------
 
@@ -174,9 +176,9 @@ class Context(Members):
         """None when a cycle is due, else what to wait for."""
         raise NotImplementedError
 
-    def _alone(self) -> Member | None:
+    def _alone(self) -> tuple[Member, ...]:
         """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; as `Life` would, sooner."""
-        return None
+        return ()
 
     def _begin_cycle(self) -> Sequence[Member]:
         """A cycle begins now: who takes part in it."""
@@ -273,6 +275,7 @@ class Context(Members):
     async def _start(self, kernel: Kernel, components: Sequence[Component], *, activate: bool) -> None:
         """Start with these members; `activate` has them active before the first cycle."""
         self._kernel = kernel
+        self._now_ns = kernel.clock.monotonic_ns
         self._stopping = False
         while self._actions:
             self._next_action()  # what was wished of it before does not count
@@ -325,7 +328,7 @@ class Context(Members):
 
     # -- for the drivers -------------------------------------------------------------------------------------------
 
-    def _now_ns(self) -> int:
+    def _no_time(self) -> int:
         return self._require_kernel().clock.monotonic_ns()
 
     def _hooks_wanted(self) -> bool:

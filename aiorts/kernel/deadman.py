@@ -15,6 +15,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock, SystemClock
@@ -40,14 +41,28 @@ _MOST_NS: Final = 2_000_000
 _FAST_NS: Final = 2_000_000
 _LAZY_NS: Final = 1_000_000
 """A context with a shorter period than the first re-arms its timer once in the second; it is looked at later by it."""
+_MANY: Final = 200
+_SOON_NS: Final = 1_000_000_000
+"""With so many contexts all books are gone through once in a second at the most."""
+_MOST_TIMERS: Final = 64
+"""Descriptors are scarce: the contexts beyond are judged by the books alone."""
 _GLANCES: Final = 24
 """Of one delay; the intervals double."""
+
+
+class _Findings:
+    """What was found out already, shared by the contexts of one loop: what held one of them held them all."""
+
+    def __init__(self) -> None:
+        self.seen: dict[tuple[int, str], Entry] = {}
+        self.last: tuple[int, Blame] | None = None
+        self.walked_ns = -_SOON_NS
 
 
 class Watch:
     """The deadman of one context; `arm`, `disarm` and `blame` are for the thread that runs it, and take no lock."""
 
-    def __init__(self, kernel: Kernel, context: Context, thread_id: int, pauses: Pauses) -> None:
+    def __init__(self, kernel: Kernel, context: Context, thread_id: int, pauses: Pauses, findings: _Findings) -> None:
         self.due_ns = _NEVER
         """When the next cycle is due, on the kernel's clock."""
         self._kernel = kernel
@@ -58,8 +73,7 @@ class Watch:
         self._tolerance_ns = _LEAST_NS
         self._lazy_ns = 0
         self._glances: list[Glance] = []
-        self._seen: dict[tuple[int, str], Entry] = {}
-        self._last: tuple[int, Blame] | None = None
+        self._findings = findings
         self._cpu_at = self._glance_cpu = (0, 0)
         self._period_ns = _NEVER
         self._plain = type(kernel.clock) is SystemClock
@@ -69,12 +83,10 @@ class Watch:
         self._base = depth_beneath_task() if thread_id == kernel._thread_id else 0
         if self._real:
             self._open()
-        for member, entry in books(kernel, context):
-            self._seen[id(member), entry.blame.hook] = entry
 
     def _open(self) -> None:
         timer = timers._find_timerfd()
-        if timer is None:
+        if timer is None or _watched() >= _MOST_TIMERS:
             return
         try:
             fd = timer.create()
@@ -131,13 +143,21 @@ class Watch:
         late = now_ns - due
         if late <= 0 and due_ns is None:
             return None
-        last = self._last
+        last = self._findings.last
         if last is not None and due < last[0]:
             # Due before the last blame was found: what made that cycle late made this one late as well.
-            return last[1]
+            return self._as_seen_here(last[1])
         blame = self._judge(due, now_ns)
-        self._last = (now_ns, blame)
+        if self._context.exclusive or blame.held != "its context":
+            self._findings.last = (now_ns, blame)
         return blame
+
+    def _as_seen_here(self, blame: Blame) -> Blame:
+        """A hook that held the loop is one of this context's own, or another's."""
+        if blame.kind not in ("hook", "loop") or not blame.hook:
+            return blame
+        own = any(member.component.name == blame.component for member in self._context._members)
+        return replace(blame, kind="hook" if own else "loop")
 
     def _judge(self, due_ns: int, now_ns: int) -> Blame:
         kernel = self._kernel
@@ -154,13 +174,19 @@ class Watch:
     def _fresh_entries(self, late_ns: int) -> list[Entry]:
         """The books of hooks that have run since they were last asked for."""
         fresh = []
-        for member, entry in books(self._kernel, self._context):
+        findings, now = self._findings, time.monotonic_ns()
+        # With thousands of contexts the books are long; they are not gone through for each that is late.
+        whole = not self._real or len(self._kernel._contexts) < _MANY or now - findings.walked_ns > _SOON_NS
+        known = findings.seen
+        if whole:
+            findings.walked_ns, findings.seen = now, {}  # who has left is forgotten
+        for member, entry in books(self._kernel, self._context, whole=whole):
             key = id(member), entry.blame.hook
-            seen = self._seen.get(key)
+            seen = known.get(key)
+            findings.seen[key] = entry
             if seen is None or seen.runs != entry.runs:
-                self._seen[key] = entry
                 # The longest run there ever was may have been the one that did it, though it was not the last.
-                longest = entry.max_ns if seen is None or seen.max_ns != entry.max_ns else entry.last_ns
+                longest = entry.last_ns if seen is None or seen.max_ns == entry.max_ns else entry.max_ns
                 # One that began before the last cycle did has not kept this one.
                 for took in (longest, entry.last_ns):
                     if took <= late_ns + self._period_ns:
@@ -212,6 +238,7 @@ class Deadman:
         # For a kernel that nobody closed.
         weakref.finalize(kernel, self._pauses.stop).atexit = False
         self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
+        self._findings = _Findings()
 
     @property
     def gc_pauses(self) -> Mapping[int, GcPauses]:
@@ -224,7 +251,8 @@ class Deadman:
 
     def watch(self, context: Context, thread_id: int) -> Watch:
         """Watch a context that is run by this thread; called there. Ends with `unwatch`, which any thread may call."""
-        watch = Watch(context._require_kernel(), context, thread_id, self._pauses)
+        findings = _Findings() if context.exclusive else self._findings
+        watch = Watch(context._require_kernel(), context, thread_id, self._pauses, findings)
         if watch._real:
             with _LOCK:
                 self._watches.add(watch)
@@ -304,6 +332,10 @@ def _ring(watch: Watch, timer: Timerfd) -> None:
 _LOCK = threading.RLock()
 _WATCHER: list[_Watcher] = []
 _FORKS: list[Callable[[], Any]] = []
+
+
+def _watched() -> int:
+    return len(_WATCHER[0].watches) if _WATCHER else 0
 
 
 def _join(watch: Watch) -> None:

@@ -1,7 +1,6 @@
 """A component in several contexts is entered by one at a time, in the order they came.
 
-Who is inside stands in `Component._rt_running`; this file only lets the others wait. A component in one context finds
-its gate open and pays for looking, no more.
+A component in one context finds its gate open and pays for looking, no more.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from aiorts.kernel.component import Component
+    from aiorts.kernel.member import Member
 
 __all__ = ("Gate",)
 
@@ -18,35 +17,37 @@ __all__ = ("Gate",)
 class Gate:
     """The way into one component. On the kernel's loop only."""
 
-    __slots__ = ("_component", "waiting")
+    __slots__ = ("inside", "waiting")
 
-    def __init__(self, component: Component) -> None:
-        self._component = component
+    def __init__(self) -> None:
+        self.inside: Member | None = None
+        """The member whose hook runs now."""
         self.waiting: dict[asyncio.Future[bool], None] | None = None
-        """Who waits, first come first; None as long as nobody ever did."""
+        """Who wants to come in, in the order they came; None as long as nobody ever did."""
 
     @property
     def open(self) -> bool:
         """Whether nobody is inside and nobody came first."""
-        return self._component._rt_running is None and not self.waiting
+        return self.inside is None and not self.waiting
 
     async def wait(self, turn: asyncio.Future[bool]) -> bool:
         """Wait for one's turn and enter at once; False when somebody resolved `turn` so, as a deadline does."""
         if self.waiting is None:
             self.waiting = {}
-        self.waiting[turn] = None
+        waiting = self.waiting
+        waiting[turn] = None
         granted = False
         try:
             granted = await turn
         finally:
-            del self.waiting[turn]
+            del waiting[turn]
             if not granted:
                 self.pass_on()
         return granted
 
     def pass_on(self) -> None:
         """Let the first who waits come in, when nobody is inside."""
-        if self._component._rt_running is not None:
+        if self.inside is not None:
             return
         for turn in self.waiting or ():
             if turn.done():

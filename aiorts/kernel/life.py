@@ -9,7 +9,7 @@ came.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.member import Member
 
-__all__ = ("TURN", "Action", "Batch", "Call", "Life", "Step", "Steps", "Turn", "Wait", "chain")
+__all__ = ("TURN", "Action", "Batch", "Call", "Life", "Step", "Steps", "Turn", "Wait", "chain", "first_pass")
 
 _LINKS: Final = 8
 """Causes that an error keeps, itself included; the failure it belongs to comes after them."""
@@ -46,9 +46,19 @@ class Call:
 
 @dataclass(slots=True)
 class Batch:
-    """Run these hooks in order; failures go to `Life.failed`."""
+    """Run a hook of each of these members, in order; failures go to `Life.failed`."""
 
-    hooks: Iterator[tuple[Member, str]]
+    members: Iterator[Member]
+    hook_of: Callable[[Member], str]
+    """Which hook, asked when the member's turn has come; "" for none."""
+
+    @property
+    def hooks(self) -> Iterator[tuple[Member, str]]:
+        """What is left to run."""
+        for member in self.members:
+            hook = self.hook_of(member)
+            if hook:
+                yield member, hook
 
 
 @dataclass(slots=True)
@@ -105,9 +115,9 @@ class Life:
             else:
                 members = context._begin_cycle()
                 context.ticks += 1
-                yield Batch(_first_pass(members))
+                yield Batch(iter(members), first_pass)
                 if context._updating:
-                    yield Batch(_second_pass(members))
+                    yield Batch(iter(members), _second_pass)
                 context._end_cycle(members)
                 worked = True
         yield from self._end()
@@ -298,19 +308,17 @@ class Life:
             self._context._publish(StateChanged(member.component.name, self._context.name, old, state))
 
 
-def _first_pass(members: Iterable[Member]) -> Iterator[tuple[Member, str]]:
-    for member in members:
-        if member.state is _ACTIVE:
-            if member.failure is None and not member.left:
-                yield member, "on_execute"
-        elif member.state is _ERROR and not member.left:
-            yield member, "on_error"
+def first_pass(member: Member) -> str:
+    """The hook of a member in the first pass of a cycle; "" for none."""
+    if member.left:
+        return ""
+    if member.state is _ACTIVE:
+        return "on_execute" if member.failure is None else ""
+    return "on_error" if member.state is _ERROR else ""
 
 
-def _second_pass(members: Iterable[Member]) -> Iterator[tuple[Member, str]]:
-    for member in members:
-        if member.updates and member.active and not member.left:
-            yield member, "on_state_update"
+def _second_pass(member: Member) -> str:
+    return "on_state_update" if member.updates and member.active and not member.left else ""
 
 
 def chain(error: BaseException, cause: BaseException | None) -> None:

@@ -38,27 +38,32 @@ class HookTimes:
         self.count += 1
         self.total_ns += elapsed_ns
         self.last_ns = elapsed_ns
-        self.max_ns = max(self.max_ns, elapsed_ns)
+        if elapsed_ns > self.max_ns:
+            self.max_ns = elapsed_ns
 
 
 class Member:
     """One component in one context."""
 
     __slots__ = (
-        "abandoned",
+        "_abandoned",
+        "_failure",
+        "_left",
+        "_state",
+        "awaits",
         "component",
         "context",
-        "failure",
+        "execute",
+        "execute_times",
         "finishing",
+        "gate",
         "hook",
         "hooks",
         "in_ports",
-        "left",
         "order",
         "ready",
         "rung",
         "started",
-        "state",
         "times",
         "triggered",
         "updates",
@@ -67,19 +72,22 @@ class Member:
     def __init__(self, component: Component, context: Context, order: int) -> None:
         self.component = component
         self.context = context
+        self.gate = component._rt_gate
         self.order = order
         """Position in the order of addition."""
-        self.state = LifeCycleState.INACTIVE
+        self._state = LifeCycleState.INACTIVE
+        self._failure: BaseException | None = None
+        self._abandoned = self._left = False
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {}
         """Kind and method of the hooks that have run; `hook_of` for any."""
+        self.awaits = component._rt_hook_kinds["on_execute"] == HookKind.ASYNC
+        self.execute: Callable[..., Any] | None = None
+        """`on_execute` where it is the next cycle's affair: it is there, and the member active. And its times."""
+        self.execute_times: HookTimes | None = None
         self.updates = component._rt_hook_kinds["on_state_update"] != HookKind.ABSENT
-        self.hook = ""
-        """The hook that runs now."""
-        self.failure: BaseException | None = None
-        """What it is in error for, or about to be."""
-        self.abandoned = False
+        self.hook = "on_execute"
+        """The hook that runs now, while one runs."""
         self.finishing = False
-        self.left = False
         self.started = False
         self.ready = False
         self.in_ports: list[InPort[Any]] = []
@@ -87,10 +95,61 @@ class Member:
         self.triggered = False
         self.times: dict[str, HookTimes] = {}
 
+    # -- what decides whether it is executed: set, each of these lays out anew what a cycle looks at ---------------
+
+    @property
+    def state(self) -> LifeCycleState:
+        """The life-cycle state in this context."""
+        return self._state
+
+    @state.setter
+    def state(self, state: LifeCycleState) -> None:
+        self._state = state
+        self._settle()
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What it is in error for, or about to be."""
+        return self._failure
+
+    @failure.setter
+    def failure(self, failure: BaseException | None) -> None:
+        self._failure = failure
+        self._settle()
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether one of the component's hooks was left behind: none runs again."""
+        return self._abandoned
+
+    @abandoned.setter
+    def abandoned(self, abandoned: bool) -> None:
+        self._abandoned = abandoned
+        self._settle()
+
+    @property
+    def left(self) -> bool:
+        """Whether it is no longer in the context."""
+        return self._left
+
+    @left.setter
+    def left(self, left: bool) -> None:
+        self._left = left
+        self._settle()
+
+    def _settle(self) -> None:
+        self.execute = None
+        if self.active and not self._left:
+            kind, function = self.hooks.get("on_execute") or self.hook_of("on_execute")
+            if kind != HookKind.ABSENT:
+                self.execute = function
+
     @property
     def active(self) -> bool:
         """Whether it is executed: active and not about to go to error."""
-        return self.state is _ACTIVE and self.failure is None and not self.abandoned
+        return self._state is _ACTIVE and self._failure is None and not self._abandoned
+
+    # -- causes to run, and what is known of its runs --------------------------------------------------------------
 
     def hook_of(self, hook: str) -> tuple[int, Callable[..., Any]]:
         """Kind and method of a hook, bound when it first runs: most components have two or three of the twelve."""
@@ -124,6 +183,8 @@ class Member:
         times = self.times.get(hook)
         if times is None:
             times = self.times[hook] = HookTimes()
+            if hook == "on_execute":
+                self.execute_times = times
         return times
 
 

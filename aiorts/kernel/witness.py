@@ -56,9 +56,9 @@ def look(kernel: Kernel, context: Context, thread_id: int, base: int, at_ns: int
     return Glance(at_ns, Blame("loop", name, "", line.file, line.line, line.function), waits)
 
 
-def books(kernel: Kernel, context: Context) -> Iterator[tuple[Member, Entry]]:
-    """The hooks that the kernel has the times of: those of the context, and of the others on its loop."""
-    contexts = (context,) if context.exclusive else tuple(kernel._contexts.values())
+def books(kernel: Kernel, context: Context, *, whole: bool) -> Iterator[tuple[Member, Entry]]:
+    """The hooks that the kernel has the times of: those of the context, and if `whole` of the others on its loop."""
+    contexts = tuple(kernel._contexts.values()) if whole and not context.exclusive else (context,)
     for one in contexts:
         if one is not context and one.exclusive:
             continue

@@ -34,6 +34,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # a reason.
 BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run",
+    # `_run` written out for the hooks of a cycle.
+    "aiorts/kernel/bulkhead.py:_run_quickly",
     "aiorts/kernel/bus.py:publish",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
     "aiorts/kernel/deadman.py:_ring",
