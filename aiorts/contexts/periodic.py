@@ -52,7 +52,7 @@ class PeriodicContext(Context):
         super().__init__(name=name, deadline=deadline, timing=timing)
         self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
         self._fresh = True
-        self._missed = MissedDeadlines()
+        self._missed: MissedDeadlines | None = None
         self._watch: Watch | None = None
 
     @property
@@ -73,8 +73,7 @@ class PeriodicContext(Context):
             plan.lateness_total_ns,
             self._hook_statistics(),
             plan.overrun,
-            self._missed.counts,
-            self._missed.last,
+            *(() if self._missed is None else (self._missed.counts, self._missed.last)),
         )
 
     async def set_rate(self, rate: float, *, timeout: float | None = 5.0) -> None:
@@ -139,6 +138,8 @@ class PeriodicContext(Context):
         plan, watch = self._schedule, self._watch
         blame = None if watch is None else watch.blame(now_ns, due_ns)
         policy = "skip" if plan is None else plan.overrun
+        if self._missed is None:
+            self._missed = MissedDeadlines()
         if blame is not None and (times := self._missed.add(blame, now_ns)):
             # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
             missed_now = "1 deadline" if times == 1 else f"{times} deadlines"

@@ -41,11 +41,13 @@ _MOST_NS: Final = 2_000_000
 _FAST_NS: Final = 2_000_000
 _LAZY_NS: Final = 1_000_000
 """A context with a shorter period than the first re-arms its timer once in the second; it is looked at later by it."""
-_MANY: Final = 200
+_MANY: Final = 50
 _SOON_NS: Final = 1_000_000_000
 """With so many contexts all books are gone through once in a second at the most."""
 _MOST_TIMERS: Final = 64
 """Descriptors are scarce: the contexts beyond are judged by the books alone."""
+_NONE: Final[list[Glance]] = []
+"""Of a watch without a timer: nobody adds one."""
 _GLANCES: Final = 24
 """Of one delay; the intervals double."""
 
@@ -62,6 +64,31 @@ class _Findings:
 class Watch:
     """The deadman of one context; `arm`, `disarm` and `blame` are for the thread that runs it, and take no lock."""
 
+    __slots__ = (
+        "__weakref__",
+        "_base",
+        "_context",
+        "_cpu_at",
+        "_fd",
+        "_finalizer",
+        "_findings",
+        "_glance_cpu",
+        "_glances",
+        "_good_until_ns",
+        "_kernel",
+        "_last",
+        "_lazy_ns",
+        "_pauses",
+        "_period_ns",
+        "_plain",
+        "_real",
+        "_seen",
+        "_thread_id",
+        "_timer",
+        "_tolerance_ns",
+        "due_ns",
+    )
+
     def __init__(self, kernel: Kernel, context: Context, thread_id: int, pauses: Pauses, findings: _Findings) -> None:
         self.due_ns = _NEVER
         """When the next cycle is due, on the kernel's clock."""
@@ -72,8 +99,10 @@ class Watch:
         self._good_until_ns = _NEVER
         self._tolerance_ns = _LEAST_NS
         self._lazy_ns = 0
-        self._glances: list[Glance] = []
+        self._glances: list[Glance] = _NONE
         self._findings = findings
+        self._seen: dict[tuple[int, str], Entry] | None = None
+        self._last: tuple[int, Blame] | None = None
         self._cpu_at = self._glance_cpu = (0, 0)
         self._period_ns = _NEVER
         self._plain = type(kernel.clock) is SystemClock
@@ -85,14 +114,15 @@ class Watch:
             self._open()
 
     def _open(self) -> None:
-        timer = timers._find_timerfd()
-        if timer is None or _watched() >= _MOST_TIMERS:
+        timer = None if _watched() >= _MOST_TIMERS else timers._find_timerfd()
+        if timer is None:
             return
         try:
             fd = timer.create()
         except (OSError, NotImplementedError):
             return  # none left, or blocked by a sandbox: the books alone
         self._fd, self._timer, self._good_until_ns = fd, timer, -1
+        self._glances = []
         _join(self)
         self._finalizer = weakref.finalize(self, _leave, fd)
 
@@ -143,11 +173,12 @@ class Watch:
         late = now_ns - due
         if late <= 0 and due_ns is None:
             return None
-        last = self._findings.last
-        if last is not None and due < last[0]:
-            # Due before the last blame was found: what made that cycle late made this one late as well.
-            return self._as_seen_here(last[1])
+        for last in (self._last, self._findings.last):
+            if last is not None and due < last[0]:
+                # Due before the last blame was found: what made that cycle late made this one late as well.
+                return self._as_seen_here(last[1])
         blame = self._judge(due, now_ns)
+        self._last = (now_ns, blame)
         if self._context.exclusive or blame.held != "its context":
             self._findings.last = (now_ns, blame)
         return blame
@@ -176,14 +207,14 @@ class Watch:
         fresh = []
         findings, now = self._findings, time.monotonic_ns()
         # With thousands of contexts the books are long; they are not gone through for each that is late.
-        whole = not self._real or len(self._kernel._contexts) < _MANY or now - findings.walked_ns > _SOON_NS
-        known = findings.seen
-        if whole:
-            findings.walked_ns, findings.seen = now, {}  # who has left is forgotten
+        few = self._context.exclusive or len(self._kernel._contexts) < _MANY
+        whole = few or now - findings.walked_ns > _SOON_NS
+        known = (self._seen or {}) if few else findings.seen
+        seen_now = {} if whole else known  # who has left is forgotten
         for member, entry in books(self._kernel, self._context, whole=whole):
             key = id(member), entry.blame.hook
             seen = known.get(key)
-            findings.seen[key] = entry
+            seen_now[key] = entry
             if seen is None or seen.runs != entry.runs:
                 # The longest run there ever was may have been the one that did it, though it was not the last.
                 longest = entry.last_ns if seen is None or seen.max_ns == entry.max_ns else entry.max_ns
@@ -192,6 +223,10 @@ class Watch:
                     if took <= late_ns + self._period_ns:
                         fresh.append(entry._replace(last_ns=took))
                         break
+        if few:
+            self._seen = seen_now
+        elif whole:
+            findings.walked_ns, findings.seen = now, seen_now
         return fresh
 
     def close(self) -> None:
@@ -237,7 +272,7 @@ class Deadman:
         self._pauses = Pauses()
         # For a kernel that nobody closed.
         weakref.finalize(kernel, self._pauses.stop).atexit = False
-        self._watches: weakref.WeakSet[Watch] = weakref.WeakSet()
+        self._watching = 0
         self._findings = _Findings()
 
     @property
@@ -255,7 +290,7 @@ class Deadman:
         watch = Watch(context._require_kernel(), context, thread_id, self._pauses, findings)
         if watch._real:
             with _LOCK:
-                self._watches.add(watch)
+                self._watching += 1
                 self._pauses.listen()
         return watch
 
@@ -263,8 +298,8 @@ class Deadman:
         """The context has stopped."""
         watch.close()
         with _LOCK:
-            self._watches.discard(watch)
-            if not self._watches:
+            self._watching -= watch._real
+            if not self._watching:
                 self._pauses.stop()
 
 

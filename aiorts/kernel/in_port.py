@@ -18,7 +18,6 @@ from aiorts.errors import BusyError, ClosedError, ReadTimeout, StateError
 from aiorts.kernel.blocking import PortLock
 from aiorts.kernel.port import NOTHING, OFF, UNLOCKED, UNSUSPENDED, Port, give_turn
 from aiorts.kernel.samples import Samples
-from aiorts.model.policy import Stamp
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
 __all__ = ("InPort",)
 
 T = TypeVar("T")
-# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
-_READ = Stamp.READ
 
 
 class InPort(Port[T]):
@@ -45,6 +42,7 @@ class InPort(Port[T]):
         "_last",
         "_open",
         "_plain",
+        "_read_stamps",
         "_sole",
         "_sole_delivered",
         "_source",
@@ -74,6 +72,8 @@ class InPort(Port[T]):
         """The queue that `_fast` is while nobody waits for room in it."""
         self._plain = False
         """Whether reading is the same at every connector: no lock, no stamp, no check."""
+        self._read_stamps = 0
+        """Connectors that stamp when a sample is read."""
         self._tokens: deque[Connector] | None = None
         self._arrivals = 0
         """Samples that arrived while there were several connectors."""
@@ -387,12 +387,7 @@ class InPort(Port[T]):
     def _choose_path(self) -> None:
         self._fast = self._direct = OFF
         host, connectors = self._host, self._connectors
-        self._plain = (
-            self._lock is None
-            and host is not None
-            and not host.debug
-            and all(connector._stamp is not _READ for connector in connectors)
-        )
+        self._plain = self._lock is None and host is not None and not host.debug and not self._read_stamps
         if self._plain and len(connectors) == 1:
             self._direct = connectors[0]._queue
             self._fast = OFF if connectors[0]._waiting else self._direct

@@ -77,6 +77,7 @@ def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: Connector
     several = in_._tokens is not None
     with in_._guard():
         in_._connectors += (connector,)
+        in_._read_stamps += profile.stamp is Stamp.READ
         in_._refresh()
     out._connectors += (connector,)
     _refresh_writers(out, in_, several)
@@ -92,6 +93,7 @@ def unwire(connector: Connector) -> None:
         unread = connector.unread
         connector.close()
         in_._connectors = _without(in_._connectors, connector)
+        in_._read_stamps -= connector.profile.stamp is Stamp.READ
         if several and unread:
             in_._settle_tokens()
         in_._refresh()
