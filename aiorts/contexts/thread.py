@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.member import Member
     from aiorts.kernel.ports import Port
 
-__all__ = ("ThreadContext",)
+__all__ = ("ThreadContext", "ThreadDriver")
 
 _ON_LOOP: Final = ("on_initialize", "on_finalize")
 """Hooks that belong to no context and run on the kernel's loop."""
@@ -49,6 +49,7 @@ class ThreadContext(PeriodicContext):
 
     kind: ClassVar[str] = "thread"
     exclusive: ClassVar[bool] = True
+    suspends: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -102,8 +103,8 @@ class ThreadContext(PeriodicContext):
                 f"{component.name}: {', '.join(awaiting)} is `async def`; the hooks of a thread context are plain `def`"
             )
 
-    def _make_driver(self, kernel: Kernel) -> _ThreadDriver:
-        return _ThreadDriver(self, kernel)
+    def _make_driver(self, kernel: Kernel) -> ThreadDriver:
+        return ThreadDriver(self, kernel)
 
     def _port_added(self, member: Member, port: Port[Any]) -> None:
         member.component._rt_host.threaded = True
@@ -118,20 +119,23 @@ class ThreadContext(PeriodicContext):
             member.component._rt_host.thread_id = None
 
 
-class _ThreadDriver:
+class ThreadDriver:
     """Carries out the steps of a context's life in a thread."""
 
-    def __init__(self, context: ThreadContext, kernel: Kernel) -> None:
+    def __init__(self, context: PeriodicContext, kernel: Kernel) -> None:
         self.context = context
         self.hooks_run = 0
         self.ended: asyncio.Future[None] = kernel.loop.create_future()
         self._kernel = kernel
+        self._bus = kernel.bus
+        self._now_ns = kernel.clock.monotonic_ns
         self._steps = context._life.steps()
         self._changed = PortLock()
         self._kicked = False
         self._gone = False
         self._hurried = False
         self._member: Member | None = None
+        self._ident = 0
         self._blocking = blocking_for(kernel.clock, kernel.loop, kernel._timers.call_at)
         for member in context._members:
             member.component._rt_host.stopping = False
@@ -178,9 +182,11 @@ class _ThreadDriver:
     # -- the thread ------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        self._ident = threading.get_ident()
         fault: BaseException | None = None
         outcome: BaseException | None = None
         try:
+            self._thread_began()
             while not self._gone:
                 outcome = self._carry_out(self._steps.send(outcome))
         except StopIteration:
@@ -190,6 +196,9 @@ class _ThreadDriver:
         if not self._gone:
             self._kernel._on_loop(lambda: self._end(fault))
         self._blocking.end()
+
+    def _thread_began(self) -> None:
+        """The first thing that is done in the thread."""
 
     def _carry_out(self, step: Step) -> BaseException | None:
         if isinstance(step, Batch):
@@ -209,13 +218,15 @@ class _ThreadDriver:
 
     def _call(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         context, component = self.context, member.component
-        component._rt_host.thread_id = threading.get_ident()
-        component._rt_host.blocking = self._blocking
         kind, function = member.hooks[hook]
-        watched = context._hooks_wanted()
+        watched = self._bus.hooks_wanted
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
-        started_ns = context._now_ns() if context.timing else 0
+        host = component._rt_host
+        host.thread_id = self._ident
+        host.blocking = self._blocking
+        timing = context.timing
+        started_ns = self._now_ns() if timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
         self.hooks_run += 1
@@ -223,9 +234,7 @@ class _ThreadDriver:
         member.hook = hook
         error: BaseException | None = None
         try:
-            result = function(*args)
-            if result is not None and kind != HookKind.ABSENT:
-                error = bad_return(member, hook, result)
+            error = self._enter(member, hook, function, args)
         except BaseException as raised:  # noqa: BLE001 - the border round a hook
             error = raised
         if self._gone:
@@ -234,11 +243,18 @@ class _ThreadDriver:
         member.hook = ""
         if context._stopping and isinstance(error, ClosedError):
             error = None  # a blocking read or write was woken to let the context stop
-        if context.timing:
-            member.timed(hook).add(context._now_ns() - started_ns)
+        if timing:
+            member.timed(hook).add(self._now_ns() - started_ns)
         if watched:
             context._publish(HookAfter(component.name, context.name, hook, error))
         return error
+
+    def _enter(self, member: Member, hook: str, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+        """Call the hook; the error for what it returned, if that was anything. What it raises is raised."""
+        result = function(*args)
+        if result is not None and member.hooks[hook][0] != HookKind.ABSENT:
+            return bad_return(member, hook, result)
+        return None
 
     def _wait(self, deadline_ns: int | None) -> None:
         with self._changed:
