@@ -50,7 +50,9 @@ class ProcessSettings:
             if self._users > 1:
                 return
             self._interval_before = sys.getswitchinterval()
-            sys.setswitchinterval(min(self._interval_before, SWITCH_INTERVAL))
+            # Also where it was shorter: a real-time thread that asks every microsecond keeps the holder of the
+            # interpreter lock, which has no priority, from the processor and so from letting go.
+            sys.setswitchinterval(SWITCH_INTERVAL)
             self.switch_interval = self._interval_set = sys.getswitchinterval()
             if gc.isenabled():
                 # A host that has switched it off has its reasons: then nothing is collected here either.

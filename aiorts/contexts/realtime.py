@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.contexts.periodic import PeriodicContext
@@ -15,6 +16,7 @@ from aiorts.contexts.privileges import Granted, Wanted
 from aiorts.contexts.realtime_thread import RealtimeDriver
 from aiorts.contexts.schedule import MAX_RATE
 from aiorts.errors import ConfigurationError
+from aiorts.kernel import crossings
 from aiorts.kernel.handed_log import HandedLogger
 from aiorts.kernel.port import UNSUSPENDED
 
@@ -97,20 +99,29 @@ class RealtimeContext(PeriodicContext):
         self._granted = Granted()
         return RealtimeDriver(self, kernel)
 
+    async def add(self, *components: Component, timeout: float | None = 5.0) -> None:
+        try:
+            await super().add(*components, timeout=timeout)
+        except BaseException:
+            for component in components:
+                _let_out(component)
+            raise
+
     def _longest_spin_ns(self) -> int:
         """How long before a deadline the thread looks at the clock: never most of the time."""
         rate = self.rate
         return self._spin_ns if not self._spin_ns or rate is None else min(self._spin_ns, round(0.25e9 / rate))
 
     def _port_added(self, member: Member, port: Port[Any]) -> None:
-        member.component._rt_host.threaded = True
-        self._require_kernel()._lock_ports(port)
+        crossings.cross_all(port)
         super()._port_added(member, port)
 
     def _new_member(self, component: Component) -> Member:
         # On the loop, before the thread has anything to do with the component.
         kernel, log = self._require_kernel(), component.log
         component._rt_host.realtime = True
+        for port in component.ports.values():
+            crossings.cross_all(port)
         if not isinstance(log.logger, HandedLogger):
             log.logger = HandedLogger(log.logger, kernel._on_loop)
         return super()._new_member(component)
@@ -118,13 +129,19 @@ class RealtimeContext(PeriodicContext):
     def _set_ports_open(self, member: Member) -> None:
         super()._set_ports_open(member)
         if member.left:
-            host = member.component._rt_host
-            host.threaded = host.realtime = False
-            host.thread_id = None
-            host.turns.left = UNSUSPENDED
-            log = member.component.log
-            if isinstance(log.logger, HandedLogger):
-                log.logger = log.logger.real
+            self._require_kernel()._on_loop(partial(_let_out, member.component))
+
+
+def _let_out(component: Component) -> None:
+    """It runs in no real-time thread any more, and is one of the loop's again."""
+    if component.contexts or component._rt_abandoned is not None:
+        return  # one whose hook was left behind may still be inside
+    host, log = component._rt_host, component.log
+    host.realtime, host.thread_id, host.turns.left = False, None, UNSUSPENDED
+    if isinstance(log.logger, HandedLogger):
+        log.logger = log.logger.real
+    for port in component.ports.values():
+        crossings.uncross_all(port)
 
 
 def _checked_priority(priority: object) -> int | None:

@@ -107,7 +107,8 @@ class PeriodicConnector(Connector):
         elapsed = self._now_ns() - self._start_ns
         period = elapsed * self._numerator // (1_000_000_000 * self._denominator) + 1
         deadline = self._start_ns + -(-period * 1_000_000_000 * self._denominator // self._numerator)
-        self._timer = self._timers.call_at(deadline, self._period_over)
+        # Looked up when it is over: the connector may cross threads then and obey the rules for that.
+        self._timer = self._timers.call_at(deadline, lambda: self._period_over())
 
     def _period_over(self) -> None:
         with self._guard():

@@ -64,6 +64,7 @@ class Connector:
     __slots__ = (
         "_arrived_at",
         "_clock_ns",
+        "_cross",
         "_dropped",
         "_full",
         "_length",
@@ -111,6 +112,8 @@ class Connector:
         self._waiting: deque[Waiting] = deque()
         self._loop = loop
         self._clock_ns = clock_ns
+        self._cross: Any = None
+        """What the threads at its ends count, while one is a real-time thread (`crossing.py`)."""
 
     # -- what tools see --------------------------------------------------------------------------------------------
 
@@ -247,6 +250,10 @@ class Connector:
                 return entry
             self.offer(sample)
             return None
+
+    def moved(self, entry: Waiting) -> bool:
+        """Whether the sample of a waiting thread is in; asked in that thread."""
+        return entry.done
 
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""

@@ -36,6 +36,7 @@ class InPort(Port[T]):
     __slots__ = (
         "_armed",
         "_arrivals",
+        "_cross",
         "_last",
         "_open",
         "_sole",
@@ -72,6 +73,8 @@ class InPort(Port[T]):
         self._waiter: asyncio.Future[None] | None = None
         self._wakes: tuple[Callable[[InPort[Any]], None], ...] = ()
         self._armed = False
+        self._cross: Any = None
+        """What its connectors share while a real-time thread is at one of them (`crossing.py`)."""
 
     def bind(self, host: PortHost, name: str) -> InPort[T]:
         """A live port of `host` made after this declaration."""

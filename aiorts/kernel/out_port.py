@@ -176,7 +176,10 @@ class OutPort(Port[T]):
         return done
 
     async def _write_waiting(self, sample: T) -> bool:
-        done, entries = self._offer(self._checked(sample), self._bound().loop)
+        host = self._bound()
+        if host.realtime:  # its thread waits for nobody
+            return self._write_general(sample)
+        done, entries = self._offer(self._checked(sample), host.loop)
         if entries:
             await self._wait_for(entries)
         return done
@@ -230,7 +233,7 @@ class OutPort(Port[T]):
         """
         host, lock = self._bound(), entry.connector.in_._lock
         assert lock is not None  # noqa: S101 - a connector of a threaded component has one
-        in_time = host.wait_in_thread(lock, lambda: entry.done or host.stopping, until_ns)
+        in_time = host.wait_in_thread(lock, lambda: entry.connector.moved(entry) or host.stopping, until_ns)
         if in_time and not entry.done:
             raise ClosedError(f"{self.path}: its context stops")
         return in_time

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import WiringError
+from aiorts.kernel import crossings
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.connector import Connector
 from aiorts.kernel.ports import InPort, OutPort, Port
@@ -65,8 +66,12 @@ def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: Connector
         )
     else:
         connector = Connector(profile, out, in_, loop, clock.time_ns)
-    if out._host is not None and in_._host is not None and (out._host.threaded or in_._host.threaded):
+    hosts = [host for host in (out._host, in_._host) if host is not None]
+    if any(host.threaded for host in hosts):
         in_._make_locked()
+    if any(host.realtime for host in hosts):
+        crossings.cross(in_)
+    crossings.fit(connector)
     with in_._guard():
         in_._connectors += (connector,)
         in_._refresh()
