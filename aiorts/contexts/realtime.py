@@ -7,7 +7,8 @@ How the thread waits and runs hooks is in `realtime_thread.py`, what it asks of 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -80,6 +81,7 @@ class RealtimeContext(PeriodicContext):
         self._wanted = Wanted(_checked_priority(priority), _checked_cpus(cpus), bool(lock_memory))
         self._spin_ns = _checked_spin_ns(spin)
         self._granted = Granted()
+        self._clock_ns: Callable[[], int] = time.monotonic_ns
 
     @property
     def granted(self) -> Granted:
@@ -97,7 +99,11 @@ class RealtimeContext(PeriodicContext):
 
     def _make_driver(self, kernel: Kernel) -> RealtimeDriver:
         self._granted = Granted()
+        self._clock_ns = kernel.clock.monotonic_ns
         return RealtimeDriver(self, kernel)
+
+    def _now_ns(self) -> int:
+        return self._clock_ns()
 
     async def add(self, *components: Component, timeout: float | None = 5.0) -> None:
         try:

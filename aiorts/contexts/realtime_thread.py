@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,7 +19,7 @@ from aiorts.contexts.privileges import Granted, obtain
 from aiorts.contexts.process import SETTINGS
 from aiorts.contexts.thread import ThreadDriver
 from aiorts.errors import StateError
-from aiorts.kernel.hooks import HookKind, bad_return
+from aiorts.kernel.hooks import bad_return
 from aiorts.kernel.life import TURN, Step
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ("RealtimeDriver",)
 
 _LOG = logging.getLogger("aiorts.kernel")
-_ASYNC: Final = HookKind.ASYNC
 _FAR_NS: Final = 20_000_000
 """A request waits no longer than this, or a period when that is less."""
 _NEAR_NS: Final = 5_000_000
@@ -117,12 +116,9 @@ class RealtimeDriver(ThreadDriver):
                 self._changed.wait(nanoseconds / 1e9)
             self._parked = False
 
-    def _enter(self, member: Member, hook: str, function: Callable[..., Any], args: tuple[Any, ...]) -> Any:
-        if member.hooks[hook][0] != _ASYNC:
-            return super()._enter(member, hook, function, args)
+    def _step(self, member: Member, hook: str, coroutine: Any) -> BaseException | None:
         # Awaited reads and writes would give the loop a turn now and then; there is none here.
         member.component._rt_host.turns.left = _UNBOUNDED_TURNS
-        coroutine = function(*args)
         try:
             coroutine.send(None)
         except StopIteration as done:
