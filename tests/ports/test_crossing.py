@@ -197,6 +197,63 @@ def test_between_two_threads_the_ledger_balances_at_each_look_and_order_is_kept(
         assert seen[-1] == count - 1  # the newest is never stranded
 
 
+async def test_a_sample_written_before_the_reader_is_armed_wakes_it_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        await kernel.connect(source.out, sink.inp)
+        crossings.cross(sink.inp)
+        kind, written = type(sink.inp), list[bool]()
+        before = kind._raise_if_gone
+
+        def in_between(port: InPort[Any]) -> None:
+            before(port)
+            if not written:
+                written.append(source.out.write_nowait(long(7)))
+
+        monkeypatch.setattr(kind, "_raise_if_gone", in_between)
+        assert (await asyncio.wait_for(sink.inp.read(), 5.0)).data == 7
+        assert written == [True]
+
+
+async def test_a_ledger_is_not_read_in_the_middle_of_a_write() -> None:
+    """A sample that is written and not in its buffer yet would count as delivered."""
+    seen: list[int] = []
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        connector = await kernel.connect(source.out, sink.inp, stamp="send")
+        crossings.cross(sink.inp)
+        looker = threading.Thread(target=lambda: seen.append(connector.statistics.delivered))
+
+        def in_the_middle() -> int:
+            looker.start()
+            time.sleep(0.01)
+            assert seen == []
+            return 1
+
+        connector._clock_ns = in_the_middle
+        source.out.write_nowait(long(1))
+        looker.join()
+        assert seen == [0]
+
+
+async def test_a_sample_that_comes_in_while_its_connector_ends_is_dropped_as_disconnected() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        connector = await kernel.connect(source.out, sink.inp, stamp="send")
+        crossings.cross(sink.inp)
+
+        def in_the_middle() -> int:
+            kernel._connections.end(connector)
+            return 1
+
+        connector._clock_ns = in_the_middle
+        assert source.out.write_nowait(long(1)) is True
+        ledger = connector.statistics
+        assert (ledger.written, ledger.buffered, dict(ledger.dropped)) == (1, 0, {"disconnected": 1})
+
+
 # -- in their contexts -------------------------------------------------------------------------------------------------
 
 
@@ -345,7 +402,7 @@ async def test_the_lock_of_a_port_is_never_taken_by_a_real_time_thread() -> None
         await kernel.connect(source.out, servo.inp, length=100)
         await kernel.connect(servo.out, blocker.inp, length=100)
         await kernel.start(ThreadContext(), blocker, activate=True)
-        await kernel.start(RealtimeContext(500.0), servo, activate=True)
+        context = await kernel.start(RealtimeContext(500.0), servo, activate=True)
         source.out.write_nowait(long(1))
         await reached(lambda: blocker.seen == [1])
         lock = blocker.inp._lock
@@ -365,10 +422,14 @@ async def test_the_lock_of_a_port_is_never_taken_by_a_real_time_thread() -> None
         until = time.monotonic() + 5.0
         while len(servo.seen) < 2 and time.monotonic() < until:
             time.sleep(0.001)
-        seen = servo.seen.copy()
+        seen, ticks = servo.seen.copy(), context.ticks
+        while context.ticks < ticks + 10 and time.monotonic() < until:
+            time.sleep(0.001)
+        went_on = context.ticks >= ticks + 10
         released.set()
         holder.join()
         assert seen == [1, 2]
+        assert went_on
         await reached(lambda: blocker.seen == [1, 2])
 
 
