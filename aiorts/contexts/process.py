@@ -24,6 +24,8 @@ _GUESS_NS: Final = (50_000, 100_000, 300_000)
 """What a collection of each generation costs before one has been measured; what was there at the start is frozen."""
 _LOCK_FLAGS: Final = 1 | 2 | 4
 """MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: what was used once stays; what never was takes no memory."""
+_OF_THE_INTERPRETER: Final = 2000
+"""Objects that CPython 3.12 has frozen before any code runs are a few hundred."""
 _CAP_IPC_LOCK: Final = 1 << 14
 
 
@@ -58,10 +60,12 @@ class ProcessSettings:
                 # A host that has switched it off has its reasons: then nothing is collected here either.
                 self.collects = True
                 self._cost_ns = list(_GUESS_NS)
-                self._froze = gc.get_freeze_count() == 0
                 gc.disable()
                 gc.collect()
-                gc.freeze()
+                # What a host has frozen could not be told from ours afterwards: then it stays as it is.
+                self._froze = gc.get_freeze_count() <= _OF_THE_INTERPRETER
+                if self._froze:
+                    gc.freeze()
 
     def release(self) -> None:
         """One less; after the last everything is as it was found."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 __all__ = ("HandedLogger",)
@@ -22,5 +23,6 @@ class HandedLogger(logging.Logger):
 
     def handle(self, record: logging.LogRecord) -> None:
         # Rendered now, as a QueueHandler does: what the arguments are later is not what was meant.
-        record.msg, record.args = record.getMessage(), None
+        with suppress(TypeError, ValueError, KeyError):  # the handler reports a bad template, as for every logger
+            record.msg, record.args = record.getMessage(), None
         self._on_loop(partial(self.real.handle, record))

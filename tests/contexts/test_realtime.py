@@ -21,6 +21,7 @@ from aiorts import Component, InPort, Kernel, LifeCycleState, OutPort, Param, Re
 from aiorts.contexts.process import ProcessSettings
 from aiorts.contexts.schedule import Schedule
 from aiorts.errors import ConfigurationError, HookAbandoned, StateError
+from aiorts.kernel.handed_log import HandedLogger
 from aiorts.testing import check_context, simulate
 from aiorts.types import TimedLong
 from contexts.parts import MS, Idle, S
@@ -325,6 +326,24 @@ async def test_a_failure_is_contained_and_logged_on_the_loop(caplog: pytest.LogC
     assert set(threads) == {threading.get_ident()}  # no handler's I/O in the real-time thread
 
 
+def test_a_line_is_rendered_when_it_is_logged_and_a_bad_template_is_left_to_the_handler() -> None:
+    records: list[logging.LogRecord] = []
+    later: list[Callable[[], object]] = []
+    real = logging.Logger("real")
+    handler = logging.Handler()
+    handler.emit = records.append  # type: ignore[method-assign]
+    real.addHandler(handler)
+    log = HandedLogger(real, later.append)
+    values = [1]
+    log.warning("values %s", values)
+    log.warning("%s %s", 1)
+    values.append(2)
+    assert records == []
+    for callback in later:
+        callback()
+    assert [(record.msg, record.args) for record in records] == [("values [1]", None), ("%s %s", (1,))]
+
+
 def test_a_hook_that_never_returns_is_left_behind_and_settings_are_restored() -> None:
     release = threading.Event()
 
@@ -348,10 +367,12 @@ def test_a_hook_that_never_returns_is_left_behind_and_settings_are_restored() ->
 
 
 async def test_collector_and_switch_interval_are_restored_after_the_last_context() -> None:
+    gc.unfreeze()  # CPython 3.12 has frozen a few hundred objects of its own
     before = (gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval())
     async with Kernel() as kernel:
         one = await kernel.start(RealtimeContext(100.0), await kernel.add(Idle("one")))
         assert (gc.isenabled(), one.granted.collector) == (False, True)
+        assert gc.get_freeze_count() > 2000
         assert sys.getswitchinterval() == pytest.approx(100e-6)
         two = await kernel.start(RealtimeContext(100.0), await kernel.add(Idle("two")))
         await one.stop()
@@ -359,6 +380,21 @@ async def test_collector_and_switch_interval_are_restored_after_the_last_context
         assert sys.getswitchinterval() == pytest.approx(100e-6)
         await two.stop()
         assert (gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval()) == before
+
+
+async def test_what_a_host_has_frozen_stays_frozen() -> None:
+    gc.collect()
+    gc.freeze()
+    try:
+        before = gc.get_freeze_count()
+        assert before > 2000
+        async with Kernel() as kernel:
+            context = await kernel.start(RealtimeContext(100.0), await kernel.add(Idle("one")))
+            await context.stop()
+        assert before * 0.9 < gc.get_freeze_count() <= before
+        assert gc.isenabled()
+    finally:
+        gc.unfreeze()
 
 
 async def test_what_the_user_changed_meanwhile_stays() -> None:
