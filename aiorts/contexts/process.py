@@ -20,7 +20,7 @@ __all__ = ("SETTINGS", "ProcessSettings")
 SWITCH_INTERVAL: Final = 100e-6
 _OVERDUE: Final = 20
 """Times its threshold at which a generation is collected, slack or not."""
-_GUESS_NS: Final = (50_000, 100_000, 300_000)
+_GUESS_NS: Final[tuple[int, ...]] = (50_000, 100_000, 300_000)
 """What a collection of each generation costs before one has been measured; what was there at the start is frozen."""
 _LOCK_FLAGS: Final = 1 | 2 | 4
 """MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: what was used once stays; what never was takes no memory."""
@@ -36,7 +36,7 @@ class ProcessSettings:
         self._lock = threading.Lock()
         self._users = 0
         self._lockers = 0
-        self._cost_ns = list(_GUESS_NS)
+        self._cost_ns: list[int] = list(_GUESS_NS)
         self._froze = False
         self._unlocks = False
         self._interval_before = self._interval_set = 0.0

@@ -80,6 +80,7 @@ class CrossingConnector(Connector):
     def statistics(self) -> ConnectorStatistics:
         """The ledger at one moment, from whatever thread."""
         sides = self._cross
+        written, buffered, dropped = self._look()
         for look in range(_PATIENCE):
             marked = sides.writing or sides.reading or sides.moving
             written, buffered, dropped = seen = self._look()

@@ -52,7 +52,7 @@ def cross(port: InPort[Any]) -> None:
         port._tokens = None
         if port._lock is None:
             port._lock = PortLock()
-        port.__class__ = CrossingInPort
+        _become(port, CrossingInPort)
         port._source = source
         port._refresh()
     for connector in port._connectors:
@@ -72,9 +72,9 @@ def _convert(connector: Connector) -> None:
         numbered = list(enumerate(connector._backlog, connector._first))
         connector._backlog.clear()
         connector._backlog.extend(numbered)
-        connector.__class__ = CrossingPeriodic
+        _become(connector, CrossingPeriodic)
     else:
-        connector.__class__ = CrossingConnector
+        _become(connector, CrossingConnector)
 
 
 def _needed(port: InPort[Any]) -> bool:
@@ -99,11 +99,11 @@ def uncross(port: InPort[Any]) -> None:
             kind: type[Connector] = PeriodicConnector
         else:
             kind = Connector
-        connector.__class__ = kind
+        _become(connector, kind)
     source = port._source
     port._arrivals = next(port._cross.numbers)
     port._lock = None
-    port.__class__ = InPort
+    _become(port, InPort)
     port._sole = None
     port._source = source
     if len(port._connectors) > 1:
@@ -111,3 +111,7 @@ def uncross(port: InPort[Any]) -> None:
     port._refresh()
     for connector in port._connectors:
         connector.out._refresh()
+
+
+def _become(thing: Any, kind: type[Any]) -> None:
+    thing.__class__ = kind
