@@ -5,7 +5,7 @@ from __future__ import annotations
 from anyio import WouldBlock
 
 from aiorts.clock import Clock, ScaledClock, SimulatedClock, SystemClock
-from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, ThreadContext
+from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, RealtimeContext, ThreadContext
 from aiorts.errors import AiortsError
 from aiorts.kernel import Bus, Component, Connector, Context, InPort, Kernel, OutPort, Param
 from aiorts.kernel.bus import (
@@ -68,6 +68,7 @@ __all__ = (
     "PortAdded",
     "PortRemoved",
     "RateChanged",
+    "RealtimeContext",
     "ScaledClock",
     "SimulatedClock",
     "StateChanged",

@@ -1,9 +1,10 @@
 """When the ticks of a rate are due; pure arithmetic on nanoseconds, nothing here waits or asks the time.
 
 Tick n is due at `start + n / rate`, computed with integers from the rate's exact ratio, so that nothing accumulates
-at any length. A cycle that is not done when the next is due is an overrun, and so is one that begins when the next is
-due already. The policy "skip" then runs the newest tick that is due and counts the others as skipped; "catch_up" runs
-the missed ticks at once, as far as they are at most one second old, and the newest in any case.
+at any length. A cycle that is not done when the next is due, or within a deadline of its own, is an overrun, and so is
+one that begins when the next is due already. The policy "skip" then runs the newest tick that is due and counts the
+others as skipped; "catch_up" runs the missed ticks at once, as far as they are at most one second old, and the newest
+in any case.
 """
 
 from __future__ import annotations
@@ -66,6 +67,8 @@ class Schedule:
         self.skipped = self.overruns = self.lateness_max_ns = self.lateness_total_ns = 0
         self.period_ns = 0
         """Rounded down."""
+        self.deadline_ns: int | None = None
+        """How long after it is due a tick has to be done; None: a period."""
         self._tick = 0
         self._start_ns = 0
         self._over = False
@@ -98,9 +101,10 @@ class Schedule:
 
     def end(self, now_ns: int) -> None:
         """The tick is done."""
+        until = None if self.deadline_ns is None else self.due_ns + self.deadline_ns
         self._tick += 1
         self.due_ns = self._due(self._tick)
-        self._over = now_ns > self.due_ns
+        self._over = now_ns > (self.due_ns if until is None else until)
 
     def _leave_out(self, now_ns: int) -> int:
         """Go on to the tick that is run now; how many are left out."""

@@ -31,10 +31,12 @@ if TYPE_CHECKING:
     from aiorts.kernel.member import Member
     from aiorts.kernel.ports import Port
 
-__all__ = ("ThreadContext",)
+__all__ = ("ThreadContext", "ThreadDriver")
 
 _ON_LOOP: Final = ("on_initialize", "on_finalize")
 """Hooks that belong to no context and run on the kernel's loop."""
+_ABSENT: Final = HookKind.ABSENT
+_ASYNC: Final = HookKind.ASYNC
 _FOR_EVER: Final = Wait(None)
 _LEAST_NS: Final = 1_000_000
 """What a cycle without a rate takes at least of a clock that stands still while hooks run."""
@@ -50,6 +52,7 @@ class ThreadContext(PeriodicContext):
 
     kind: ClassVar[str] = "thread"
     exclusive: ClassVar[bool] = True
+    suspends: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -108,8 +111,8 @@ class ThreadContext(PeriodicContext):
                 f"{component.name}: {', '.join(awaiting)} is `async def`; the hooks of a thread context are plain `def`"
             )
 
-    def _make_driver(self, kernel: Kernel) -> _ThreadDriver:
-        return _ThreadDriver(self, kernel)
+    def _make_driver(self, kernel: Kernel) -> ThreadDriver:
+        return ThreadDriver(self, kernel)
 
     def _port_added(self, member: Member, port: Port[Any]) -> None:
         member.component._rt_host.threaded = True
@@ -124,20 +127,23 @@ class ThreadContext(PeriodicContext):
             member.component._rt_host.thread_id = None
 
 
-class _ThreadDriver:
+class ThreadDriver:
     """Carries out the steps of a context's life in a thread."""
 
-    def __init__(self, context: ThreadContext, kernel: Kernel) -> None:
+    def __init__(self, context: PeriodicContext, kernel: Kernel) -> None:
         self.context = context
         self.hooks_run = 0
         self.ended: asyncio.Future[None] = kernel.loop.create_future()
         self._kernel = kernel
+        self._bus = kernel.bus
+        self._now_ns = kernel.clock.monotonic_ns
         self._steps = context._life.steps()
         self._changed = PortLock()
         self._kicked = False
         self._gone = False
         self._hurried = False
         self._member: Member | None = None
+        self._ident = 0
         self._blocking = blocking_for(kernel.clock, kernel.loop, kernel._timers.call_at)
         for member in context._members:
             member.component._rt_host.stopping = False
@@ -184,9 +190,11 @@ class _ThreadDriver:
     # -- the thread ------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        self._ident = threading.get_ident()
         fault: BaseException | None = None
         outcome: BaseException | None = None
         try:
+            self._thread_began()
             while not self._gone:
                 outcome = self._carry_out(self._steps.send(outcome))
         except StopIteration:
@@ -196,6 +204,9 @@ class _ThreadDriver:
         if not self._gone:
             self._kernel._on_loop(lambda: self._end(fault))
         self._blocking.end()
+
+    def _thread_began(self) -> None:
+        """The first thing that is done in the thread."""
 
     def _carry_out(self, step: Step) -> BaseException | None:
         if isinstance(step, Batch):
@@ -215,16 +226,19 @@ class _ThreadDriver:
 
     def _call(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         context, component = self.context, member.component
-        component._rt_host.thread_id = threading.get_ident()
-        component._rt_host.blocking = self._blocking
         try:
             kind, function = member.hooks[hook]
         except KeyError:
             kind, function = member.hook_of(hook)
-        watched = context._hooks_wanted()
-        if (kind == HookKind.ABSENT and not watched) or member.abandoned:
+        watched = self._bus.hooks_wanted
+        if (kind == _ABSENT and not watched) or member.abandoned:
             return None
-        started_ns = context._now_ns() if context.timing else 0
+        host = component._rt_host
+        if host.thread_id != self._ident:
+            host.thread_id = self._ident
+            host.blocking = self._blocking
+        timing = context.timing
+        started_ns = self._now_ns() if timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
         self.hooks_run += 1
@@ -232,9 +246,12 @@ class _ThreadDriver:
         member.hook = hook
         error: BaseException | None = None
         try:
-            result = function(*args)
-            if result is not None and kind != HookKind.ABSENT:
-                error = bad_return(member, hook, result)
+            if kind == _ASYNC:
+                error = self._step(member, hook, function(*args))
+            else:
+                result = function(*args)
+                if result is not None and kind != _ABSENT:
+                    error = bad_return(member, hook, result)
         except BaseException as raised:  # noqa: BLE001 - the border round a hook
             error = raised
         if self._gone:
@@ -243,11 +260,22 @@ class _ThreadDriver:
         member.hook = "on_execute"
         if context._stopping and isinstance(error, ClosedError):
             error = None  # a blocking read or write was woken to let the context stop
-        if context.timing:
-            member.timed(hook).add(context._now_ns() - started_ns)
+        if timing:
+            # `HookTimes.add`, written out: it is a good part of what a short hook costs.
+            elapsed_ns = self._now_ns() - started_ns
+            times = member.times.get(hook) or member.timed(hook)
+            times.count += 1
+            times.total_ns += elapsed_ns
+            times.last_ns = elapsed_ns
+            if elapsed_ns > times.max_ns:
+                times.max_ns = elapsed_ns
         if watched:
             context._publish(HookAfter(component.name, context.name, hook, error))
         return error
+
+    def _step(self, member: Member, hook: str, coroutine: Any) -> BaseException | None:
+        """What became of an `async def` hook; a thread context has refused it before."""
+        return bad_return(member, hook, coroutine)
 
     def _wait(self, deadline_ns: int | None) -> None:
         with self._changed:

@@ -37,6 +37,7 @@ class PeriodicConnector(Connector):
         "_first",
         "_now_ns",
         "_numerator",
+        "_sent",
         "_start_ns",
         "_timer",
         "_timers",
@@ -59,6 +60,8 @@ class PeriodicConnector(Connector):
         self._backlog: deque[Any] = deque()
         self._first = 1
         """The number since the connection of the oldest sample in the backlog."""
+        self._sent = False
+        """Whether the period that is over has sent anything."""
         self._arming = False
         """Whether the loop was asked for a timer that it has not set yet."""
         self._timers = timers
@@ -111,9 +114,21 @@ class PeriodicConnector(Connector):
         elapsed = self._now_ns() - self._start_ns
         period = elapsed * self._numerator // (1_000_000_000 * self._denominator) + 1
         deadline = self._start_ns + -(-period * 1_000_000_000 * self._denominator // self._numerator)
-        self._timer = self._timers.call_at(deadline, self._period_over)
+        # Looked up when it is over: the connector may cross threads then and obey the rules for that.
+        self._timer = self._timers.call_at(deadline, lambda: self._period_over())
 
     def _period_over(self) -> None:
+        if self._times is None:
+            self._work_off()
+            return
+        began_ns, self._sent = self._now_ns(), False
+        self._work_off()
+        if self._sent:
+            with self._guard():
+                self._times.add(began_ns, self._now_ns())
+
+    def _work_off(self) -> None:
+        """The period is over: send what the push policy says."""
         with self._guard():
             self._timer = None
             if self._push is _ALL and self._takes_all():
@@ -139,9 +154,15 @@ class PeriodicConnector(Connector):
         backlog = self._backlog
         self._arming = False
         if backlog:
+            self._sent = True
             self._queue.extend(backlog)
             backlog.clear()
             self.in_._arrived(self, False)
+
+    def _push_in(self, sample: Any, *, counted: bool = False) -> None:
+        self._sent = True
+        self._queue.append(sample)
+        self.in_._arrived(self, counted)
 
     def _discard_all(self, reason: str) -> None:
         super()._discard_all(reason)

@@ -2,7 +2,7 @@
 
 The context awaits each hook in its own plain task: no task switch, no cancel scope, no task group that one stray
 CancelledError could end. Whether the kernel cancelled is known from the watch's own count, not from
-`task.cancelling()`; who else cancels the task is decided in `_DriverTask.cancel`. A hook over its deadline is
+`task.cancelling()`; who else cancels the task is decided in `DriverTask.cancel`. A hook over its deadline is
 cancelled once for each grace step; one that ignores them all is left behind with its task, and the context goes on in
 a new one: repeated delivery, as cancel scopes do it, would pin a core.
 """
@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from aiorts.kernel.bus import Bus, HookAfter, HookBefore
 from aiorts.kernel.deadlines import StopBudget
+from aiorts.kernel.driver_task import DriverTask, resolve, wait_for_turn
 from aiorts.kernel.hooks import HookKind, bad_return
 from aiorts.kernel.life import Batch, Call, Steps, Wait, first_pass
 from aiorts.kernel.port import give_turn
-from aiorts.kernel.tasks import current_task, leave_behind, owner_of
-from aiorts.kernel.verdict import judged, left_behind, not_let_in
+from aiorts.kernel.tasks import leave_behind
+from aiorts.kernel.verdict import judged, left_behind
 from aiorts.kernel.watch import Watch
 
 if TYPE_CHECKING:
@@ -40,35 +41,6 @@ class _LeftBehind(BaseException):
     """This task was abandoned and its hook has returned after all: it must touch nothing any more."""
 
 
-class _DriverTask(asyncio.Task[None]):
-    """The task of a context: it knows what a cancellation by somebody else means."""
-
-    __slots__ = ("_aiorts_driver",)
-
-    def __init__(self, driver: TaskDriver, life: Coroutine[Any, Any, None]) -> None:
-        self._aiorts_driver = driver
-        super().__init__(life, loop=driver.loop, name=f"aiorts {driver.context.name}")
-
-    def cancel(self, msg: Any | None = None) -> bool:
-        """By the host, or because the loop is torn down: the context stops in order. Else it is the hook's affair."""
-        driver = self._aiorts_driver
-        caller = current_task()
-        # A scope entered in the hook is the hook's affair, whoever ends it: anyio says so in the message.
-        by_scope = isinstance(msg, str) and "cancel scope" in msg
-        by_host = not driver.loop.is_running() or (caller is not None and owner_of(caller) is None and not by_scope)
-        if by_host:
-            driver.stop_for_host()
-        if driver.current is None:
-            # Between hooks there is nothing that a component could want to cancel.
-            return by_host
-        driver.cancelled_by_others = driver._careful = True
-        return super().cancel(msg)
-
-    def cancel_hook(self) -> None:
-        """The watch's cancellation."""
-        super().cancel()
-
-
 class TaskDriver:
     """Carries out the steps of a context's life in a task of its own."""
 
@@ -85,7 +57,6 @@ class TaskDriver:
         "_sleeper",
         "_steps",
         "_stopped_by_host",
-        "_turn",
         "_watch",
         "budget",
         "call_later",
@@ -95,6 +66,7 @@ class TaskDriver:
         "hooks_run",
         "loop",
         "task",
+        "turn",
     )
 
     def __init__(
@@ -122,12 +94,12 @@ class TaskDriver:
         self._member: Member | None = None
         self._watch: Watch | None = None
         self._sleeper: asyncio.Future[None] | None = None
-        self._turn: asyncio.Future[bool] | None = None
+        self.turn: asyncio.Future[bool] | None = None
         self._kicked = False
         self._over = False
         self._ended: asyncio.Future[None] | None = None
         self._beware()
-        self.task = _DriverTask(self, self._drive(None))
+        self.task = DriverTask(self, self._drive(None))
 
     @property
     def ended(self) -> asyncio.Future[None]:
@@ -161,8 +133,8 @@ class TaskDriver:
                 self._watch.arm()
             elif self._watch is not None:
                 self._watch.rearm()
-            elif self._turn is not None:
-                self.loop.call_later(budget.limit, _resolve, self._turn, False)
+            elif self.turn is not None:
+                self.loop.call_later(budget.limit, resolve, self.turn, False)
 
     def stop_for_host(self) -> None:
         """The application cancelled the context's task: an odd way to stop it, but a clear one."""
@@ -172,6 +144,10 @@ class TaskDriver:
             context._stopping = self._stopped_by_host = True
             self.hurry(StopBudget(self.loop))
             self.kick()
+
+    def beware_of_cancellation(self) -> None:
+        """Somebody else cancels the hook that runs now."""
+        self.cancelled_by_others = self._careful = True
 
     def _beware(self) -> None:
         self._careful = self.deadline is not None or self.budget is not None
@@ -318,7 +294,7 @@ class TaskDriver:
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
         if gate.inside is not None or gate.waiting:
-            busy = await self._wait_for_turn(member, hook)
+            busy = await wait_for_turn(self, member, hook)
             if busy is not None or member.abandoned:
                 return busy
         started_ns = context._now_ns() if context.timing else 0
@@ -353,21 +329,6 @@ class TaskDriver:
         if watched:
             context._publish(HookAfter(component.name, context.name, hook, error))
         return error
-
-    async def _wait_for_turn(self, member: Member, hook: str) -> BaseException | None:
-        """Another context is inside the component: wait for it; while this one stops, no longer than it may."""
-        turn = self._turn = self.loop.create_future()
-        timer = None
-        if self.budget is not None:
-            timer = self.loop.call_later(self.budget.limit, _resolve, turn, False)
-        try:
-            if await member.gate.wait(turn):
-                return None
-        finally:
-            self._turn = None
-            if timer is not None:
-                timer.cancel()
-        return not_let_in(member, hook)
 
     async def _outcome(
         self, member: Member, hook: str, error: BaseException | None, result: object
@@ -433,9 +394,4 @@ class TaskDriver:
             self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:
             self.context._life.failed(member, hook, error)
-        self.task = _DriverTask(self, self._drive(error if self._batch is None else None))
-
-
-def _resolve(future: asyncio.Future[bool], outcome: bool) -> None:
-    if not future.done():
-        future.set_result(outcome)
+        self.task = DriverTask(self, self._drive(error if self._batch is None else None))

@@ -13,22 +13,24 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any
 
+from aiorts.kernel.ledger import Ledger
 from aiorts.kernel.port import OFF, UNLOCKED
+from aiorts.kernel.waiting import Waiting
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
+from aiorts.model.timing import SendTimes
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports import InPort, OutPort
     from aiorts.model.timing import PublisherTiming
 
-__all__ = ("Connector", "Waiting")
+__all__ = ("Connector",)
 
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
@@ -40,22 +42,9 @@ _SEND = Stamp.SEND
 _RECEIVED = Stamp.RECEIVED
 _REFUSE = Verdict.REFUSE
 _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
-_DISPLACED = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
-_NOTHING: Final[Mapping[str, int]] = MappingProxyType({})
 
 
-@dataclass(eq=False, slots=True)
-class Waiting:
-    """A sample whose writer waits for room: the reader that makes room moves it. A writer in a thread has no future
-    and waits on the in-port's lock."""
-
-    connector: Connector
-    sample: Any
-    future: asyncio.Future[None] | None
-    done: bool = False
-
-
-class Connector:
+class Connector(Ledger):
     """One live connection. Made by `Kernel.connect`, ended by `Kernel.disconnect`.
 
     Attributes:
@@ -68,27 +57,20 @@ class Connector:
     __slots__ = (
         "_arrived_at",
         "_clock_ns",
-        "_displaced",
-        "_dropped",
-        "_full",
+        "_cross",
         "_length",
         "_loop",
-        "_push",
         "_queue",
         "_quiet",
-        "_shared",
         "_skip",
         "_stamp",
+        "_times",
         "_waiting",
-        "_written",
         "closed",
         "in_",
         "name",
-        "out",
         "profile",
     )
-    _plain: ClassVar[bool] = True
-    """Whether a sample on its way in may pass by `_push_in`."""
 
     def __init__(
         self,
@@ -98,9 +80,9 @@ class Connector:
         loop: asyncio.AbstractEventLoop,
         clock_ns: Callable[[], int],
     ) -> None:
+        super().__init__(out)
         self.name = profile.name
         self.profile = profile
-        self.out = out
         self.in_ = in_
         self.closed = False
         self._queue: deque[Any] = deque()
@@ -112,19 +94,15 @@ class Connector:
         self._push = _NEW if self._quiet else chosen
         self._skip = profile.skip
         self._stamp = profile.stamp
-        self._written = 0
-        """Samples written, without those that the out-port counts for all of its direct connectors."""
-        self._shared = False
-        """Whether the out-port's count goes for this connector too."""
-        self._displaced = 0
-        """Samples that a full buffer displaced or refused and `_dropped` does not have yet."""
         self._arrived_at = 0
         """When the newest sample arrived, counted at an in-port with several connectors."""
-        self._dropped: Mapping[str, int] = _NOTHING
         self._waiting: deque[Waiting] | None = None
         """Who waits for room; the buffer is full as long as there is somebody. None before the first."""
         self._loop = loop
         self._clock_ns = clock_ns
+        self._times = SendTimes(profile.measure) if profile.measure else None
+        self._cross: Any = None
+        """What the threads at its ends count, while one is a real-time thread (`crossing.py`)."""
 
     # -- what tools see --------------------------------------------------------------------------------------------
 
@@ -149,22 +127,14 @@ class Connector:
             self._count_displaced()
             return self._total() - sum(self._dropped.values()) - self._buffered
 
-    def _total(self) -> int:
-        return self._written + self.out._sent if self._shared else self._written
-
-    def share(self, shared: bool, sent: int) -> None:
-        """From now on the out-port counts for this connector, or no longer: it has counted `sent`."""
-        if shared is not self._shared:
-            self._shared = shared
-            self._written += -sent if shared else sent
-
     @property
     def timing(self) -> PublisherTiming | None:
         """When and how long this connector sent, over its last `measure` sends; None when it was not asked for.
 
         `measure` is an option of `Kernel.connect`; OpenRTM's keys `measurement.*` are aliases.
         """
-        return None
+        with self._guard():
+            return None if self._times is None else self._times.timing
 
     @property
     def unread(self) -> int:
@@ -191,6 +161,7 @@ class Connector:
             and not self._quiet
             and self._push is not _SKIP
             and self._stamp is None
+            and self._times is None
             and self.in_._open
             and self.in_._lock is None
         )
@@ -298,6 +269,10 @@ class Connector:
         self.in_._fast = OFF
         return entry
 
+    def moved(self, entry: Waiting) -> bool:
+        """Whether the sample of a waiting thread is in; asked in that thread."""
+        return entry.done
+
     def give_up(self, entry: Waiting) -> bool:
         """Stop waiting; False when the sample was moved in the meantime."""
         with self._guard():
@@ -316,7 +291,7 @@ class Connector:
         if not waiting:
             return
         in_, queue = self.in_, self._queue
-        plain = self._plain and self._stamp is None and self._push is not _SKIP and in_._lock is None
+        plain = self._times is None and self._stamp is None and self._push is not _SKIP and in_._lock is None
         while plain and waiting and len(queue) < self._length:
             # Written out: the writer and the reader of a full buffer do this once for each sample.
             entry = waiting.popleft()
@@ -356,22 +331,6 @@ class Connector:
     def _guard(self) -> AbstractContextManager[Any]:
         return self.in_._lock or UNLOCKED
 
-    def _count_displaced(self) -> None:
-        if displaced := self._displaced:
-            reason = "superseded" if self._push is _NEW else _DISPLACED[self._full]
-            self._displaced = 0
-            self._note_drop(reason, displaced)
-
-    def _drop(self, reason: str, count: int = 1) -> None:
-        self._count_displaced()
-        self._note_drop(reason, count)
-
-    def _note_drop(self, reason: str, count: int) -> None:
-        dropped = self._dropped
-        if not isinstance(dropped, dict):
-            dropped = self._dropped = {}
-        dropped[reason] = dropped.get(reason, 0) + count
-
     def _discard_all(self, reason: str) -> None:
         if self._queue:
             self._drop(reason, len(self._queue))
@@ -402,8 +361,21 @@ class Connector:
 
     def _push_in(self, sample: Any, *, counted: bool = False) -> None:
         """Append; `counted` when the in-port already has a token for a sample of this connector that went away."""
+        if self._times is None:
+            self._queue.append(sample)
+            self.in_._arrived(self, counted)
+            return
+        began_ns = self._monotonic_ns()
         self._queue.append(sample)
         self.in_._arrived(self, counted)
+        self._times.add(began_ns, self._monotonic_ns())
+
+    def _monotonic_ns(self) -> int:
+        """The kernel's clock; asked only by who times each send."""
+        host = self.out._host
+        assert host is not None  # noqa: S101 - connected
+        assert host.kernel is not None  # noqa: S101
+        return host.kernel.clock.monotonic_ns()
 
 
 def _set_done(future: asyncio.Future[None]) -> None:

@@ -52,6 +52,8 @@ class Context(Members):
     kind: ClassVar[str] = ""
     exclusive: ClassVar[bool] = False
     """Whether a member can be in no other context."""
+    suspends: ClassVar[bool] = True
+    """Whether hooks may wait for something: not in a thread, which has no event loop."""
 
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
         super().__init__(check_name(name, "context") if name else "")

@@ -46,8 +46,7 @@ _SOON_NS: Final = 1_000_000_000
 """With so many contexts all books are gone through once in a second at the most."""
 _MOST_TIMERS: Final = 64
 """Descriptors are scarce: the contexts beyond are judged by the books alone."""
-_NONE: Final[list[Glance]] = []
-"""Of a watch without a timer: nobody adds one."""
+_NONE: Final[list[Glance]] = []  # of a watch without a timer: nobody adds one
 _GLANCES: Final = 24
 """Of one delay; the intervals double."""
 
@@ -114,7 +113,7 @@ class Watch:
             self._open()
 
     def _open(self) -> None:
-        timer = None if _watched() >= _MOST_TIMERS else timers._find_timerfd()
+        timer = None if _WATCHER and len(_WATCHER[0].watches) >= _MOST_TIMERS else timers._find_timerfd()
         if timer is None:
             return
         try:
@@ -367,10 +366,6 @@ def _ring(watch: Watch, timer: Timerfd) -> None:
 _LOCK = threading.RLock()
 _WATCHER: list[_Watcher] = []
 _FORKS: list[Callable[[], Any]] = []
-
-
-def _watched() -> int:
-    return len(_WATCHER[0].watches) if _WATCHER else 0
 
 
 def _join(watch: Watch) -> None:

@@ -47,7 +47,18 @@ class KernelSide(Protocol):
 class PortHost:
     """The owner of ports: a name, a share of uninterrupted turns, and the way to the kernel's loop and clock."""
 
-    __slots__ = ("alive", "blocking", "kernel", "name", "ports", "stopping", "thread_id", "threaded", "turns")
+    __slots__ = (
+        "alive",
+        "blocking",
+        "kernel",
+        "name",
+        "ports",
+        "realtime",
+        "stopping",
+        "thread_id",
+        "threaded",
+        "turns",
+    )
 
     def __init__(self, name: str, turns: Turns) -> None:
         self.name = name
@@ -57,6 +68,8 @@ class PortHost:
         self.alive = True
         self.threaded = False
         """Whether the component runs in a thread of its own."""
+        self.realtime = False
+        """Whether the component runs in a real-time thread, which waits for nobody."""
         self.stopping = False
         """Whether that thread is asked to end: what blocks there gives up."""
         self.blocking: Blocking | None = None

@@ -38,6 +38,7 @@ class InPort(Port[T]):
         "_armed",
         "_arrivals",
         "_before",
+        "_cross",
         "_direct",
         "_last",
         "_open",
@@ -83,6 +84,8 @@ class InPort(Port[T]):
         self._waiter: asyncio.Future[None] | None = None
         self._wakes: tuple[Callable[[InPort[Any]], None], ...] = ()
         self._armed = False
+        self._cross: Any = None
+        """What its connectors share while a real-time thread is at one of them (`crossing.py`)."""
 
     def bind(self, host: PortHost, name: str) -> InPort[T]:
         """A live port of `host` made after this declaration."""

@@ -18,6 +18,7 @@ from aiorts.errors import ClosedError, StateError, ThreadError
 from aiorts.kernel import embedding, joint
 from aiorts.kernel.bus import Bus
 from aiorts.kernel.catalogue import Catalogue
+from aiorts.kernel.closing import close
 from aiorts.kernel.component import Component
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
@@ -125,33 +126,10 @@ class Kernel:
             raise ThreadError(f"{self.name}: aclose() on another loop than the one it was opened on")
         if self._closing is None:
             self._closed = True
-            self._closing = kernel_task(self._loop, self._close(), f"aiorts close {self.name}")
+            self._closing = kernel_task(self._loop, close(self), f"aiorts close {self.name}")
         caller = owner_of(current_task())
         if caller is None or caller._rt_kernel is not self:
             await see_through(self._closing)
-
-    async def _close(self) -> None:
-        budget = StopBudget(self.loop)
-        self._stop_requested.set()
-        self._closing_begun.set_result(budget)
-        contexts = tuple(self._contexts.values())
-        for context in contexts:
-            if context._driver is not None:
-                context._driver.hurry(budget)
-        try:
-            for context in reversed(contexts):
-                await context._stop(budget)
-            self._connections.end_all()
-            await self._roster.close(budget)
-        finally:
-            if self._summary is not None:
-                self._summary.cancel()
-            self._log_budget.summarize()
-            self._timers.release()
-            self._deadman.close()
-            embedding.leave(self, self.loop)
-            if self._remove_probe is not None:
-                self._remove_probe()
 
     async def __aenter__(self) -> Self:
         return await self.open()

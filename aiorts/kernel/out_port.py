@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     import asyncio
     from collections import deque
 
-    from aiorts.kernel.connector import Connector, Waiting
+    from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import PortHost
     from aiorts.kernel.in_port import InPort
+    from aiorts.kernel.waiting import Waiting
 
 __all__ = ("OutPort",)
 
@@ -250,11 +251,13 @@ class OutPort(Port[T]):
         return done
 
     async def _write_waiting(self, sample: T) -> bool:
-        loop = self._bound().loop
+        host = self._bound()
+        if host.realtime:  # its thread waits for nobody
+            return self._write_general(sample)
         if self._blocking and len(self._connectors) == 1:
-            done, entries = True, [self._connectors[0].queue_up(sample, loop.create_future())]
+            done, entries = True, [self._connectors[0].queue_up(sample, host.loop.create_future())]
         else:
-            done, entries = self._offer(sample, loop)
+            done, entries = self._offer(sample, host.loop)
         if len(entries) == 1 and entries[0].connector.profile.timeout is None:
             entry = entries[0]
             try:
@@ -314,7 +317,7 @@ class OutPort(Port[T]):
         """
         host, lock = self._bound(), entry.connector.in_._lock
         assert lock is not None  # noqa: S101 - a connector of a threaded component has one
-        in_time = host.wait_in_thread(lock, lambda: entry.done or host.stopping, until_ns)
+        in_time = host.wait_in_thread(lock, lambda: entry.connector.moved(entry) or host.stopping, until_ns)
         if in_time and not entry.done:
             raise ClosedError(f"{self.path}: its context stops")
         return in_time
@@ -352,6 +355,7 @@ class OutPort(Port[T]):
         self._room = 0
 
     def _choose_path(self) -> None:
+        self._stale = False  # first: what another thread changes from here on marks it once more
         host, connectors = self._host, self._connectors
         if host is None:
             return
@@ -370,7 +374,6 @@ class OutPort(Port[T]):
         self._blocking = tuple(way for way in ways if way[4].blocks)
         ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in connectors))
         self._shapes = tuple((port, port.shape) for port in ports if port.shape is not None)
-        self._stale = False
         if not connectors or self.stamp is not None or self._shapes or self._type.mutable or host.debug:
             return
         self._class = self.type

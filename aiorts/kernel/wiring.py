@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import WiringError
+from aiorts.kernel import crossings
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.connector import Connector
-from aiorts.kernel.measured import MeasuredConnector, MeasuredPeriodicConnector
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Stamp, Subscription
@@ -66,14 +66,17 @@ def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: Connector
     loop, clock, clock_ns = kernel.loop, kernel.clock, kernel._clock_ns
     connector: Connector
     if profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH:
-        periodic = MeasuredPeriodicConnector if profile.measure else PeriodicConnector
-        connector = periodic(profile, out, in_, loop, clock_ns, timers=kernel._timers, clock_now_ns=clock.monotonic_ns)
-    elif profile.measure:
-        connector = MeasuredConnector(profile, out, in_, loop, clock_ns, monotonic_ns=clock.monotonic_ns)
+        connector = PeriodicConnector(
+            profile, out, in_, loop, clock_ns, timers=kernel._timers, clock_now_ns=clock.monotonic_ns
+        )
     else:
         connector = Connector(profile, out, in_, loop, clock_ns)
-    if out._host is not None and in_._host is not None and (out._host.threaded or in_._host.threaded):
+    hosts = [host for host in (out._host, in_._host) if host is not None]
+    if any(host.threaded for host in hosts):
         in_._make_locked()
+    if any(host.realtime for host in hosts):
+        crossings.cross(in_)
+    crossings.fit(connector)
     several = in_._tokens is not None
     with in_._guard():
         in_._connectors += (connector,)

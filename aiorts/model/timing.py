@@ -65,4 +65,4 @@ class SendTimes:
     @property
     def timing(self) -> PublisherTiming:
         """What they have in common."""
-        return PublisherTiming(Spans.of(self._execs), Spans.of(self._periods))
+        return PublisherTiming(Spans.of(tuple(self._execs)), Spans.of(tuple(self._periods)))

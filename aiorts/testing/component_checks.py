@@ -162,7 +162,7 @@ def passes_on_cancellation(case: _Case) -> None:
 
 
 def _is_threaded(case: _Case) -> bool:
-    return case.make_context().kind == "thread"
+    return not case.make_context().suspends
 
 
 @_SUITE.check

@@ -131,7 +131,7 @@ async def obeys_at_once_between_cycles(stage: Stage) -> None:
 async def finishes_a_cycle_before_it_obeys(stage: Stage) -> None:
     """A request that comes in the middle of a cycle takes effect after it, not in it."""
     asked = AskedInside(stage)
-    if _takes_coroutines(stage.context):
+    if stage.context.suspends:
         stage.a = Asking("a", stage.calls, asked)
     else:
         stage.a.during = asked.from_thread
@@ -148,7 +148,7 @@ async def never_enters_a_hook_twice(stage: Stage) -> None:
     """While a hook of a member runs, no hook of any member is entered, however often a cycle is asked for."""
     inside = Inside()
     stage.a.during = stage.b.during = inside.plain
-    if _takes_coroutines(stage.context):
+    if stage.context.suspends:
         stage.a, stage.b = Waiting("a", stage.calls, inside), Waiting("b", stage.calls, inside)
     await stage.start()
     drives = [asyncio.ensure_future(stage.cycle()) for _ in range(3)] if is_ticked(stage.context) else [stage.cycle()]
@@ -158,15 +158,6 @@ async def never_enters_a_hook_twice(stage: Stage) -> None:
     await stage.context.stop()
     expect(inside.entered >= 2, "hooks that ran", inside.entered)
     expect(inside.most == 1, "one hook at a time", f"{inside.most} at once")
-
-
-def _takes_coroutines(context: Context) -> bool:
-    """Whether hooks may be `async def` in this context: those of a thread may not."""
-    try:
-        context._check_can_add(Waiting("probe", [], Inside()))
-    except StateError:
-        return False
-    return True
 
 
 @_staged

@@ -16,6 +16,7 @@ from aiorts import (
     OutPort,
     Param,
     PeriodicContext,
+    RealtimeContext,
     ThreadContext,
 )
 from aiorts.errors import AiortsError
@@ -40,6 +41,7 @@ CONTEXTS: dict[str, Callable[[], Context]] = {
     "periodic 333 Hz catch_up": functools.partial(PeriodicContext, 333.0, overrun="catch_up"),
     "event": EventContext,
     "thread": functools.partial(ThreadContext, 100.0),
+    "realtime": functools.partial(RealtimeContext, 100.0),
 }
 WRONG_CONTEXTS: dict[str, tuple[Callable[[], Context], str]] = {
     "loses ticks": (wrong_contexts.LosesTicks, "loses_no_tick"),

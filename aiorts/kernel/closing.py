@@ -1,0 +1,38 @@
+"""How a kernel gives everything up, in reverse order, within one budget of time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.kernel import embedding
+from aiorts.kernel.deadlines import StopBudget
+
+if TYPE_CHECKING:
+    from aiorts.kernel.kernel import Kernel
+
+__all__ = ("close",)
+
+
+async def close(kernel: Kernel) -> None:
+    """Stop contexts, disconnect, finalise components."""
+    budget = StopBudget(kernel.loop)
+    kernel._stop_requested.set()
+    kernel._closing_begun.set_result(budget)
+    contexts = tuple(kernel._contexts.values())
+    for context in contexts:
+        if context._driver is not None:
+            context._driver.hurry(budget)
+    try:
+        for context in reversed(contexts):
+            await context._stop(budget)
+        kernel._connections.end_all()
+        await kernel._roster.close(budget)
+    finally:
+        if kernel._summary is not None:
+            kernel._summary.cancel()
+        kernel._log_budget.summarize()
+        kernel._timers.release()
+        kernel._deadman.close()
+        embedding.leave(kernel, kernel.loop)
+        if kernel._remove_probe is not None:
+            kernel._remove_probe()
