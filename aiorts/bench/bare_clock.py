@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from aiorts.bench.pacing import Ticks
 
-__all__ = ("asyncio_sleep", "clock_nanosleep", "has_clock_nanosleep", "take_priority", "time_sleep")
+__all__ = ("Marks", "asyncio_sleep", "clock_nanosleep", "has_clock_nanosleep", "take_priority", "time_sleep")
 
 _CLOCK_MONOTONIC: Final = 1
 _TIMER_ABSTIME: Final = 1
@@ -27,8 +27,11 @@ _LEAD_NS: Final = 2_000_000
 """How long before the first deadline a loop begins."""
 
 
-class _Marks:
-    """Ticks noted while a loop runs, with room for them made before."""
+class Marks:
+    """Ticks noted while a loop runs, with room for `count` of them made before; tick n is due at start + n * period.
+
+    `next_ns` is when the next tick is due; a loop sleeps up to it and calls `ran_now`.
+    """
 
     def __init__(self, period_ns: int, count: int) -> None:
         self.period_ns, self.count = period_ns, count
@@ -63,7 +66,7 @@ class _Marks:
 
 async def asyncio_sleep(period_ns: int, count: int) -> Ticks:
     """`asyncio.sleep` up to each deadline."""
-    marks = _Marks(period_ns, count)
+    marks = Marks(period_ns, count)
     sleep = asyncio.sleep
     for _ in range(count):
         await sleep(max(0, marks.next_ns - monotonic_ns()) / 1e9)
@@ -74,7 +77,7 @@ async def asyncio_sleep(period_ns: int, count: int) -> Ticks:
 async def time_sleep(period_ns: int, count: int) -> Ticks:
     """`time.sleep` up to each deadline, in a thread beside an idle loop."""
 
-    def loop(marks: _Marks) -> None:
+    def loop(marks: Marks) -> None:
         sleep = time.sleep
         for _ in range(count):
             ahead = marks.next_ns - monotonic_ns()
@@ -93,7 +96,7 @@ async def clock_nanosleep(period_ns: int, count: int, *, priority: int | None = 
     """
     sleep_until = _absolute_sleep()
 
-    def loop(marks: _Marks) -> None:
+    def loop(marks: Marks) -> None:
         for _ in range(count):
             sleep_until(marks.next_ns)
             marks.ran_now(monotonic_ns())
@@ -122,7 +125,7 @@ def take_priority(priority: int) -> bool:
     return True
 
 
-async def _in_thread(loop: Callable[[_Marks], None], period_ns: int, count: int, priority: int | None) -> Ticks:
+async def _in_thread(loop: Callable[[Marks], None], period_ns: int, count: int, priority: int | None) -> Ticks:
     """In a thread of its own: what it changes of itself ends with it, and no pool adds a queue."""
     running = asyncio.get_running_loop()
     done: asyncio.Future[Ticks] = running.create_future()
@@ -139,7 +142,7 @@ async def _in_thread(loop: Callable[[_Marks], None], period_ns: int, count: int,
         try:
             if priority is not None:
                 take_priority(priority)
-            marks = _Marks(period_ns, count)
+            marks = Marks(period_ns, count)
             loop(marks)
             running.call_soon_threadsafe(finish, marks.ticks(), None)
         except OSError as error:
