@@ -61,7 +61,7 @@ int main(int argc, char **argv) {
         marks[2 * n] = due;
         marks[2 * n + 1] = ran;
         int64_t behind = (ran - due) / period;
-        if (behind > 0) {
+        if (behind > 0 && n + 1 < count) {
             overruns++;
             skipped += behind - 1;
             tick += behind - 1;

@@ -105,6 +105,13 @@ class Empty(Component):
         pass
 
 
+class Plain(Component):
+    """A member that does nothing, as a plain function."""
+
+    def on_execute(self) -> None:
+        pass
+
+
 class Stamped(Component):
     """The first member: notes when it runs."""
 
@@ -190,13 +197,14 @@ DEVIATION_BEST: Final = Measure("deviation 99 %", "us", digits=1)
 """Standard deviation of the 99 % of the periods that are nearest to the nominal one."""
 
 
-async def in_context(make: MakeContext, others: int, count: int) -> Reading:
-    """One member that notes when it runs, and `others` empty ones behind it."""
+async def in_context(make: MakeContext, others: int, count: int, *, plain: bool = False) -> Reading:
+    """One member that notes when it runs, and `others` empty ones behind it, their hooks plain `def` or coroutines."""
+    kind = Plain if plain else Empty
     count = max(FEWEST, count)
     stamper = Stamper(count)
     async with Kernel() as kernel:
         members: list[Component] = [await kernel.add(Stamped("stamped", stamper))]
-        members += [await kernel.add(Empty(f"empty{n}")) for n in range(others)]
+        members += [await kernel.add(kind(f"empty{n}")) for n in range(others)]
         await kernel.start(make(1e9 / PERIOD_NS), *members, activate=True)
         return reading_of(await stamper.ticks(PERIOD_NS))
 
