@@ -59,9 +59,7 @@ class Marks:
 
     def ticks(self) -> Ticks:
         """What there is at the end."""
-        return Ticks(
-            self.period_ns, self.due, self.ran, self.skipped, self.overruns, process_time_ns() - self.cpu
-        )
+        return Ticks(self.period_ns, self.due, self.ran, self.skipped, self.overruns, process_time_ns() - self.cpu)
 
 
 async def asyncio_sleep(period_ns: int, count: int) -> Ticks:

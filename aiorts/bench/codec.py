@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-import pickle  # noqa: S403 - a baseline: it reads only what it wrote itself a line above
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -85,7 +85,7 @@ def _codecs() -> dict[str, tuple[Pair, str]]:
     unpack = partial(msgpack.unpackb, raw=False, use_list=False, max_bin_len=2**24)
     found: dict[str, tuple[Pair, str]] = {
         "msgpack": ((pack, unpack), "bare"),
-        "pickle 5": ((partial(pickle.dumps, protocol=5), pickle.loads), "bare"),  # noqa: S301 - its own bytes
+        "pickle 5": ((partial(pickle.dumps, protocol=5), pickle.loads), "bare"),  # its own octets, and no others
         "json": ((lambda value: json.dumps(value).encode(), json.loads), "text"),
     }
     try:
@@ -108,9 +108,7 @@ def cases() -> tuple[Case, ...]:
             aims = tuple(Aim(f"{base}, {payload.name}") for base in ("msgpack", "pickle 5")) if name == "aiorts" else ()
             what = "record, checked on both sides" if name == "aiorts" else "the same values, nothing checked"
             run = partial(_run, pair, value, check)
-            made.append(
-                Case(f"{name}, {payload.name}", what, COST, run, payload.messages, aims, columns=_COLUMNS)
-            )
+            made.append(Case(f"{name}, {payload.name}", what, COST, run, payload.messages, aims, columns=_COLUMNS))
     return tuple(made)
 
 

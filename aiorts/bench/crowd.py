@@ -47,18 +47,16 @@ async def measure(count: int, messages: int, *, trace: bool = False) -> dict[str
     gc.collect()
     gc.freeze()
     bare_before = _memory(trace)
-    bare: list[Bare] | None = [Bare(f"n{n}") for n in range(count)]
+    bare = [Bare(f"n{n}") for n in range(count)]
     bare_bytes = _memory(trace) - bare_before
-    bare = None
+    del bare
     gc.collect()
     before = _memory(trace)
     began = perf_counter_ns()
     kernel = await Kernel().open()
     nodes = [await kernel.add(Node(f"n{n}")) for n in range(count)]
     created = perf_counter_ns()
-    connectors = [
-        await kernel.connect(node.out, nodes[(n + 1) % count].inp, length=1) for n, node in enumerate(nodes)
-    ]
+    connectors = [await kernel.connect(node.out, nodes[(n + 1) % count].inp, length=1) for n, node in enumerate(nodes)]
     connected = perf_counter_ns()
     for node in nodes:
         await kernel.start(EventContext(), node, activate=True)

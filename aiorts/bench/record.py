@@ -73,7 +73,12 @@ _MAKERS: Final[tuple[tuple[str, str, Callable[[], Any], tuple[str, ...]], ...]] 
     ("@record", "the same, declared by a user", lambda: Own(1.0, 2.0, 3.0), ("slotted", "frozen")),
     ("TimedDouble", "a time and a float, checked, frozen", lambda: TimedDouble(1, 1.0), ("slotted", "frozen")),
     ("TimedDoubleSeq, list", "a time and six floats of a list", lambda: TimedDoubleSeq(1, _LIST), ("array of a list",)),
-    ("TimedDoubleSeq, array", "a time and an array taken over", lambda: TimedDoubleSeq(1, _ARRAY.copy()), ("array copy",)),
+    (
+        "TimedDoubleSeq, array",
+        "a time and an array taken over",
+        lambda: TimedDoubleSeq(1, _ARRAY.copy()),
+        ("array copy",),
+    ),
 )
 _FULL: Final = {"slotted": "slotted dataclass", "frozen": "frozen dataclass"}
 

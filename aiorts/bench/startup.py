@@ -20,7 +20,7 @@ FORBIDDEN: Final = ("numpy", "uvloop", "click", "msgpack", "asyncio")
 """What `import aiorts` alone must not load."""
 _LOADED: Final = f"import sys, aiorts; print(*sorted({{*{FORBIDDEN!r}}} & sys.modules.keys()))"
 
-_COMPONENT: Final = '''\
+_COMPONENT: Final = """\
 from aiorts import Component, InPort, OutPort
 from aiorts.types import TimedDouble
 
@@ -39,7 +39,7 @@ class Sink(Component):
     async def on_execute(self) -> None:
         print("first sample", self.inp.read_nowait().data, flush=True)
         self.kernel.request_stop()
-'''
+"""
 _SYSTEM: Final = """\
 schema = 1
 [components.source]
@@ -88,7 +88,13 @@ def cases(folder: Path) -> tuple[Case, ...]:
         (click, "the library of the command line", ["-c", "import click"], None, ()),
         ("import asyncio", "what any asyncio program imports", ["-c", "import asyncio"], None, ()),
         ("import aiorts", "names come when they are used", ["-c", "import aiorts"], None, (Aim("python -c pass"),)),
-        ("from aiorts import Kernel", "with the kernel", ["-c", "from aiorts import Kernel"], None, (Aim("import asyncio"),)),
+        (
+            "from aiorts import Kernel",
+            "with the kernel",
+            ["-c", "from aiorts import Kernel"],
+            None,
+            (Aim("import asyncio"),),
+        ),
         ("aiorts --help", "the command", ["-m", "aiorts", "--help"], "Commands", (Aim(click, factor=1.5),)),
         ("aiorts --version", "the command", ["-m", "aiorts", "--version"], "aiorts", (Aim(click, factor=1.5),)),
         (
@@ -100,7 +106,8 @@ def cases(folder: Path) -> tuple[Case, ...]:
         ),
     )
     return tuple(
-        Case(name, what, TIME, partial(_once, words, wanted, folder), 1, aims) for name, what, words, wanted, aims in rows
+        Case(name, what, TIME, partial(_once, words, wanted, folder), 1, aims)
+        for name, what, words, wanted, aims in rows
     )
 
 
