@@ -56,10 +56,17 @@ LATENCY: Final = Measure("latency p50", "us", digits=1, pool="latency")
 """Median latency of a round."""
 
 
-def tails(pool: str, *percents: float, unit: str = "us", digits: int = 1) -> tuple[Measure, ...]:
-    """Measures such as "age p99" for percentiles of a pool; 100 is called "max". Without percents 99, 99.9 and 100."""
+def tails(
+    pool: str, *percents: float, unit: str = "us", digits: int = 1, label: str | None = None
+) -> tuple[Measure, ...]:
+    """Measures such as "age p99" for percentiles of a pool; 100 is called "max". Without percents 99, 99.9 and 100.
+
+    Args:
+        label: stands in the place of the pool's name; "" leaves "p99", so that rows of different pools share a column.
+    """
+    prefix = pool if label is None else label
     return tuple(
-        Measure(f"{pool} {'max' if percent == 100 else f'p{percent:g}'}", unit, "less", digits, pool, percent)
+        Measure(f"{prefix} {'max' if percent == 100 else f'p{percent:g}'}".strip(), unit, "less", digits, pool, percent)
         for percent in percents or (99.0, 99.9, 100.0)
     )
 
@@ -216,6 +223,8 @@ class Case:
         lossless: whether every message written must be delivered.
         columns: further measures to show; a table has the columns of all its rows.
         warm: whether a small round is run before the first that counts.
+        axes: what distinguishes the cases of a grid, by the name of the axis; shown in the place of the name.
+        peer: whether it is somebody else's, so that no change of it is ours.
     """
 
     name: str
@@ -227,3 +236,5 @@ class Case:
     lossless: bool = False
     columns: tuple[Measure, ...] = ()
     warm: bool = True
+    axes: Mapping[str, str] = field(default_factory=dict)
+    peer: bool = False

@@ -44,6 +44,7 @@ class Options:
         progress: told the loop and number of each round; None is quiet.
         say: tells the user one line, such as how long it will take.
         command: the command line that repeats it.
+        given: names of the options that the user gave himself.
     """
 
     quick: bool = False
@@ -56,6 +57,7 @@ class Options:
     progress: Callable[[str, int], None] | None = None
     say: Callable[[str], None] | None = None
     command: str = ""
+    given: frozenset[str] = frozenset()
 
     @property
     def loops(self) -> tuple[str, ...]:
@@ -104,6 +106,10 @@ class Bench:
     full_scale: float = 3.0
     loops: bool = True
 
+    def defaults(self) -> dict[str, Any]:
+        """The values of its own options when none is given."""
+        return dict(click.Command(self.name, params=list(self.options)).make_context(self.name, []).params)
+
     def asked(self, *, quick: bool = False, command: str = "", **changed: Any) -> Options:
         """Options with this bench's defaults, its own options' among them; `changed` values that are None are left out."""
         options = Options(
@@ -111,10 +117,12 @@ class Bench:
             loop="both" if self.loops else "none",
             rounds=self.quick_rounds if quick else self.rounds,
             scale=1.0 if quick else self.full_scale,
-            extra={option.name: option.get_default(click.Context(click.Command(self.name))) for option in self.options},
+            extra=self.defaults(),
             command=command or f"aiorts bench {self.name}{' --quick' if quick else ''}",
         )
-        return replace(options, **{name: value for name, value in changed.items() if value is not None})
+        given = {name: value for name, value in changed.items() if value is not None}
+        extra = given.pop("extra", {})
+        return replace(options, **given, extra={**options.extra, **extra}, given=frozenset((*given, *extra)))
 
 
 def names() -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from aiorts.bench.case import Aim, Case, Ledger, Measure, Reading
 
-__all__ = ("SCHEMA", "Figure", "Ratio", "Report", "Row", "Series", "Spread", "row_of")
+__all__ = ("SCHEMA", "Figure", "Figured", "Ratio", "Report", "Row", "Series", "Spread", "row_of")
 
 SCHEMA: Final = 2
 """Of the plain data; 1 knew only nanoseconds for a message."""
@@ -117,7 +117,9 @@ class Row:
             "loop": self.loop,
             "case": case.name,
             "what": case.what,
+            "axes": dict(case.axes),
             "compared": case.measure.name,
+            "peer": case.peer,
             "messages": self.messages,
             "measures": {name: _plain_figure(figure) for name, figure in self.figures.items()},
             "ratios": [_plain_ratio(ratio) for ratio in self.ratios],
@@ -167,7 +169,13 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """What `--plot` draws besides the rows: lines over an axis; `log` names the logarithmic axes ("x", "y", "xy", "")."""
+    """What `--plot` draws: lines over an axis.
+
+    Attributes:
+        log: names the logarithmic axes ("x", "y", "xy", "").
+        note: one line beneath the title.
+        mark: where a vertical line stands, such as the reader's capacity.
+    """
 
     title: str
     x: str
@@ -177,6 +185,7 @@ class Figure:
     series: tuple[Series, ...]
     log: str = "xy"
     note: str = ""
+    mark: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
