@@ -84,6 +84,19 @@ def test_bare_loop_runs_at_absolute_deadlines(name: str, loop: str) -> None:
     check_loop(ticks)
 
 
+def test_bare_loop_leaves_out_what_it_missed_except_the_newest() -> None:
+    marks = bare_clock.Marks(2 * MS, 3)
+    start = marks.next_ns
+    marks.ran_now(start + 10 * MS + 1)
+    assert (marks.next_ns, marks.skipped, marks.overruns) == (start + 10 * MS, 4, 1)
+    marks.ran_now(start + 10 * MS - 5)
+    assert (marks.next_ns, marks.skipped) == (start + 12 * MS, 4)
+    marks.ran_now(start + 90 * MS)
+    ticks = marks.ticks()
+    assert ticks.complete, "what is missed after the last tick is nobody's"
+    assert ticks.lateness_ns == [10 * MS + 1, -5, 78 * MS]
+
+
 def check_loop(ticks: Ticks) -> None:
     assert len(ticks.ran_ns) == 30
     assert ticks.complete
