@@ -1,4 +1,4 @@
-"""Other libraries beside aiorts, where they are installed: imported late, loopback only, bounded, never a fault of ours."""
+"""Other libraries beside aiorts, where installed: imported late, loopback only, bounded, never a fault of ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draws a report into one HTML file with inline SVG that loads nothing: lines where there are figures, else the rows."""
+"""Draws a report into one HTML file with inline SVG that loads nothing: lines for figures, else the rows."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class Bench:
         return dict(click.Command(self.name, params=list(self.options)).make_context(self.name, []).params)
 
     def asked(self, *, quick: bool = False, command: str = "", **changed: Any) -> Options:
-        """Options with this bench's defaults, its own options' among them; `changed` values that are None are left out."""
+        """This bench's defaults, its own options' among them; of `changed` what is not None."""
         options = Options(
             quick=quick,
             loop="both" if self.loops else "none",
