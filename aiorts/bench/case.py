@@ -9,8 +9,21 @@ from typing import Final, Literal, TypeAlias
 
 from aiorts import Connector
 
-__all__ = ("COST", "CPU", "LATENCY", "RATE", "Aim", "Case", "Ledger", "Measure", "Reading", "Sense", "Workload")
-__all__ += ("percentile", "tails")
+__all__ = (
+    "COST",
+    "CPU",
+    "LATENCY",
+    "RATE",
+    "Aim",
+    "Case",
+    "Ledger",
+    "Measure",
+    "Reading",
+    "Sense",
+    "Workload",
+    "percentile",
+    "tails",
+)
 
 NANOSECONDS: Final = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9}
 """How many are in one unit of time."""

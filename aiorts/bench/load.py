@@ -95,7 +95,8 @@ class Taker(Sink):
 async def _produce(source: Source, load: Load, ends: int) -> None:
     """Write at the pace of the load until `ends`; who was held up makes up for it."""
     template = record(load.payload)
-    type_, data, write = type(template), template.data, source.out.write
+    type_: Any = type(template)
+    data, write = template.data, source.out.write
     began, sent = perf_counter_ns(), 0
     while (now := perf_counter_ns()) < ends:
         due = sent + 256 if load.producer_rate is None else int((now - began) * load.producer_rate / 1e9) + 1

@@ -31,7 +31,7 @@ _WINDOW: Final = 100
 
 def reactivex_subject(count: int) -> Reading:
     """`Subject.on_next` into an observer that fills a deque, which is read in the same task."""
-    import reactivex.subject
+    import reactivex.subject  # type: ignore[import-not-found, unused-ignore]
 
     taken: deque[float] = deque()
     subject: Any = reactivex.subject.Subject()
@@ -45,7 +45,7 @@ def reactivex_subject(count: int) -> Reading:
 
 
 def _zmq_pair(endpoint: str, count: int, window: int) -> Reading:
-    import zmq
+    import zmq  # type: ignore[import-not-found, unused-ignore]
 
     context: Any = zmq.Context()
     reader, writer = context.socket(zmq.PAIR), context.socket(zmq.PAIR)
@@ -86,7 +86,7 @@ def zenoh_loopback(count: int) -> Reading:
     Raises:
         TimeoutError: the messages were not there after five seconds.
     """
-    import zenoh
+    import zenoh  # type: ignore[import-not-found, unused-ignore]
 
     endpoint = f"tcp/127.0.0.1:{_free_port()}"
     arrived, lock = threading.Event(), threading.Lock()

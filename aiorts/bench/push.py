@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 from aiorts.bench import ageing, bare, flow, grid, load, machine, peers
 from aiorts.bench.ageing import GROWTH, PRODUCER_RATE, READER_RATE
@@ -37,13 +38,13 @@ def _age(name: str, what: str, aim: Aim, subscription: str, *, event: bool, busy
 
 def _arrays(base: str, messages: int) -> tuple[Case, ...]:
     """Arrays of each size by one policy, beside the float of that policy and beside the smallest array."""
-    make = {
+    make: Callable[[flow.Payload], Callable[[int], Any]] = {
         "flush": flow.pair,
         "new/all": flow.tasks,
         "new/new": lambda payload: flow.pair(payload, subscription="new", push="new"),
         "periodic/all": flow.bursts,
     }[base]
-    cases = []
+    cases: list[Case] = []
     for size, count in _ARRAYS.items():
         aims = [Aim(base, factor=1.1)]
         if cases:
@@ -199,7 +200,8 @@ def report(options: Options) -> Report:
     if axes:
         return grid.report(options, axes)
     described = machine.describe()
-    cases, notes = CASES, ()
+    cases = CASES
+    notes: tuple[str, ...] = ()
     if options.peers:
         found, notes = peers.cases()
         cases = (*CASES, *found)
