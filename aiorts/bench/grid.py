@@ -203,7 +203,7 @@ def report(options: Options, given: Mapping[str, str]) -> Report:
 
 def _how(rounds: int) -> str:
     return (
-        f"{rounds} round{'s' if rounds > 1 else ''}, combinations interleaved in each. rate: messages read in a second, "
+        f"{rounds} round{'s' if rounds > 1 else ''}, combinations interleaved. rate: messages read in a second, "
         "median of the rounds; offered: written. latency: write to read; age: of the newest value whenever the reader "
         "runs; percentiles of all rounds together."
     )
