@@ -1,37 +1,46 @@
-"""aiorts, the RT-Middleware for Python: robot software as components on an asyncio event-driven microkernel."""
+"""aiorts, the RT-Middleware for Python: robot software as components on an asyncio event-driven microkernel.
+
+Names are imported when they are first used, so that a command's help or a tool that only asks for the version does not
+pay for the kernel.
+"""
 
 from __future__ import annotations
 
-from anyio import WouldBlock
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from aiorts.clock import Clock, ScaledClock, SimulatedClock, SystemClock
-from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, RealtimeContext, ThreadContext
-from aiorts.errors import AiortsError
-from aiorts.kernel import Bus, Component, Connector, Context, InPort, Kernel, OutPort, Param
-from aiorts.kernel.bus import (
-    ComponentAdded,
-    ComponentRemoved,
-    Connected,
-    ContextStarted,
-    ContextStopped,
-    Disconnected,
-    Event,
-    HookAfter,
-    HookBefore,
-    HookFailed,
-    MemberAdded,
-    MemberRemoved,
-    Overrun,
-    ParametersChanged,
-    PortAdded,
-    PortRemoved,
-    RateChanged,
-    StateChanged,
-    ThreadsExhausted,
-)
-from aiorts.model.blame import Blame
-from aiorts.model.lifecycle import LifeCycleState
-from aiorts.running import run
+if TYPE_CHECKING:
+    from anyio import WouldBlock
+
+    from aiorts.clock import Clock, ScaledClock, SimulatedClock, SystemClock
+    from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, RealtimeContext, ThreadContext
+    from aiorts.errors import AiortsError
+    from aiorts.kernel import Bus, Component, Connector, Context, InPort, Kernel, OutPort, Param
+    from aiorts.kernel.bus import (
+        ComponentAdded,
+        ComponentRemoved,
+        Connected,
+        ContextStarted,
+        ContextStopped,
+        Disconnected,
+        Event,
+        HookAfter,
+        HookBefore,
+        HookFailed,
+        MemberAdded,
+        MemberRemoved,
+        Overrun,
+        ParametersChanged,
+        PortAdded,
+        PortRemoved,
+        RateChanged,
+        StateChanged,
+        ThreadsExhausted,
+    )
+    from aiorts.kernel.catalogue import Catalogue
+    from aiorts.model.blame import Blame
+    from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.running import run
 
 __version__ = "0.1.0"
 
@@ -39,6 +48,7 @@ __all__ = (
     "AiortsError",
     "Blame",
     "Bus",
+    "Catalogue",
     "Clock",
     "Component",
     "ComponentAdded",
@@ -78,3 +88,34 @@ __all__ = (
     "WouldBlock",
     "run",
 )
+
+_HOMES = {
+    "anyio": ("WouldBlock",),
+    "aiorts.clock": ("Clock", "ScaledClock", "SimulatedClock", "SystemClock"),
+    "aiorts.contexts": ("EventContext", "ExternalContext", "PeriodicContext", "RealtimeContext", "ThreadContext"),
+    "aiorts.errors": ("AiortsError",),
+    "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
+    "aiorts.kernel.catalogue": ("Catalogue",),
+    "aiorts.model.blame": ("Blame",),
+    "aiorts.model.lifecycle": ("LifeCycleState",),
+    "aiorts.running": ("run",),
+}
+"""Where each public name lives; what is named nowhere is an event of the bus."""
+_HOME = dict.fromkeys(__all__, "aiorts.kernel.bus") | {name: home for home, names in _HOMES.items() for name in names}
+_MODULES = frozenset(("clock", "contexts", "errors", "kernel", "model", "system", "testing", "types", "wire"))
+"""`import aiorts` is enough to say `aiorts.types.TimedDouble`."""
+
+# Hidden from type checkers, which would otherwise believe in every name.
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name in _MODULES:
+            return import_module(f"{__name__}.{name}")
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = globals()[name] = getattr(import_module(_HOME[name]), name)
+        return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_MODULES})

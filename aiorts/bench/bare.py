@@ -109,4 +109,4 @@ async def future_wake(count: int) -> Reading:
         future.set_result(None)
     await task
     latencies = tuple(after - before for before, after in zip(wrote, ran, strict=True))
-    return Reading(count, latencies_ns=latencies)
+    return Reading(messages=count, pools={"latency": latencies})

@@ -1,33 +1,106 @@
-"""What a case of a bench is: a workload, what it promises, and which ratios to which baselines are aimed at."""
+"""What a case of a bench is: a workload, what it measures and promises, and the ratios to baselines it aims at. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from aiorts import Connector
 
-__all__ = ("Aim", "Case", "Ledger", "Metric", "Reading", "Sense", "Workload")
+__all__ = (
+    "COST",
+    "CPU",
+    "LATENCY",
+    "RATE",
+    "Aim",
+    "Case",
+    "Ledger",
+    "Measure",
+    "Reading",
+    "Sense",
+    "Workload",
+    "percentile",
+    "tails",
+)
+
+NANOSECONDS: Final = {"ns": 1.0, "us": 1e3, "ms": 1e6, "s": 1e9}
+"""How many are in one unit of time."""
 
 
-class Metric(StrEnum):
-    """What is compared."""
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A figure with a name: one value for each round.
 
-    COST = "cost"
-    """Nanoseconds per message."""
-    P50 = "p50"
-    """Median latency in nanoseconds."""
+    Attributes:
+        name: the key in `Reading.values`, in tables and in JSON.
+        unit: shown after the figure; a figure in "1/s" is shown with k or M.
+        better: which direction is an improvement.
+        digits: decimals shown.
+        pool: the measure is a percentile of this pool of `Reading.pools` (nanoseconds) instead of a value of its own;
+            `unit` must then be ns, us, ms or s.
+        percent: which percentile; 100 is the largest.
+    """
+
+    name: str
+    unit: str = ""
+    better: Literal["less", "more"] = "less"
+    digits: int = 0
+    pool: str | None = None
+    percent: float = 50.0
+
+    def of(self, readings: Sequence[Reading]) -> float | None:
+        """The figure of one round, or of a pool over several; None when the readings do not have it."""
+        if self.pool is None:
+            values = [reading.values[self.name] for reading in readings if self.name in reading.values]
+            return sum(values) / len(values) if values else None
+        pooled = [one for reading in readings for one in reading.pools.get(self.pool, ())]
+        return percentile(pooled, self.percent) / NANOSECONDS[self.unit] if pooled else None
+
+
+COST: Final = Measure("cost", "ns")
+"""Nanoseconds for one message, or for one of whatever the case counts."""
+RATE: Final = Measure("rate", "1/s", "more")
+"""Messages in a second."""
+CPU: Final = Measure("cpu", "%", digits=0)
+"""Share of one core that the process used."""
+LATENCY: Final = Measure("latency p50", "us", digits=1, pool="latency")
+"""Median latency of a round."""
+
+
+def tails(
+    pool: str, *percents: float, unit: str = "us", digits: int = 1, label: str | None = None
+) -> tuple[Measure, ...]:
+    """Measures such as "age p99" for percentiles of a pool; 100 is called "max". Without percents 99, 99.9 and 100.
+
+    Args:
+        label: stands in the place of the pool's name; "" leaves "p99", so that rows of different pools share a column.
+    """
+    prefix = pool if label is None else label
+    return tuple(
+        Measure(f"{prefix} {'max' if percent == 100 else f'p{percent:g}'}".strip(), unit, "less", digits, pool, percent)
+        for percent in percents or (99.0, 99.9, 100.0)
+    )
+
+
+def percentile(values: Sequence[float], percent: float) -> float:
+    """The nearest-rank percentile of at least one value; for 50 the mean of the two in the middle."""
+    ordered = sorted(values)
+    if percent == 50:
+        half = len(ordered) // 2
+        return float(ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2)
+    rank = -(-len(ordered) * percent // 100)
+    return float(ordered[max(0, int(rank) - 1)])
 
 
 class Sense(StrEnum):
     """On which side of the aim a ratio should lie."""
 
     AT_MOST = "at most"
-    """The case takes at most `factor` times what the baseline takes."""
+    """How many times as bad: the case takes at most `factor` times what the baseline takes."""
     AT_LEAST = "at least"
-    """The case is at least `factor` times as fast as the baseline."""
+    """How many times as good: the case is at least `factor` times as fast as the baseline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,35 +108,49 @@ class Aim:
     """A ratio of a case to a baseline, and where it should lie.
 
     Attributes:
-        baseline: name of the case compared with.
+        baseline: name of the case compared with; "" when the figure itself is the aim (`factor` is then in its unit).
         factor: the aim. None only shows the ratio.
         times: how many times the baseline the case is compared with.
-        extra_ns: what is added to that, for example one period of a producer.
+        extra: what is added to that, in the measure's unit, for example one period of a producer.
+        floor: what it is at least, in the measure's unit.
+        measure: what is compared; None takes the measure of the case.
+        base_measure: what is compared with; None takes the same as `measure`.
     """
 
     baseline: str
     sense: Sense = Sense.AT_MOST
     factor: float | None = None
     times: float = 1.0
-    extra_ns: float = 0.0
+    extra: float = 0.0
+    floor: float = 0.0
+    measure: Measure | None = None
+    base_measure: Measure | None = None
 
-    @property
-    def compared_with(self) -> str:
+    def compared_with(self, unit: str) -> str:
         """What stands below the line of the ratio, for a reader."""
+        if not self.baseline:
+            return "the figure itself"
         times = "" if self.times == 1.0 else f"{self.times:g} x "
-        extra = f"{self.extra_ns / 1e6:g} ms + " if self.extra_ns else ""
-        return f"{extra}{times}{self.baseline}"
+        extra = f"{self.extra:g} {unit} + " if self.extra else ""
+        base = f"{extra}{times}{self.baseline}"
+        return f"max({self.floor:g} {unit}, {base})" if self.floor else base
 
-    def ratio(self, case_ns: float, baseline_ns: float) -> float:
-        """The ratio in the sense of this aim."""
-        base_ns = self.extra_ns + self.times * baseline_ns
-        return case_ns / base_ns if self.sense is Sense.AT_MOST else base_ns / case_ns
+    def ratio(self, own: float, base: float, better: str = "less") -> float:
+        """The ratio in the sense of this aim; without a baseline `own` itself."""
+        if not self.baseline:
+            return own
+        base = max(self.floor, self.extra + self.times * base)
+        upright = (self.sense is Sense.AT_MOST) is (better == "less")
+        above, below = (own, base) if upright else (base, own)
+        return above / below if below else (1.0 if above == below else float("inf"))
 
-    def met(self, ratio: float) -> bool | None:
-        """Whether the ratio is where it should be; None when nothing is aimed at."""
+    def met(self, ratio: float, slack: float = 0.0) -> bool | None:
+        """Whether the ratio is where it should be, or weaker by the share `slack`; None when nothing is aimed at."""
         if self.factor is None:
             return None
-        return ratio <= self.factor if self.sense is Sense.AT_MOST else ratio >= self.factor
+        if self.sense is Sense.AT_MOST:
+            return ratio <= self.factor * (1 + slack)
+        return ratio >= self.factor / (1 + slack)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,28 +160,32 @@ class Ledger:
     written: int = 0
     delivered: int = 0
     buffered: int = 0
-    dropped: int = 0
     received: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    """By reason."""
 
     @classmethod
     def of(cls, connector: Connector, received: int) -> Ledger:
         """The ledger of `connector`, whose reader took `received` samples."""
         counts = connector.statistics
-        return cls(counts.written, counts.delivered, counts.buffered, sum(counts.dropped.values()), received)
+        dropped = {str(reason): count for reason, count in counts.dropped.items() if count}
+        return cls(counts.written, counts.delivered, counts.buffered, received, dropped)
 
     def __add__(self, other: Ledger) -> Ledger:
+        reasons = dict.fromkeys((*self.dropped, *other.dropped))
         return Ledger(
             self.written + other.written,
             self.delivered + other.delivered,
             self.buffered + other.buffered,
-            self.dropped + other.dropped,
             self.received + other.received,
+            {reason: self.dropped.get(reason, 0) + other.dropped.get(reason, 0) for reason in reasons},
         )
 
     @property
     def balanced(self) -> bool:
         """Whether it adds up and the reader agrees with it."""
-        return self.written == self.delivered + self.dropped + self.buffered and self.delivered == self.received
+        lost = sum(self.dropped.values())
+        return self.written == self.delivered + lost + self.buffered and self.delivered == self.received
 
     @property
     def lossless(self) -> bool:
@@ -107,28 +198,29 @@ class Reading:
     """What one round of one case gave.
 
     Attributes:
-        messages: how many went through.
-        cost_ns: nanoseconds per message; None where latency is measured.
-        per_second: messages per second; None where latency is measured.
-        latencies_ns: one latency per message, or empty.
-        ledger: the connector's ledger at the end; None for bare baselines.
+        values: by the name of a measure, in its unit.
+        messages: how many went through, or how many of whatever was done.
+        pools: single observations in nanoseconds by name ("latency", "age"); percentiles are taken of them.
+        ledger: the connectors' ledger at the end; None where there is none, as for bare baselines.
+        faults: what went wrong in words; each makes the bench end with status 1.
     """
 
-    messages: int
-    cost_ns: float | None = None
-    per_second: float | None = None
-    latencies_ns: tuple[int, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    messages: int = 1
+    pools: Mapping[str, Sequence[float]] = field(default_factory=dict)
     ledger: Ledger | None = None
+    faults: tuple[str, ...] = ()
 
     @classmethod
-    def timed(cls, messages: int, elapsed_ns: int, ledger: Ledger | None = None) -> Reading:
-        """`messages` that took `elapsed_ns` altogether, with nothing else to wait for."""
+    def timed(cls, messages: int, elapsed_ns: int, ledger: Ledger | None = None, **values: float) -> Reading:
+        """`messages` that took `elapsed_ns` altogether, with nothing else to wait for: COST and RATE."""
         cost = max(1, elapsed_ns) / messages
-        return cls(messages, cost, 1e9 / cost, (), ledger)
+        return cls({"cost": cost, "rate": 1e9 / cost, **values}, messages, ledger=ledger)
 
 
-Workload: TypeAlias = Callable[[int], Awaitable[Reading]]
-"""Sends so many messages and says how it went; builds and tears down everything it needs."""
+Workload: TypeAlias = Callable[[int], "Awaitable[Reading] | Reading"]
+"""Does so many of what the case counts and says how it went; builds and tears down everything it needs. A plain
+function may block and may start processes; a coroutine runs on the loop that is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,16 +230,24 @@ class Case:
     Attributes:
         name: unique in the bench; baselines are named by it.
         what: one line for the reader.
-        metric: what is compared.
+        measure: what is compared with baselines, with other cases and with an older run.
         run: the workload.
         messages: how many for one round at scale 1.
         lossless: whether every message written must be delivered.
+        columns: further measures to show; a table has the columns of all its rows.
+        warm: whether a small round is run before the first that counts.
+        axes: what distinguishes the cases of a grid, by the name of the axis; shown in the place of the name.
+        peer: whether it is somebody else's, so that no change of it is ours.
     """
 
     name: str
     what: str
-    metric: Metric
+    measure: Measure
     run: Workload
-    messages: int
+    messages: int = 1
     aims: tuple[Aim, ...] = ()
     lossless: bool = False
+    columns: tuple[Measure, ...] = ()
+    warm: bool = True
+    axes: Mapping[str, str] = field(default_factory=dict)
+    peer: bool = False

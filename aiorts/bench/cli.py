@@ -1,75 +1,170 @@
-"""The command `aiorts bench`: a click group that `aiorts` loads when it is asked for."""
+"""The command `aiorts bench`: every bench has the same options and its own; a bench is loaded when it is asked for."""
 
 from __future__ import annotations
 
 import json
+import shlex
 import sys
+from pathlib import Path
+from typing import Any, Final
 
 import click
 
-from aiorts.bench import machine, printer
-from aiorts.bench.push import CASES
+from aiorts.bench import compare, plot, printer, registry
+from aiorts.bench.registry import Bench
 from aiorts.bench.report import Report
-from aiorts.bench.runner import choose_loops, measure
+from aiorts.errors import PluginError
 
-__all__ = ("bench", "report_push")
+__all__ = ("bench",)
 
-_QUICK_ROUNDS = 7
-_ROUNDS = 15
-_SCALE = 3.0
-"""Messages of the full bench for each one of the quick bench."""
+_LOOPS: Final = ("auto", "both", "asyncio", "uvloop")
+_OUT: Final = click.Path(dir_okay=False, writable=True, path_type=Path)
 
 
-@click.group()
-def bench() -> None:
-    """Measure what aiorts costs, beside bare baselines of the same run."""
-
-
-def report_push(
-    *, quick: bool, loop: str = "both", rounds: int | None = None, scale: float | None = None, progress: bool = False
-) -> Report:
-    """Run the bench of push policies."""
-    rounds = (_QUICK_ROUNDS if quick else _ROUNDS) if rounds is None else rounds
-    scale = (1.0 if quick else _SCALE) if scale is None else scale
-    described = machine.describe()  # before the bench itself is the load
-    rows = [
-        row
-        for name in choose_loops(loop)
-        for row in measure(CASES, loop=name, rounds=rounds, scale=scale, progress=_say if progress else None)
+def _common(found: Bench) -> list[click.Parameter]:
+    loop = (
+        [click.Option(["--loop"], type=click.Choice(_LOOPS), help="Event loops. Default both.")] if found.loops else []
+    )
+    return [
+        click.Option(["--quick"], is_flag=True, help="Below 30 seconds."),
+        click.Option(["--json", "as_json"], is_flag=True, help="One JSON document."),
+        click.Option(["--markdown", "as_markdown"], is_flag=True, help="The table as markdown."),
+        click.Option(["--plot"], type=_OUT, help="Draw it into one FILE.html that loads nothing."),
+        click.Option(
+            ["--compare"],
+            type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            help="Say what changed since this JSON document, beyond the spread.",
+        ),
+        click.Option(["--fail-on-change"], is_flag=True, help="Exit status 1 when --compare finds a change."),
+        *loop,
+        click.Option(["--rounds"], type=click.IntRange(min=1, max=100_000), help="Medians are taken over them."),
+        click.Option(["--scale"], type=click.FloatRange(0, 1e6, min_open=True), help="Times the work of --quick."),
+        click.Option(["--peers/--no-peers"], default=True, help="Measure other libraries that are installed, too."),
+        click.Option(["-o", "--output"], type=_OUT, help="Write there instead of to standard output."),
     ]
-    words = ["aiorts bench push", *(["--quick"] if quick else []), f"--loop {loop} --rounds {rounds} --scale {scale:g}"]
-    return Report("push", " ".join(words), described, rounds, scale, tuple(rows))
 
 
-def _say(loop: str, number: int) -> None:
-    click.echo(f"\r{loop}: round {number + 1} ", nl=False, err=True)
+def command_of(found: Bench) -> click.Command:
+    """The click command of a bench."""
+
+    def run(**values: Any) -> None:
+        _run(found, values)
+
+    text = found.help if found.name != found.help else ""
+    epilog = "Exit status 1 when a promise was broken, such as a ledger that does not balance; a missed aim is shown."
+    return click.Command(found.name, params=[*found.options, *_common(found)], callback=run, help=text, epilog=epilog)
 
 
-@bench.command()
-@click.option("--quick", is_flag=True, help="Below 30 seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
-@click.option("--markdown", "as_markdown", is_flag=True, help="The table as markdown.")
-@click.option("--loop", type=click.Choice(["auto", "both", "asyncio", "uvloop"]), default="both", show_default=True)
-@click.option("--rounds", type=click.IntRange(min=1), help="Rounds; medians are taken over them.")
-@click.option("--scale", type=click.FloatRange(min=0, min_open=True), help="Times the messages of the quick bench.")
-def push(quick: bool, as_json: bool, as_markdown: bool, loop: str, rounds: int | None, scale: float | None) -> None:
-    """Throughput and latency of the push policies: flush, new and periodic.
-
-    Exit status 1 when a ledger does not balance or a message that may not be lost was lost; a ratio that is not on
-    course is shown and changes nothing.
-    """
-    if as_json and as_markdown:
+def _run(found: Bench, values: dict[str, Any]) -> None:
+    if values["as_json"] and values["as_markdown"]:
         raise click.UsageError("--json and --markdown exclude each other")
+    if values["fail_on_change"] and values["compare"] is None:
+        raise click.UsageError("--fail-on-change needs --compare OLD.json")
+    if values["plot"] is not None:
+        plot.check(values["plot"])
+    old = None if values["compare"] is None else compare.read(values["compare"])
+    own = {str(option.name): values[str(option.name)] for option in found.options}
     watched = sys.stderr.isatty()
+    options = found.asked(
+        quick=values["quick"],
+        command=_command(found, values, own),
+        loop=values.get("loop"),
+        rounds=values["rounds"],
+        scale=values["scale"],
+        peers=values["peers"],
+        plot=values["plot"] is not None,
+        progress=_progress if watched else None,
+        say=_say,
+        extra={name: value for name, value in own.items() if value is not None},
+    )
     try:
-        report = report_push(quick=quick, loop=loop, rounds=rounds, scale=scale, progress=watched)
+        report = found.report(options)
     except ImportError as error:
-        raise click.ClickException(f"--loop {loop}: {error}; install uvloop or choose --loop asyncio") from error
+        raise click.ClickException(f"{error}; install what is missing, or choose another --loop") from error
     if watched:
-        click.echo("\r", nl=False, err=True)
-    if as_json:
-        click.echo(json.dumps(report.plain(), indent=1, allow_nan=False))
+        click.echo("\r\x1b[K", nl=False, err=True)
+    _deliver(report, values, old)
+
+
+def _deliver(report: Report, values: dict[str, Any], old: compare.Document | None) -> None:
+    plain = report.plain()
+    if values["as_json"]:
+        text = json.dumps(plain, indent=1, allow_nan=False)
     else:
-        click.echo(printer.markdown(report) if as_markdown else printer.table(report))
-    if report.faults:
+        text = printer.markdown(report) if values["as_markdown"] else printer.table(report)
+    if values["plot"] is not None:
+        plot.write(values["plot"], report)
+    outcome = None if old is None else compare.compare(old, plain)
+    if outcome is not None:
+        lines = "\n".join(outcome.lines)
+        if values["as_json"]:
+            click.echo(lines, err=True)
+        else:
+            text += f"\n\n{lines}"
+    _put(text, values["output"])
+    if report.faults or (values["fail_on_change"] and outcome is not None and outcome.changes):
         sys.exit(1)
+
+
+def _put(text: str, file: Path | None) -> None:
+    if file is None:
+        click.echo(text)
+        return
+    try:
+        file.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise click.ClickException(f"{file}: {error.strerror or error}") from error
+
+
+def _command(found: Bench, values: dict[str, Any], own: dict[str, Any]) -> str:
+    """What repeats the measurement; where it was written to is left out."""
+    words = ["aiorts", "bench", found.name, *(["--quick"] if values["quick"] else [])]
+    defaults = found.defaults()
+    for option in found.options:
+        value = own[str(option.name)]
+        if option.is_flag:
+            words += [option.opts[0]] if value else []
+        elif value != defaults[str(option.name)]:
+            words += [option.opts[0], str(value)]
+    for name in ("loop", "rounds", "scale"):
+        if values.get(name) is not None:
+            words += [f"--{name}", f"{values[name]:g}" if name == "scale" else str(values[name])]
+    return shlex.join(
+        (*words, *([] if values["peers"] else ["--no-peers"]), *(["--plot", "FILE"] if values["plot"] else []))
+    )
+
+
+def _progress(loop: str, number: int) -> None:
+    where = "" if loop == "none" else f"{loop}: "
+    click.echo(f"\r\x1b[K{where}round {number + 1} ", nl=False, err=True)
+
+
+def _say(line: str) -> None:
+    click.echo(line, err=True)
+
+
+class _Benches(click.Group):
+    """The benches there are, by name; broken ones harm nobody until they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(registry.names())
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        return command_of(registry.load(cmd_name))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        try:
+            return super().resolve_command(ctx, args)
+        except PluginError as error:
+            raise click.UsageError(str(error), ctx) from error
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Benches"):
+            formatter.write_dl(list(registry.names().items()))
+
+
+@click.group(cls=_Benches)
+def bench() -> None:
+    """Measure what aiorts costs on this machine, beside bare baselines of the same run."""

@@ -1,32 +1,39 @@
-"""Workloads through aiorts: two components and one connector each time, with everything on that a user has on."""
+"""Throughput and wake-up through aiorts: two components and one connector, with everything on that a user has on."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from array import array
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import lru_cache
 from itertools import repeat
 from time import perf_counter_ns, process_time_ns
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
-from aiorts import Component, Connector, EventContext, InPort, Kernel, OutPort, PeriodicContext
+from aiorts import Component, Connector, EventContext, InPort, Kernel, OutPort
 from aiorts.bench.bare import DEPTH, PACE
 from aiorts.bench.case import Ledger, Reading
 from aiorts.types import TimedDouble, TimedDoubleSeq
 
 __all__ = (
     "BURST",
-    "PRODUCER_PERIOD_NS",
+    "CONTEXTS",
+    "FAN_OUT",
     "PUSH_RATE",
+    "Counting",
+    "Payload",
+    "bursts",
+    "crowd",
     "event_drain",
     "event_single",
-    "flush_array",
-    "flush_pair",
-    "flush_wake",
-    "new_tasks",
-    "new_wake",
-    "periodic_age",
-    "periodic_all",
+    "fan_out",
+    "idle_to_run",
+    "joined",
+    "pair",
+    "pairs",
+    "record",
+    "tasks",
 )
 
 LOSSLESS: Final = {"length": DEPTH, "full": "block", "timeout": None}
@@ -34,37 +41,35 @@ PUSH_RATE: Final = 200.0
 """Hz of the periodic connectors: one period is `PACE`."""
 BURST: Final = 1000
 """Messages for each period of the periodic throughput."""
-PRODUCER_PERIOD_NS: Final = 1_000_000
-_MEGABYTE: Final = 131_072
-"""Doubles in one."""
+FAN_OUT: Final = 100
+"""Readers of one writer."""
+CONTEXTS: Final = 100
+"""Event contexts that a crowd of idle components shares."""
+Payload: TypeAlias = float | int
+"""A float stands for itself, a whole number for an array of so many bytes."""
 
 
 class Source(Component):
     """Where messages come from; the workload writes."""
 
-    out = OutPort(TimedDouble)
-
-
-class Ticker(Component):
-    """Writes what time it is, once a cycle."""
-
-    out = OutPort(TimedDouble)
-
-    async def on_execute(self) -> None:
-        await self.out.write(TimedDouble(perf_counter_ns(), 0.0))
+    def __init__(self, name: str, type_: type = TimedDouble) -> None:
+        super().__init__(name)
+        self.out: OutPort[Any] = self.add_port("out", OutPort(type_))
 
 
 class Sink(Component):
     """Where messages end; the workload reads, or a class below does."""
 
-    inp = InPort(TimedDouble)
+    def __init__(self, name: str, type_: type = TimedDouble) -> None:
+        super().__init__(name)
+        self.inp: InPort[Any] = self.add_port("inp", InPort(type_))
 
 
 class Counting(Sink):
     """A sink that says when `expected` messages are there."""
 
-    def __init__(self, name: str, expected: int) -> None:
-        super().__init__(name)
+    def __init__(self, name: str, expected: int, type_: type = TimedDouble) -> None:
+        super().__init__(name, type_)
         self.left = expected
         self.received = 0
         self.complete = asyncio.get_running_loop().create_future()
@@ -97,7 +102,7 @@ class Clocked(Counting):
 
     def __init__(self, name: str, expected: int) -> None:
         super().__init__(name, expected)
-        self.ran: list[int] = []
+        self.ran = array("q")
 
     async def on_execute(self) -> None:
         self.ran.append(perf_counter_ns())
@@ -105,90 +110,121 @@ class Clocked(Counting):
         self.took(1)
 
 
-class Ages(Counting):
-    """Notes how old each message is when it is read; the writer put the time of writing into `tm`."""
+class Idle(Component):
+    """Has a port that nobody writes to."""
 
-    def __init__(self, name: str, expected: int) -> None:
-        super().__init__(name, expected)
-        self.ages: list[int] = []
+    inp = InPort(TimedDouble)
 
     async def on_execute(self) -> None:
-        sample = self.inp.read_nowait()
-        self.ages.append(perf_counter_ns() - sample.tm)
-        self.took(1)
+        self.inp.drain()
+
+
+@lru_cache(maxsize=4)
+def record(payload: Payload) -> TimedDouble | TimedDoubleSeq:
+    """The one record that is written again and again: a float, or an array of so many bytes."""
+    if isinstance(payload, float):
+        return TimedDouble(0, payload)
+    import numpy  # aiorts' command does not load it before it is needed
+
+    return TimedDoubleSeq(0, numpy.ones(max(1, payload // 8)))
 
 
 @asynccontextmanager
-async def _joined(out: Component, in_: Component, **options: Any) -> AsyncIterator[tuple[Kernel, Connector]]:
-    """A kernel with two components and one connector between their only ports."""
+async def joined(out: Component, *ins: Component, **options: Any) -> AsyncIterator[tuple[Kernel, list[Connector]]]:
+    """A kernel with a writer, its readers, and one connector to the port `inp` of each."""
     async with Kernel() as kernel:
         await kernel.add(out)
-        await kernel.add(in_)
-        connector = await kernel.connect(out.ports["out"], in_.ports["inp"], **options)
-        yield kernel, connector
+        connectors = []
+        for component in ins:
+            await kernel.add(component)
+            connectors.append(await kernel.connect(out.ports["out"], component.ports["inp"], **options))
+        yield kernel, connectors
 
 
-async def flush_pair(count: int) -> Reading:
+def pair(payload: Payload = 1.0, **options: Any) -> Callable[[int], Any]:
     """write_nowait and read_nowait in one task."""
-    source, sink = Source("source"), Sink("sink")
-    async with _joined(source, sink) as (_, connector):
-        sample, write, read = TimedDouble(0, 1.0), source.out.write_nowait, sink.inp.read_nowait
+
+    async def run(count: int) -> Reading:
+        sample = record(payload)
+        source, sink = Source("source", type(sample)), Sink("sink", type(sample))
+        async with joined(source, sink, **options) as (_, (connector,)):
+            write, read = source.out.write_nowait, sink.inp.read_nowait
+            began = perf_counter_ns()
+            for _ in repeat(None, count):
+                write(sample)
+                read()
+            return Reading.timed(count, perf_counter_ns() - began, Ledger.of(connector, count))
+
+    return run
+
+
+async def fan_out(count: int) -> Reading:
+    """flush, one writer and `FAN_OUT` readers: what one delivery costs."""
+    source, sinks = Source("source"), [Sink(f"sink{number}") for number in range(FAN_OUT)]
+    turns = max(1, count // FAN_OUT)
+    async with joined(source, *sinks) as (_, connectors):
+        sample, write = record(1.0), source.out.write_nowait
+        reads = [sink.inp.read_nowait for sink in sinks]
         began = perf_counter_ns()
-        for _ in repeat(None, count):
+        for _ in repeat(None, turns):
             write(sample)
-            read()
-        return Reading.timed(count, perf_counter_ns() - began, Ledger.of(connector, count))
+            for read in reads:
+                read()
+        elapsed = perf_counter_ns() - began
+        ledger = sum((Ledger.of(connector, turns) for connector in connectors), Ledger())
+        return Reading.timed(turns * FAN_OUT, elapsed, ledger)
 
 
-class ArraySource(Component):
-    """Where arrays come from."""
-
-    out = OutPort(TimedDoubleSeq)
-
-
-class ArraySink(Component):
-    """Where arrays end."""
-
-    inp = InPort(TimedDoubleSeq)
-
-
-async def flush_array(count: int) -> Reading:
-    """The same as `flush_pair` with an array of 1 MB, the record built once."""
-    source, sink = ArraySource("source"), ArraySink("sink")
-    async with _joined(source, sink) as (_, connector):
-        sample = TimedDoubleSeq(0, [0.0] * _MEGABYTE)
-        write, read = source.out.write_nowait, sink.inp.read_nowait
+async def pairs(count: int) -> Reading:
+    """flush, `FAN_OUT` writers with one reader each, in turn: single deliveries that find as cold a memory."""
+    turns = max(1, count // FAN_OUT)
+    async with Kernel() as kernel:
+        ends, connectors = [], []
+        for number in range(FAN_OUT):
+            source = await kernel.add(Source(f"source{number}"))
+            sink = await kernel.add(Sink(f"sink{number}"))
+            connectors.append(await kernel.connect(source.out, sink.inp))
+            ends.append((source.out.write_nowait, sink.inp.read_nowait))
+        sample = record(1.0)
         began = perf_counter_ns()
-        for _ in repeat(None, count):
-            write(sample)
-            read()
-        return Reading.timed(count, perf_counter_ns() - began, Ledger.of(connector, count))
+        for _ in repeat(None, turns):
+            for write, read in ends:
+                write(sample)
+                read()
+        elapsed = perf_counter_ns() - began
+        ledger = sum((Ledger.of(connector, turns) for connector in connectors), Ledger())
+        return Reading.timed(turns * FAN_OUT, elapsed, ledger)
 
 
-async def _produce(source: Source, count: int) -> None:
-    sample, write = TimedDouble(0, 1.0), source.out.write
+async def _produce(source: Source, count: int, payload: Payload = 1.0) -> None:
+    sample, write = record(payload), source.out.write
     for _ in repeat(None, count):
         await write(sample)
 
 
-async def new_tasks(count: int) -> Reading:
+def tasks(payload: Payload = 1.0) -> Callable[[int], Any]:
     """new/all without loss between two tasks that await."""
-    source, sink = Source("source"), Sink("sink")
 
-    async def consume() -> None:
-        read = sink.inp.read
-        for _ in repeat(None, count):
-            await read()
+    async def run(count: int) -> Reading:
+        type_ = type(record(payload))
+        source, sink = Source("source", type_), Sink("sink", type_)
 
-    async with _joined(source, sink, subscription="new", push="all", **LOSSLESS) as (_, connector):
-        began = perf_counter_ns()
-        await asyncio.gather(_produce(source, count), consume())
-        return Reading.timed(count, perf_counter_ns() - began, Ledger.of(connector, count))
+        async def consume() -> None:
+            read = sink.inp.read
+            for _ in repeat(None, count):
+                await read()
+
+        async with joined(source, sink, subscription="new", push="all", **LOSSLESS) as (_, (connector,)):
+            began = perf_counter_ns()
+            await asyncio.gather(_produce(source, count, payload), consume())
+            return Reading.timed(count, perf_counter_ns() - began, Ledger.of(connector, count))
+
+    return run
 
 
 async def _into_event_context(sink: Counting, count: int) -> Reading:
     source = Source("source")
-    async with _joined(source, sink, **LOSSLESS) as (kernel, connector):
+    async with joined(source, sink, **LOSSLESS) as (kernel, (connector,)):
         await kernel.start(EventContext(), sink, activate=True)
         began = perf_counter_ns()
         await _produce(source, count)
@@ -206,57 +242,63 @@ async def event_single(count: int) -> Reading:
     return await _into_event_context(Single("sink", count), count)
 
 
-async def _wake(count: int, subscription: str) -> Reading:
-    source, sink = Source("source"), Clocked("sink", count)
-    async with _joined(source, sink, subscription=subscription) as (kernel, connector):
-        await kernel.start(EventContext(), sink, activate=True)
-        sample, write = TimedDouble(0, 1.0), source.out.write_nowait
-        wrote: list[int] = []
-        for _ in repeat(None, count):
-            await asyncio.sleep(PACE)
-            wrote.append(perf_counter_ns())
-            write(sample)
-        await sink.complete
-        latencies = tuple(after - before for before, after in zip(wrote, sink.ran, strict=True))
-        return Reading(count, latencies_ns=latencies, ledger=Ledger.of(connector, sink.received))
+def idle_to_run(subscription: str) -> Callable[[int], Any]:
+    """Into an idle event context, paced: from the write to the first line of on_execute."""
 
-
-async def flush_wake(count: int) -> Reading:
-    """flush into an idle event context: from the write to the first line of on_execute."""
-    return await _wake(count, "flush")
-
-
-async def new_wake(count: int) -> Reading:
-    """new into an idle event context: from the write to the first line of on_execute."""
-    return await _wake(count, "new")
-
-
-async def periodic_all(count: int) -> Reading:
-    """periodic/all: a burst for each period; the rate is by the clock on the wall, the cost by the processor's."""
-    source = Source("source")
-    options: dict[str, Any] = {"length": BURST, "out_length": BURST, "push_rate": PUSH_RATE}
-    bursts = -(-count // BURST)
-    size = -(-count // bursts)
-    sink = Drainer("sink", size)
-    async with _joined(source, sink, subscription="periodic", push="all", **options) as (kernel, connector):
-        await kernel.start(EventContext(), sink, activate=True)
-        loop = asyncio.get_running_loop()
-        began, used = perf_counter_ns(), process_time_ns()
-        for _ in repeat(None, bursts):
-            await _produce(source, size)
+    async def run(count: int) -> Reading:
+        source, sink = Source("source"), Clocked("sink", count)
+        async with joined(source, sink, subscription=subscription) as (kernel, (connector,)):
+            await kernel.start(EventContext(), sink, activate=True)
+            sample, write = record(1.0), source.out.write_nowait
+            wrote = array("q")
+            used, began = process_time_ns(), perf_counter_ns()
+            for _ in repeat(None, count):
+                await asyncio.sleep(PACE)
+                wrote.append(perf_counter_ns())
+                write(sample)
             await sink.complete
-            sink.left, sink.complete = size, loop.create_future()
-        used, elapsed = process_time_ns() - used, perf_counter_ns() - began
-        sent = bursts * size
-        return Reading(sent, max(1, used) / sent, sent * 1e9 / elapsed, (), Ledger.of(connector, sink.received))
+            cpu = 100 * (process_time_ns() - used) / (perf_counter_ns() - began)
+            latencies = tuple(after - before for before, after in zip(wrote, sink.ran, strict=True))
+            ledger = Ledger.of(connector, sink.received)
+            return Reading({"cpu": cpu}, count, {"latency": latencies}, ledger)
+
+    return run
 
 
-async def periodic_age(count: int) -> Reading:
-    """periodic/new from a producer of 1 kHz into an event context: how old a message is when it is read."""
-    ticker, sink = Ticker("ticker"), Ages("sink", count)
-    options: dict[str, Any] = {"subscription": "periodic", "push": "new", "push_rate": PUSH_RATE}
-    async with _joined(ticker, sink, **options) as (kernel, connector):
-        await kernel.start(EventContext(), sink, activate=True)
-        await kernel.start(PeriodicContext(rate=1e9 / PRODUCER_PERIOD_NS), ticker, activate=True)
-        await sink.complete
-        return Reading(count, latencies_ns=tuple(sink.ages[:count]), ledger=Ledger.of(connector, sink.received))
+def bursts(payload: Payload = 1.0) -> Callable[[int], Any]:
+    """periodic/all: a burst for each period; the rate is by the clock on the wall, the cost by the processor's."""
+
+    async def run(count: int) -> Reading:
+        type_ = type(record(payload))
+        options: dict[str, Any] = {"length": BURST, "out_length": BURST, "push_rate": PUSH_RATE}
+        number = -(-count // BURST)
+        size = -(-count // number)
+        source, sink = Source("source", type_), Drainer("sink", size, type_)
+        async with joined(source, sink, subscription="periodic", push="all", **options) as (kernel, (connector,)):
+            await kernel.start(EventContext(), sink, activate=True)
+            loop = asyncio.get_running_loop()
+            began, used = perf_counter_ns(), process_time_ns()
+            for _ in repeat(None, number):
+                await _produce(source, size, payload)
+                await sink.complete
+                sink.left, sink.complete = size, loop.create_future()
+            used, elapsed = max(1, process_time_ns() - used), perf_counter_ns() - began
+            sent = number * size
+            values = {"cost": used / sent, "rate": sent * 1e9 / elapsed, "cpu": 100 * used / elapsed}
+            return Reading(values, sent, ledger=Ledger.of(connector, sink.received))
+
+    return run
+
+
+def crowd(count: int) -> Callable[[], Any]:
+    """So many idle components, active in `CONTEXTS` event contexts, for as long as it is open."""
+
+    @asynccontextmanager
+    async def beside() -> AsyncIterator[None]:
+        async with Kernel(name="crowd") as kernel:
+            for first in range(CONTEXTS):
+                members = [await kernel.add(Idle(f"idle{number}")) for number in range(first, count, CONTEXTS)]
+                await kernel.start(EventContext(), *members, activate=True)
+            yield
+
+    return beside

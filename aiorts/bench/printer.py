@@ -3,53 +3,146 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
-from aiorts.bench.case import Metric, Sense
+from aiorts.bench.case import Measure, Sense
 from aiorts.bench.machine import line
-from aiorts.bench.report import Ratio, Report, Row, Spread
+from aiorts.bench.report import Ratio, Report, Row
 
-__all__ = ("markdown", "table")
+__all__ = ("figure_text", "markdown", "table")
 
-_HEAD = ("case", "median", "min..max", "p99", "messages/s", "ratio to", "aim", "measured", "IQR", "on course")
-_LEFT = {0, 5}
-"""Columns of words; the others are figures and stand to the right."""
+_RATIO_HEAD = ("ratio to", "aim", "measured", "IQR", "on course")
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """The columns of a report.
+
+    Attributes:
+        axes: shown in the place of the case's name, when all rows have them.
+        measures: the columns, by name.
+    """
+
+    axes: tuple[str, ...]
+    measures: tuple[str, ...]
+    drops: bool
+    ratios: bool
+
+    @classmethod
+    def of(cls, rows: Sequence[Row]) -> _Layout:
+        axes = tuple(dict.fromkeys(axis for row in rows for axis in row.case.axes))
+        measures = dict.fromkeys(one.name for row in rows for one in row.case.columns if one.name in row.figures)
+        drops = any(row.ledger is not None and row.ledger.dropped for row in rows)
+        return cls(axes, tuple(measures), drops, any(row.ratios for row in rows))
+
+    @property
+    def head(self) -> tuple[str, ...]:
+        named = self.axes or ("case",)
+        ratios = _RATIO_HEAD if self.ratios else ()
+        return (*named, "median", "min..max", *self.measures, *(("dropped",) if self.drops else ()), *ratios)
+
+    @property
+    def left(self) -> set[int]:
+        """Columns of words; the others are figures and stand to the right."""
+        head = self.head
+        return {*range(len(self.axes or ("case",))), *(i for i, name in enumerate(head) if name == "ratio to")}
+
+    def lines(self, rows: Iterable[Row]) -> list[tuple[str, ...]]:
+        """One line for each row, and one more for each further ratio."""
+        lines = []
+        for row in rows:
+            own = self._own(row)
+            if not self.ratios:
+                lines.append(own)
+                continue
+            first, *more = [_ratio_cells(ratio) for ratio in row.ratios] or [("",) * len(_RATIO_HEAD)]
+            lines.append((*own, *first))
+            lines += [("",) * len(own) + ratio for ratio in more]
+        return lines
+
+    def _own(self, row: Row) -> tuple[str, ...]:
+        measure, spread = row.case.measure, row.spread
+        named = tuple(row.case.axes.get(axis, "") for axis in self.axes) or (row.case.name,)
+        shown = []
+        for name in self.measures:
+            figured = row.figures.get(name)
+            shown.append("" if figured is None else figure_text(figured.shown, figured.measure))
+        extremes = f"{_bare(spread.min, measure)}..{_bare(spread.max, measure)}"
+        dropped = [] if row.ledger is None else [f"{count} {reason}" for reason, count in row.ledger.dropped.items()]
+        return (
+            *named,
+            figure_text(spread.median, measure),
+            extremes,
+            *shown,
+            *((", ".join(dropped),) if self.drops else ()),
+        )
 
 
 def table(report: Report) -> str:
     """Plain text."""
     parts = [f"aiorts bench {report.bench}: {line(report.machine)}", _how(report)]
+    layout = _Layout.of(report.rows)
     for loop, rows in _by_loop(report):
-        cells = [_HEAD, *_cells(rows)]
-        widths = [max(len(row[column]) for row in cells) for column in range(len(_HEAD))]
-        lines = ["  ".join(_pad(cell, widths[i], i) for i, cell in enumerate(row)).rstrip() for row in cells]
-        parts.append("\n".join((f"{loop}", *lines)))
-    parts.append("\n".join(f"{row.case.name}: {row.case.what}" for row in _first_loop(report)))
+        cells = [layout.head, *layout.lines(rows)]
+        widths = [max(len(row[column]) for row in cells) for column in range(len(layout.head))]
+        lines = ["  ".join(_pad(cell, widths[i], i, layout) for i, cell in enumerate(row)).rstrip() for row in cells]
+        parts.append("\n".join((*_titled(loop), *lines)))
+    parts.append("\n".join(_explained(report)))
+    parts.append("\n".join(report.notes))
     parts += [f"FAULT {fault}" for fault in report.faults]
-    return "\n\n".join(parts)
+    return "\n\n".join(part for part in parts if part)
 
 
-def markdown(report: Report) -> str:
-    """The same as markdown."""
+def markdown(report: Report, level: int = 1) -> str:
+    """The same as markdown, with headings from `level` on."""
+    marks = "#" * level
     parts = [
-        f"# aiorts bench {report.bench}",
+        f"{marks} aiorts bench {report.bench}",
         f"Measured on: {line(report.machine)}.",
         f"Command: `{report.command}`. {_how(report)}",
     ]
+    layout = _Layout.of(report.rows)
     for loop, rows in _by_loop(report):
-        rule = [":---" if column in _LEFT else "---:" for column in range(len(_HEAD))]
-        lines = [_bar(row) for row in (_HEAD, rule, *_cells(rows))]
-        parts.append("\n".join((f"## {loop}", "", *lines)))
-    parts.append("\n".join(f"- {row.case.name}: {row.case.what}" for row in _first_loop(report)))
+        rule = [":---" if column in layout.left else "---:" for column in range(len(layout.head))]
+        lines = [_bar(row) for row in (layout.head, rule, *layout.lines(rows))]
+        parts.append("\n".join((*(f"{marks}# {title}\n" for title in _titled(loop)), *lines)))
+    parts.append("\n".join(f"- {text}" for text in _explained(report)))
+    parts.append("\n".join(f"- {text}" for text in report.notes))
     parts += [f"**Fault:** {fault}" for fault in report.faults]
-    return "\n\n".join(parts)
+    return "\n\n".join(part for part in parts if part)
+
+
+def figure_text(value: float, measure: Measure) -> str:
+    """A figure with its unit: "178 ns", "5.61 M/s"."""
+    if measure.unit == "1/s":
+        return f"{_bare(value, measure)}/s"
+    return f"{_bare(value, measure)} {measure.unit}".strip() if measure.unit != "%" else f"{_bare(value, measure)}%"
+
+
+def _bare(value: float, measure: Measure) -> str:
+    if measure.unit != "1/s":
+        return f"{value:,.{measure.digits}f}".replace(",", "" if abs(value) < 1e5 else ",")
+    for size, letter in ((1e6, "M"), (1e3, "k")):
+        if abs(value) >= size:
+            return f"{value / size:.2f} {letter}" if value < 1e4 * size / 1e3 else f"{value / size:.1f} {letter}"
+    return f"{value:.{max(1, measure.digits)}f}"
 
 
 def _how(report: Report) -> str:
-    return (
-        f"{report.rounds} rounds, cases interleaved in each; medians over the rounds. Cost is for one message, latency "
-        "is the median of a round, p99 of all rounds. A ratio is taken round by round to the baseline of that round; "
-        "x <= is time taken, x >= is times as fast."
+    return report.how or (
+        f"{report.rounds} round{'s' if report.rounds > 1 else ''}, cases interleaved in each; medians over the rounds, "
+        "percentiles and max of all rounds together. A ratio is taken round by round to the baseline of that round; "
+        "x <= is times as much, x >= is times as fast."
     )
+
+
+def _titled(loop: str) -> tuple[str, ...]:
+    return () if loop == "none" else (loop,)
+
+
+def _explained(report: Report) -> list[str]:
+    cases = {row.case.name: row.case for row in report.rows}
+    return [f"{name}: {case.what}" for name, case in cases.items() if case.what]
 
 
 def _by_loop(report: Report) -> Iterable[tuple[str, list[Row]]]:
@@ -57,36 +150,18 @@ def _by_loop(report: Report) -> Iterable[tuple[str, list[Row]]]:
     return [(loop, [row for row in report.rows if row.loop == loop]) for loop in loops]
 
 
-def _first_loop(report: Report) -> list[Row]:
-    return [row for row in report.rows if row.loop == report.rows[0].loop]
-
-
-def _cells(rows: Iterable[Row]) -> list[tuple[str, ...]]:
-    """One line for each row, and one more for each further ratio."""
-    cells = []
-    for row in rows:
-        first, *more = [_ratio_cells(ratio) for ratio in row.ratios] or [("",) * 5]
-        cells.append((*_row_cells(row), *first))
-        cells += [("",) * 5 + ratio for ratio in more]
-    return cells
-
-
-def _row_cells(row: Row) -> tuple[str, ...]:
-    unit = "us" if row.case.metric is Metric.P50 else "ns"
-    spread = row.spread
-    p99 = "" if row.p99_ns is None else f"{_time(row.p99_ns, unit)} {unit}"
-    rate = "" if row.per_second is None else _rate(row.per_second)
-    extremes = f"{_time(spread.min, unit)}..{_time(spread.max, unit)}"
-    return (row.case.name, f"{_time(spread.median, unit)} {unit}", extremes, p99, rate)
-
-
 def _ratio_cells(ratio: Ratio) -> tuple[str, ...]:
     aim, measured = ratio.aim, ratio.measured
     sign = "<=" if aim.sense is Sense.AT_MOST else ">="
-    wanted = "" if aim.factor is None else f"{sign} {aim.factor:.1f}x"
     course = {None: "", True: "yes", False: "NO"}[ratio.on_course]
+    if not aim.baseline:
+        wanted = "" if aim.factor is None else f"{sign} {figure_text(aim.factor, ratio.measure)}"
+        shown = figure_text(measured.median, ratio.measure)
+        between = f"{_bare(measured.q1, ratio.measure)}..{_bare(measured.q3, ratio.measure)}"
+        return (ratio.measure.name, wanted, shown, between, course)
+    wanted = "" if aim.factor is None else f"{sign} {aim.factor:.4g}x"
     return (
-        aim.compared_with,
+        aim.compared_with((aim.base_measure or ratio.measure).unit),
         wanted,
         f"{measured.median:.2f}x",
         f"{measured.q1:.2f}..{measured.q3:.2f}",
@@ -94,16 +169,8 @@ def _ratio_cells(ratio: Ratio) -> tuple[str, ...]:
     )
 
 
-def _time(nanoseconds: float, unit: str) -> str:
-    return f"{nanoseconds / 1000:.1f}" if unit == "us" else f"{nanoseconds:.0f}"
-
-
-def _rate(per_second: Spread) -> str:
-    return f"{per_second.median / 1e6:.2f} M" if per_second.median >= 1e6 else f"{per_second.median / 1e3:.0f} k"
-
-
-def _pad(cell: str, width: int, column: int) -> str:
-    return cell.ljust(width) if column in _LEFT else cell.rjust(width)
+def _pad(cell: str, width: int, column: int, layout: _Layout) -> str:
+    return cell.ljust(width) if column in layout.left else cell.rjust(width)
 
 
 def _bar(cells: Sequence[str]) -> str:

@@ -2,100 +2,226 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
-from aiorts.bench import bare, flow
-from aiorts.bench.case import Aim, Case, Metric, Sense
+from aiorts.bench import ageing, bare, flow, grid, load, machine, peers
+from aiorts.bench.ageing import GROWTH, PRODUCER_RATE, READER_RATE
+from aiorts.bench.case import COST, CPU, LATENCY, RATE, Aim, Case, Measure, Sense, tails
+from aiorts.bench.registry import Bench, Options
+from aiorts.bench.report import Report
 
-__all__ = ("CASES",)
+__all__ = ("BENCH", "CASES", "CROWD", "CROWD_CASES")
 
-_COST, _P50 = Metric.COST, Metric.P50
-_AT_LEAST = Sense.AT_LEAST
+CROWD: Final = 10_000
+_AGE: Final = Measure("age p50", "us", digits=1, pool="age")
+_PERIOD_US: Final = 1e6 / PRODUCER_RATE
+_COSTS: Final = (RATE,)
+_WAKES: Final = (*tails("latency", label=""), CPU)
+_AGES: Final = (*tails("age", label=""), CPU, GROWTH)
+_FLAT: Final = Aim("", factor=64, measure=GROWTH)
+_ARRAYS: Final = {"1 kB": 1_000, "1 MB": 1_000_000, "100 MB": 100_000_000}
+
+
+def _queue(factor: float | None = None) -> Aim:
+    return Aim("asyncio.Queue(1000)", Sense.AT_MOST if factor is None else Sense.AT_LEAST, factor)
+
+
+def _wake(name: str, what: str, subscription: str, base: str) -> Case:
+    run = flow.idle_to_run(subscription)
+    return Case(name, what, LATENCY, run, 40, (Aim(base, factor=1.5),), lossless=True, columns=_WAKES)
+
+
+def _age(name: str, what: str, aim: Aim, subscription: str, *, event: bool, busy: bool = False) -> Case:
+    return Case(name, what, _AGE, ageing.age(subscription, event=event, busy=busy), 20, (aim, _FLAT), columns=_AGES)
+
+
+def _arrays(base: str, messages: int) -> tuple[Case, ...]:
+    """Arrays of each size by one policy, beside the float of that policy and beside the smallest array."""
+    make: Callable[[flow.Payload], Callable[[int], Any]] = {
+        "flush": flow.pair,
+        "new/all": flow.tasks,
+        "new/new": lambda payload: flow.pair(payload, subscription="new", push="new"),
+        "periodic/all": flow.bursts,
+    }[base]
+    cases: list[Case] = []
+    for size, count in _ARRAYS.items():
+        aims = [Aim(base, factor=1.1)]
+        if cases:
+            aims.append(Aim(cases[0].name, factor=1.1))
+        what = f"the same with an array of {size}, record built once"
+        cases.append(
+            Case(f"{base}, {size}", what, COST, make(count), messages, tuple(aims), lossless=True, columns=_COSTS)
+        )
+    return tuple(cases)
+
+
+_BARE: Final = (
+    Case("bare deque", "two Python calls and a deque", COST, bare.calls, 100_000, columns=_COSTS),
+    Case("asyncio.Queue pair", "put_nowait + get_nowait, one task", COST, bare.queue_pair, 50_000, columns=_COSTS),
+    Case("asyncio.Queue(1000)", "producer and consumer task", COST, bare.queue_tasks, 30_000, columns=_COSTS),
+    Case("anyio stream(1000)", "producer and consumer task", COST, bare.anyio_stream, 3_000, columns=_COSTS),
+    Case("bare future", "wake-up of a task, 200 Hz", LATENCY, bare.future_wake, 40, columns=_WAKES),
+)
 
 CASES: Final[tuple[Case, ...]] = (
-    Case("bare deque", "two Python calls and a deque", _COST, bare.calls, 100_000),
-    Case("asyncio.Queue pair", "put_nowait + get_nowait, one task", _COST, bare.queue_pair, 50_000),
-    Case("asyncio.Queue(1000)", "producer and consumer task", _COST, bare.queue_tasks, 30_000),
-    Case("anyio stream(1000)", "producer and consumer task", _COST, bare.anyio_stream, 3_000),
-    Case("bare future", "wake-up of a task, 200 Hz", _P50, bare.future_wake, 40),
+    *_BARE,
     Case(
         "flush",
         "write_nowait + read_nowait, one task",
-        _COST,
-        flow.flush_pair,
+        COST,
+        flow.pair(),
         60_000,
-        (Aim("bare deque", factor=3.0), Aim("asyncio.Queue pair", _AT_LEAST, 1.8)),
+        (Aim("bare deque", factor=3.0), Aim("asyncio.Queue pair", Sense.AT_LEAST, 1.8)),
         lossless=True,
+        columns=_COSTS,
+    ),
+    *_arrays("flush", 30_000),
+    Case(
+        "100 single deliveries",
+        f"flush, {flow.FAN_OUT} writers with one reader each, in turn: cost of one delivery",
+        COST,
+        flow.pairs,
+        30_000,
+        (Aim("flush"),),
+        lossless=True,
+        columns=_COSTS,
     ),
     Case(
-        "flush, 1 MB array",
-        "the same, record built once",
-        _COST,
-        flow.flush_array,
-        60_000,
-        (Aim("flush", factor=1.1),),
+        "flush, 1 -> 100",
+        f"one writer, {flow.FAN_OUT} readers: cost of one delivery",
+        COST,
+        flow.fan_out,
+        30_000,
+        (Aim("100 single deliveries", factor=1.1), Aim("flush")),
         lossless=True,
+        columns=_COSTS,
     ),
     Case(
         "flush, event context",
         "awaited writes, reader drains",
-        _COST,
+        COST,
         flow.event_drain,
         30_000,
-        (Aim("asyncio.Queue(1000)", _AT_LEAST, 1.5),),
+        (_queue(1.5),),
         lossless=True,
+        columns=_COSTS,
     ),
     Case(
         "flush, one a cycle",
         "awaited writes, reader takes one a cycle, buffer full",
-        _COST,
+        COST,
         flow.event_single,
         3_000,
-        (Aim("asyncio.Queue(1000)"),),
+        (_queue(),),
         lossless=True,
+        columns=_COSTS,
     ),
     Case(
         "new/all",
         "producer and consumer task, lossless, length 1000",
-        _COST,
-        flow.new_tasks,
+        COST,
+        flow.tasks(),
         30_000,
-        (Aim("asyncio.Queue(1000)", _AT_LEAST, 1.5), Aim("anyio stream(1000)", _AT_LEAST, 8.0)),
+        (_queue(1.5), Aim("anyio stream(1000)", Sense.AT_LEAST, 8.0)),
         lossless=True,
+        columns=_COSTS,
     ),
+    *_arrays("new/all", 15_000),
+    Case(
+        "new/new",
+        "write_nowait + read_nowait, one task, length 1",
+        COST,
+        flow.pair(1.0, subscription="new", push="new"),
+        30_000,
+        (Aim("asyncio.Queue pair"),),
+        lossless=True,
+        columns=_COSTS,
+    ),
+    *_arrays("new/new", 30_000),
     Case(
         "periodic/all",
         f"bursts of {flow.BURST} at {flow.PUSH_RATE:.0f} Hz, cost is processor time",
-        _COST,
-        flow.periodic_all,
+        COST,
+        flow.bursts(),
         20_000,
-        (Aim("asyncio.Queue(1000)"),),
+        (_queue(),),
         lossless=True,
+        columns=(RATE, CPU),
     ),
-    Case(
-        "flush, idle to run",
-        "write to on_execute of an event context, 200 Hz",
-        _P50,
-        flow.flush_wake,
-        40,
-        (Aim("bare future", factor=1.5),),
-        lossless=True,
+    *_arrays("periodic/all", 10_000),
+    _wake("flush, idle to run", "write to on_execute of an event context, 200 Hz", "flush", "bare future"),
+    _wake("new, idle to run", "write to on_execute of an event context, 200 Hz", "new", "bare future"),
+    _age(
+        "new/new, age",
+        f"producer {PRODUCER_RATE:.0f} Hz, event context that takes {READER_RATE:.0f} a second: age when read",
+        Aim("bare future", factor=1.0, times=1.5, floor=_PERIOD_US, base_measure=LATENCY),
+        "new",
+        event=True,
+        busy=True,
     ),
-    Case(
-        "new, idle to run",
-        "write to on_execute of an event context, 200 Hz",
-        _P50,
-        flow.new_wake,
-        40,
-        (Aim("bare future", factor=1.5),),
-        lossless=True,
+    _age(
+        "new/new, periodic reader, age",
+        f"producer {PRODUCER_RATE:.0f} Hz, reader {READER_RATE:.0f} Hz: age when read",
+        Aim("bare future", factor=1.0, times=1.5, extra=_PERIOD_US, base_measure=LATENCY),
+        "new",
+        event=False,
     ),
-    Case(
+    _age(
         "periodic/new, age",
-        f"producer 1 kHz, push_rate {flow.PUSH_RATE:.0f} Hz: age when read",
-        _P50,
-        flow.periodic_age,
-        40,
-        (Aim("bare future", factor=1.0, times=1.5, extra_ns=flow.PRODUCER_PERIOD_NS),),
+        f"producer {PRODUCER_RATE:.0f} Hz, push_rate {READER_RATE:.0f} Hz, event context: age when read",
+        Aim("bare future", factor=1.0, times=1.5, extra=_PERIOD_US, base_measure=LATENCY),
+        "periodic",
+        event=True,
     ),
+)
+
+_BESIDE: Final = f"beside {CROWD:,} idle"
+CROWD_CASES: Final[tuple[Case, ...]] = (
+    Case(f"bare future, {_BESIDE}", "wake-up of a task, 200 Hz", LATENCY, bare.future_wake, 40, columns=_WAKES),
+    _wake(
+        f"flush, idle to run, {_BESIDE}",
+        f"the same beside {CROWD:,} idle components in {flow.CONTEXTS} event contexts",
+        "flush",
+        f"bare future, {_BESIDE}",
+    ),
+    _wake(
+        f"new, idle to run, {_BESIDE}",
+        f"the same beside {CROWD:,} idle components in {flow.CONTEXTS} event contexts",
+        "new",
+        f"bare future, {_BESIDE}",
+    ),
+)
+
+
+def report(options: Options) -> Report:
+    """The headline table; with an option of the grid, every combination; with `--plot`, load curves beside them."""
+    axes = grid.chosen(options)
+    if axes:
+        return grid.report(options, axes)
+    described = machine.describe()
+    cases = CASES
+    notes: tuple[str, ...] = ()
+    if options.peers:
+        found, notes = peers.cases()
+        cases = (*CASES, *found)
+    rows = [
+        row
+        for loop in options.loops
+        for row in (
+            *options.rows(cases, loop=loop),
+            *options.rows(CROWD_CASES, loop=loop, beside=flow.crowd(CROWD)),
+        )
+    ]
+    figures = load.figures(options) if options.plot else ()
+    return options.report("push", tuple(rows), described, notes=notes, figures=figures)
+
+
+BENCH: Final = Bench(
+    "push",
+    "Throughput and latency of the push policies: flush, new and periodic.\n\n"
+    "Alone it gives the headline table. With any option that takes a list it measures every combination "
+    "of those lists (a list not given has its first value) and checks the ledger of each.",
+    report,
+    options=grid.OPTIONS,
 )

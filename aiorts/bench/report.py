@@ -5,11 +5,14 @@ from __future__ import annotations
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Final
 
-from aiorts.bench.case import Aim, Case, Ledger, Metric, Reading
+from aiorts.bench.case import Aim, Case, Ledger, Measure, Reading
 
-__all__ = ("Ratio", "Report", "Row", "Spread", "percentile", "row_of")
+__all__ = ("SCHEMA", "Figure", "Figured", "Ratio", "Report", "Row", "Series", "Spread", "row_of")
+
+SCHEMA: Final = 2
+"""Of the plain data; 1 knew only nanoseconds for a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +32,28 @@ class Spread:
         return cls(statistics.median(values), q1, q3, min(values), max(values))
 
 
-def percentile(values: Sequence[int], percent: float) -> float:
-    """The nearest-rank percentile of at least one value."""
-    ordered = sorted(values)
-    rank = -(-len(ordered) * percent // 100)
-    return float(ordered[max(0, int(rank) - 1)])
+@dataclass(frozen=True, slots=True)
+class Figured:
+    """One measure of a row.
+
+    Attributes:
+        rounds: one figure for each round, in order.
+        pooled: for a percentile the figure over all rounds together; None for any other measure.
+    """
+
+    measure: Measure
+    rounds: tuple[float, ...]
+    pooled: float | None = None
+
+    @property
+    def spread(self) -> Spread:
+        """Of the rounds."""
+        return Spread.of(self.rounds)
+
+    @property
+    def shown(self) -> float:
+        """What a table shows: the percentile over all rounds, or the median of the rounds."""
+        return statistics.median(self.rounds) if self.pooled is None else self.pooled
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +61,18 @@ class Ratio:
     """A ratio to a baseline, taken round by round, and whether its median is on course (None: nothing is aimed at)."""
 
     aim: Aim
-    measured: Spread
-    on_course: bool | None
+    measure: Measure
+    rounds: tuple[float, ...]
+
+    @property
+    def measured(self) -> Spread:
+        """Of the rounds."""
+        return Spread.of(self.rounds)
+
+    @property
+    def on_course(self) -> bool | None:
+        """Whether the median is where the aim wants it."""
+        return self.aim.met(self.measured.median)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,73 +81,124 @@ class Row:
 
     Attributes:
         messages: of all rounds together.
-        spread: of what is compared, over the rounds: nanoseconds per message, or the median latency.
-        per_second: messages per second over the rounds; None where latency is measured.
-        p99_ns: 99th percentile of the latencies of all rounds, max_ns the largest; None where cost is measured.
-        ledger: of all rounds together; None for a bare baseline.
+        figures: of the measure that is compared and of all columns, by name; one that no round gave is not there.
+        ledger: of all rounds together; None where there is none.
+        told: faults that the rounds themselves told, each once.
     """
 
     loop: str
     case: Case
     messages: int
-    spread: Spread
-    per_second: Spread | None
-    p99_ns: float | None
-    max_ns: float | None
+    figures: Mapping[str, Figured]
     ratios: tuple[Ratio, ...]
     ledger: Ledger | None
+    told: tuple[str, ...] = ()
+
+    @property
+    def spread(self) -> Spread:
+        """Of what is compared."""
+        return self.figures[self.case.measure.name].spread
 
     @property
     def faults(self) -> tuple[str, ...]:
         """What was promised and not kept. A ratio that is not on course is none."""
-        if self.ledger is None:
-            return ()
-        where = f"{self.case.name} on {self.loop}"
-        faults = [] if self.ledger.balanced else [f"{where}: the ledger does not balance: {self.ledger}"]
-        if self.case.lossless and not self.ledger.lossless:
+        where = self.case.name if self.loop == "none" else f"{self.case.name} on {self.loop}"
+        faults = [f"{where}: {fault}" for fault in self.told]
+        if self.ledger is not None and not self.ledger.balanced:
+            faults.append(f"{where}: the ledger does not balance: {self.ledger}")
+        if self.ledger is not None and self.case.lossless and not self.ledger.lossless:
             faults.append(f"{where}: lost messages although none may be lost: {self.ledger}")
         return tuple(faults)
 
     def plain(self) -> dict[str, Any]:
         """JSON-able."""
-        ledger = self.ledger
+        case, ledger = self.case, self.ledger
         return {
             "loop": self.loop,
-            "case": self.case.name,
-            "what": self.case.what,
-            "metric": self.case.metric.value,
+            "case": case.name,
+            "what": case.what,
+            "axes": dict(case.axes),
+            "compared": case.measure.name,
+            "peer": case.peer,
             "messages": self.messages,
-            "ns": asdict(self.spread),
-            "messages_per_second": None if self.per_second is None else asdict(self.per_second),
-            "p99_ns": self.p99_ns,
-            "max_ns": self.max_ns,
+            "measures": {name: _plain_figure(figure) for name, figure in self.figures.items()},
             "ratios": [_plain_ratio(ratio) for ratio in self.ratios],
-            "ledger": ledger
-            and {**asdict(ledger), "balanced": ledger.balanced, "lossless": ledger.lossless, "promised": self.promise},
+            "ledger": None if ledger is None else _plain_ledger(ledger, case.lossless),
         }
 
-    @property
-    def promise(self) -> str:
-        """What the case promises of its messages."""
-        return "lossless" if self.case.lossless else "newest"
+
+def _plain_figure(figure: Figured) -> dict[str, Any]:
+    measure = figure.measure
+    return {
+        "unit": measure.unit,
+        "better": measure.better,
+        **asdict(figure.spread),
+        "pooled": figure.pooled,
+        "rounds": list(figure.rounds),
+    }
 
 
 def _plain_ratio(ratio: Ratio) -> dict[str, Any]:
     aim = ratio.aim
     return {
         "baseline": aim.baseline,
+        "measure": ratio.measure.name,
         "sense": aim.sense.value,
         "aim": aim.factor,
         "times": aim.times,
-        "extra_ns": aim.extra_ns,
-        "measured": asdict(ratio.measured),
+        "extra": aim.extra,
+        "floor": aim.floor,
+        **asdict(ratio.measured),
+        "rounds": list(ratio.rounds),
         "on_course": ratio.on_course,
     }
 
 
+def _plain_ledger(ledger: Ledger, lossless: bool) -> dict[str, Any]:
+    promised = "lossless" if lossless else "newest"
+    return {**asdict(ledger), "balanced": ledger.balanced, "lossless": ledger.lossless, "promised": promised}
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """A line of a figure: (x, y, lowest y, highest y) for each point."""
+
+    name: str
+    points: tuple[tuple[float, float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """What `--plot` draws: lines over an axis.
+
+    Attributes:
+        log: names the logarithmic axes ("x", "y", "xy", "").
+        note: one line beneath the title.
+        mark: where a vertical line stands, such as the reader's capacity.
+    """
+
+    title: str
+    x: str
+    x_unit: str
+    y: str
+    y_unit: str
+    series: tuple[Series, ...]
+    log: str = "xy"
+    note: str = ""
+    mark: float | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Report:
-    """A whole run."""
+    """A whole run.
+
+    Attributes:
+        bench: name of the bench.
+        command: what repeats it.
+        how: how to read the figures; "" takes the sentence for interleaved rounds.
+        notes: lines for the reader beneath the table, such as what was left out and why.
+        figures: drawn by `--plot`; without any, the rows are drawn.
+    """
 
     bench: str
     command: str
@@ -125,54 +206,79 @@ class Report:
     rounds: int
     scale: float
     rows: tuple[Row, ...]
+    how: str = ""
+    notes: tuple[str, ...] = ()
+    figures: tuple[Figure, ...] = ()
 
     @property
     def faults(self) -> tuple[str, ...]:
         """What was promised and not kept, of all rows."""
         return tuple(fault for row in self.rows for fault in row.faults)
 
+    def missed(self, slack: float = 0.0) -> tuple[tuple[Row, Ratio], ...]:
+        """The aims that are missed by more than the share `slack`."""
+        return tuple(
+            (row, ratio)
+            for row in self.rows
+            for ratio in row.ratios
+            if ratio.aim.met(ratio.measured.median, slack) is False
+        )
+
     def plain(self) -> dict[str, Any]:
         """JSON-able: one document."""
         return {
-            "schema": 1,
+            "schema": SCHEMA,
             "bench": self.bench,
             "command": self.command,
             "machine": dict(self.machine),
             "rounds": self.rounds,
             "scale": self.scale,
             "rows": [row.plain() for row in self.rows],
+            "notes": list(self.notes),
+            "figures": [asdict(figure) for figure in self.figures],
             "faults": list(self.faults),
         }
 
 
 def row_of(loop: str, case: Case, readings: Mapping[str, Sequence[Reading]]) -> Row:
-    """The row of a case from the readings of all cases, which stand in the order of the rounds."""
+    """The row of a case from the readings of all cases, which stand in the order of the rounds.
+
+    Raises:
+        LookupError: a round gave no figure for what the case compares, or a baseline is not among the readings.
+    """
     own = readings[case.name]
-    rates = [reading.per_second for reading in own if reading.per_second is not None]
-    pooled = [latency for reading in own for latency in reading.latencies_ns]
     ledgers = [reading.ledger for reading in own if reading.ledger is not None]
+    figures = {measure.name: found for measure in (case.measure, *case.columns) if (found := _figured(measure, own))}
+    if case.measure.name not in figures:
+        raise LookupError(f"case {case.name!r}: its rounds gave no {case.measure.name!r}")
     return Row(
         loop,
         case,
         sum(reading.messages for reading in own),
-        Spread.of([_compared(case.metric, reading) for reading in own]),
-        Spread.of(rates) if rates else None,
-        percentile(pooled, 99) if pooled else None,
-        float(max(pooled)) if pooled else None,
-        tuple(_ratio(case.metric, aim, own, readings[aim.baseline]) for aim in case.aims),
+        figures,
+        tuple(_ratio(case, aim, own, readings) for aim in case.aims),
         sum(ledgers, Ledger()) if ledgers else None,
+        tuple(dict.fromkeys(fault for reading in own for fault in reading.faults)),
     )
 
 
-def _compared(metric: Metric, reading: Reading) -> float:
-    if metric is Metric.P50:
-        return float(statistics.median(reading.latencies_ns))
-    assert reading.cost_ns is not None  # noqa: S101 - a workload of this metric gives it
-    return reading.cost_ns
+def _figured(measure: Measure, own: Sequence[Reading]) -> Figured | None:
+    rounds = tuple(value for reading in own if (value := measure.of([reading])) is not None)
+    if not rounds:
+        return None
+    return Figured(measure, rounds, None if measure.pool is None else measure.of(own))
 
 
-def _ratio(metric: Metric, aim: Aim, own: Sequence[Reading], base: Sequence[Reading]) -> Ratio:
+def _ratio(case: Case, aim: Aim, own: Sequence[Reading], readings: Mapping[str, Sequence[Reading]]) -> Ratio:
     """Round by round: what disturbs the machine for a while disturbs both."""
-    pairs = zip(own, base, strict=True)
-    measured = Spread.of([aim.ratio(_compared(metric, mine), _compared(metric, theirs)) for mine, theirs in pairs])
-    return Ratio(aim, measured, aim.met(measured.median))
+    measure = aim.measure or case.measure
+    base_measure = aim.base_measure or measure
+    bases = readings[aim.baseline] if aim.baseline else own
+    rounds = []
+    for mine, theirs in zip(own, bases, strict=True):
+        value = measure.of([mine])
+        base = base_measure.of([theirs]) if aim.baseline else 1.0
+        if value is None or base is None:
+            raise LookupError(f"case {case.name!r}: no {measure.name!r} to compare with {aim.baseline!r}")
+        rounds.append(aim.ratio(value, base, measure.better))
+    return Ratio(aim, measure, tuple(rounds))

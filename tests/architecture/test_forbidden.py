@@ -24,6 +24,11 @@ CALLS = {
     "numpy.load",
     "np.load",
 }
+ALLOWED = {
+    # A baseline of `aiorts bench codec`: it reads nothing but the octets it wrote itself, in memory, a line before.
+    "aiorts/bench/codec.py": ["import pickle"],
+}
+"""What one file may do nevertheless, and why; a new line here needs a reason."""
 POSIX_ONLY = {"uvloop", "fcntl", "resource", "termios", "pwd", "grp", "pty", "tty", "syslog"}
 LONGEST = 400
 TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
@@ -80,7 +85,8 @@ def forbidden(tree: ast.Module) -> list[str]:
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_nothing_runs_text_as_code_or_loads_pickles(path: Path) -> None:
-    assert forbidden(tree_of(path)) == []
+    faults = [fault.partition(": ")[2] for fault in forbidden(tree_of(path))]
+    assert faults == ALLOWED.get(name_of(path), [])
 
 
 def test_forbidden_things_are_found() -> None:

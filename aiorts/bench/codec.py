@@ -1,0 +1,140 @@
+"""`aiorts bench codec`: records to bytes and back, beside codecs that check nothing, on the same values."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from itertools import repeat
+from time import perf_counter_ns
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+import numpy as np
+
+from aiorts.bench import machine
+from aiorts.bench.case import COST, RATE, Aim, Case, Measure, Reading
+from aiorts.bench.registry import Bench, Options
+from aiorts.bench.report import Report
+from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, to_plain
+from aiorts.wire import MsgpackCodec
+
+__all__ = ("BENCH", "PAYLOADS", "Payload", "cases")
+
+_SIZE: Final = Measure("frame", "B")
+_ENCODE: Final = Measure("encode", "ns")
+_DECODE: Final = Measure("decode", "ns")
+_COLUMNS: Final = (_ENCODE, _DECODE, _SIZE, RATE)
+
+Pair = tuple[Callable[[Any], Any], Callable[[Any], Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """A record to encode, and the same values as plain as msgpack, pickle and json have them.
+
+    Attributes:
+        bare: a tuple for codecs with bytes; arrays are their bytes. text: for JSON; arrays are lists.
+    """
+
+    name: str
+    record: Any
+    bare: Any
+    text: Any
+    messages: int
+
+
+def _payloads() -> tuple[Payload, ...]:
+    large, image = np.arange(10_000, dtype=np.float64), bytes(range(256)) * 4096
+    six = [0.5, 1.5, -2.5, 3.25, 4.0, 5.0]
+    return (
+        Payload("float", TimedDouble(1, 1.5), (1, 1.5), [1, 1.5], 3000),
+        Payload("6 doubles", TimedDoubleSeq(1, six), (1, np.array(six).tobytes()), [1, six], 2000),
+        Payload("80 kB", TimedDoubleSeq(1, large.copy()), (1, large.tobytes()), [1, large.tolist()], 30),
+        Payload("1 MB image", TimedOctetSeq(1, image), (1, image), [1, image.decode("latin-1")], 20),
+    )
+
+
+PAYLOADS: Final = _payloads()
+
+
+def _run(codec: Pair, value: Any, check: Callable[[Any], bool], count: int) -> Reading:
+    """Encode, then decode, `count` times each."""
+    encode, decode = codec
+    frame = encode(value)
+    told = () if check(decode(frame)) else ("what came back is not what was sent",)
+    began = perf_counter_ns()
+    for _ in repeat(None, count):
+        encode(value)
+    middle = perf_counter_ns()
+    for _ in repeat(None, count):
+        decode(frame)
+    ended = perf_counter_ns()
+    timed = Reading.timed(count, ended - began)
+    values = {**timed.values, "encode": (middle - began) / count, "decode": (ended - middle) / count}
+    return Reading({**values, "frame": float(len(frame))}, count, faults=told)
+
+
+def _codecs() -> dict[str, tuple[Pair, str]]:
+    """Encode and decode by name, and which form of the payload they take."""
+    ours = MsgpackCodec()
+    pack = partial(msgpack.packb, use_bin_type=True)
+    unpack = partial(msgpack.unpackb, raw=False, use_list=False, max_bin_len=2**24)
+    found: dict[str, tuple[Pair, str]] = {
+        "msgpack": ((pack, unpack), "bare"),
+        "pickle 5": ((partial(pickle.dumps, protocol=5), pickle.loads), "bare"),  # its own octets, and no others
+        "json": ((lambda value: json.dumps(value).encode(), json.loads), "text"),
+    }
+    try:
+        msgspec: Any = importlib.import_module("msgspec")
+    except ImportError:
+        pass
+    else:
+        found["msgspec"] = ((msgspec.msgpack.encode, partial(msgspec.msgpack.decode, type=tuple)), "bare")
+    found["aiorts"] = ((ours.encode, ours.decode), "record")
+    return found
+
+
+def cases() -> tuple[Case, ...]:
+    """Every payload through every codec; aiorts beside msgpack of the same tuple."""
+    made = []
+    for payload in PAYLOADS:
+        for name, (pair, form) in _codecs().items():
+            value = getattr(payload, form)
+            check = partial(_equal, value) if form != "record" else partial(_same_record, value)
+            aims = tuple(Aim(f"{base}, {payload.name}") for base in ("msgpack", "pickle 5")) if name == "aiorts" else ()
+            what = "record, checked on both sides" if name == "aiorts" else "the same values, nothing checked"
+            run = partial(_run, pair, value, check)
+            made.append(Case(f"{name}, {payload.name}", what, COST, run, payload.messages, aims, columns=_COLUMNS))
+    return tuple(made)
+
+
+def _equal(sent: Any, back: Any) -> bool:
+    return bool(sent == back)
+
+
+def _same_record(sent: Any, back: Any) -> bool:
+    return type(sent) is type(back) and bool(to_plain(sent) == to_plain(back))
+
+
+def report(options: Options) -> Report:
+    """The bench."""
+    described = machine.describe()
+    rows = options.rows(cases())
+    left_out = () if any(row.case.name.startswith("msgspec") for row in rows) else ("msgspec is not installed",)
+    how = "Cost is one encode and one decode; JSON carries arrays as lists of numbers and octets as text."
+    return options.report("codec", rows, described, notes=left_out, how=how)
+
+
+BENCH: Final = Bench(
+    "codec",
+    "Records to bytes and back, beside msgpack, pickle and json on the same values.",
+    report,
+    quick_rounds=7,
+    rounds=15,
+    full_scale=3.0,
+    loops=False,
+)

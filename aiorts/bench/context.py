@@ -1,0 +1,169 @@
+"""`aiorts bench context`: how punctual each kind of execution context is, beside bare loops of the same run."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import Any, Final
+
+import click
+
+import aiorts
+from aiorts import PeriodicContext, ThreadContext
+from aiorts.bench import bare_clock, machine, paper, ticking
+from aiorts.bench.bare_c import CLoop, build
+from aiorts.bench.case import COST, CPU, Aim, Case, Measure, Reading, Sense, tails
+from aiorts.bench.pacing import Ticks
+from aiorts.bench.registry import Bench, Options
+from aiorts.bench.report import Report
+from aiorts.bench.ticking import COMPONENTS, DEVIATION_BEST, FEWEST, PERIOD_NS, MakeContext
+
+__all__ = ("BENCH", "LATENESS", "PRIORITY", "RATE_ERROR", "loop_cases", "realtime", "thread_cases")
+
+PRIORITY: Final = 50
+"""Of SCHED_FIFO, for the bare loops as for the real-time context, where it is granted."""
+TICKS: Final = 50
+"""Of one round at scale 1."""
+
+LATENESS: Final = Measure("lateness p50", "us", digits=1, pool="lateness", percent=50)
+RATE_ERROR: Final = Measure("rate error", "ppm", digits=1)
+"""(ticks run + skipped) / elapsed beside the rate; 100 ppm are 0.01 %."""
+_SKIPPED: Final = Measure("skipped", "")
+_OVERRUNS: Final = Measure("overruns", "")
+_DEVIATION: Final = Measure("deviation", "us", digits=1)
+_COLUMNS: Final = (*tails("lateness", 99, 100), DEVIATION_BEST, _DEVIATION, RATE_ERROR, _SKIPPED, _OVERRUNS, CPU)
+_P99: Final = _COLUMNS[0]
+_RATE_AIM: Final = Aim("", factor=100.0, measure=RATE_ERROR)
+
+_HOW: Final = (
+    "2 ms; lateness is from when a tick was due to the first line of the first hook (of the loop, for a bare one). "
+    "Deviation is the standard deviation of the period, of all and of the 99 % nearest to 2 ms; rate error is "
+    "(ticks run + skipped) / elapsed beside the rate. No maximum is claimed on a shared or virtual machine: what the "
+    "host takes away it takes from the loop in C as well."
+)
+
+
+def realtime() -> MakeContext | None:
+    """What makes a real-time context of a rate; None where this aiorts has none."""
+    kind: Any = getattr(aiorts, "RealtimeContext", None)
+    return None if kind is None else lambda rate: kind(rate=rate, priority=PRIORITY)
+
+
+async def bare(run: Callable[[int, int], Awaitable[Ticks]], count: int) -> Reading:
+    """The figures of a bare loop."""
+    return ticking.reading_of(await run(PERIOD_NS, max(FEWEST, count)))
+
+
+async def busy(run: Callable[[int], Awaitable[Reading]], count: int) -> Reading:
+    """The same beside an event loop that is hardly ever free."""
+    async with ticking.beside_busy():
+        return await run(count)
+
+
+def _case(name: str, what: str, run: Callable[[int], Awaitable[Reading]], *aims: Aim, messages: int = TICKS) -> Case:
+    return Case(name, what, LATENESS, run, messages, aims, columns=_COLUMNS)
+
+
+def loop_cases() -> tuple[Case, ...]:
+    """What runs on the loop, and depends on which one it is."""
+    steady = (Aim("asyncio.sleep", factor=0.25, measure=DEVIATION_BEST), _RATE_AIM)
+    shown = (Aim("asyncio.sleep", measure=DEVIATION_BEST), _RATE_AIM)
+    in_periodic = partial(ticking.in_context, PeriodicContext)
+    return (
+        _case("asyncio.sleep", "bare: asyncio.sleep to absolute deadlines", partial(bare, bare_clock.asyncio_sleep)),
+        _case("periodic, 1", "PeriodicContext, one component", partial(in_periodic, 0), *steady),
+        _case("periodic, 10", "the same with 10 components", partial(in_periodic, 9), *steady),
+        _case("periodic, 1000", "the same with 1,000 components", partial(in_periodic, 999), *shown),
+        _case("event", "EventContext paced by a component of a PeriodicContext", ticking.event_paced, *shown),
+        _case("external", "ExternalContext ticked after kernel.sleep", ticking.external, *shown),
+        Case("bare awaits", f"{COMPONENTS} bare coroutines awaited, cost of each", COST, ticking.bare_awaits, 20),
+        Case(
+            "cycle",
+            f"one context with {COMPONENTS} empty components, bulkhead and hook times on, cost of each",
+            COST,
+            ticking.cycles,
+            20,
+            (Aim("bare awaits", Sense.AT_MOST, 4.0),),
+        ),
+    )
+
+
+def thread_cases(c_loop: CLoop | None) -> tuple[Case, ...]:
+    """What runs in a thread or process of its own, beside an idle loop or a busy one."""
+    nanosleep = partial(bare, partial(bare_clock.clock_nanosleep, priority=PRIORITY))
+    cases = [_case("time.sleep", "bare: time.sleep in a thread", partial(bare, bare_clock.time_sleep))]
+    if bare_clock.has_clock_nanosleep():
+        cases += [
+            _case("clock_nanosleep", "bare: the system call by ctypes in a thread, SCHED_FIFO if granted", nanosleep),
+            _case("clock_nanosleep, busy", "the same beside a loop held for 5 ms at a time", partial(busy, nanosleep)),
+        ]
+    if c_loop is not None:
+        in_c = partial(bare, partial(c_loop.run, priority=PRIORITY))
+        cases += [
+            _case("C", "bare: the system call in C, a process of its own, SCHED_FIFO if granted", in_c),
+            _case("C, busy", "the same beside a loop held for 5 ms at a time", partial(busy, in_c)),
+        ]
+    in_thread = partial(ticking.in_context, ThreadContext)
+    cases += [
+        _case("thread, 1", "ThreadContext, one component", partial(in_thread, 0), Aim("time.sleep"), _RATE_AIM),
+    ]
+    make = realtime()
+    if make is not None:
+        cases += _realtime_cases(make)
+    return tuple(cases)
+
+
+async def in_plain(make: MakeContext, others: int, count: int) -> Reading:
+    """As `ticking.in_context`, with members whose hooks are plain `def`, as threads want them."""
+    return await ticking.in_context(make, others, count, plain=True)
+
+
+def _realtime_cases(make: MakeContext) -> list[Case]:
+    alone, ten = partial(in_plain, make, 0), partial(in_plain, make, 9)
+    four = partial(ticking.manipulator, make)
+    base = "clock_nanosleep" if bare_clock.has_clock_nanosleep() else "time.sleep"
+    aims = (Aim(base, factor=2.0), Aim(base, factor=2.0, measure=DEVIATION_BEST), _RATE_AIM)
+    soon = Aim("", factor=1000.0, measure=_P99)
+    return [
+        _case("realtime, 1", "RealtimeContext, one component", alone, *aims),
+        _case("realtime, 10", "the same with 10 components", ten, *aims),
+        _case("realtime, four", "the same with the paper's four components", four, *aims),
+        _case("realtime, busy", "one component, beside a loop held for 5 ms at a time", partial(busy, alone), soon),
+    ]
+
+
+def report(options: Options) -> Report:
+    """The bench, or the paper's table with `--paper`."""
+    described = machine.describe()
+    with tempfile.TemporaryDirectory(prefix="aiorts-bench-") as folder:
+        built = build(folder)
+        c_loop = None if isinstance(built, str) else built
+        notes = [built] if isinstance(built, str) else []
+        if realtime() is None:
+            notes.append("this aiorts has no RealtimeContext: its rows are left out")
+        if options.extra.get("paper"):
+            return paper.report(options, described, c_loop, realtime(), tuple(notes), PRIORITY)
+        threads = options.loops[0]
+        notes.append(f"rows in threads and processes were taken once, beside an idle {threads} loop")
+        rows = options.rows(loop_cases()) + options.rows(thread_cases(c_loop), loop=threads)
+    return options.report("context", rows, described, notes=tuple(notes), how=_HOW)
+
+
+BENCH: Final = Bench(
+    "context",
+    "How punctual each kind of execution context is, beside bare loops of the same run.\n\nLateness, error of the "
+    "period and of the rate, overruns and processor time of periodic, event-paced, external, thread and real-time "
+    "contexts; the cost of a cycle of 1,000 components.",
+    report,
+    options=(
+        click.Option(
+            ["--paper"],
+            is_flag=True,
+            help="The force controlled manipulator of the RT-Middleware paper: its table 1 beside ours.",
+        ),
+    ),
+    quick_rounds=5,
+    rounds=9,
+    full_scale=10.0,
+)

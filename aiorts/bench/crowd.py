@@ -1,0 +1,121 @@
+"""`python -m aiorts.bench.crowd N MESSAGES`: N components in a process of its own; what they cost as one JSON object.
+
+Each component has two ports, one connector to the next one round a ring, and an event context of its own. Memory is
+the growth of the resident set; with `--trace` that of tracemalloc, which slows everything else down.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import json
+import os
+import sys
+import tracemalloc
+from itertools import repeat
+from pathlib import Path
+from time import perf_counter_ns
+from typing import Any
+
+from aiorts import Component, EventContext, InPort, Kernel, OutPort, run
+from aiorts.types import TimedDouble
+
+__all__ = ("main", "measure")
+
+
+class Node(Component):
+    """One of many; takes what comes."""
+
+    inp = InPort(TimedDouble)
+    out = OutPort(TimedDouble)
+
+    def on_execute(self) -> None:
+        self.inp.drain()
+
+
+class Bare:
+    """What a user's own object takes without aiorts: a name, and two attributes in a dictionary."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.inp: Any = None
+        self.out: Any = None
+
+
+async def measure(count: int, messages: int, *, trace: bool = False) -> dict[str, float | list[str]]:
+    """Create, connect, start, write through, and stop `count` components; seconds, octets and nanoseconds."""
+    gc.collect()
+    gc.freeze()
+    bare_before = _memory(trace)
+    bare = [Bare(f"n{n}") for n in range(count)]
+    bare_bytes = _memory(trace) - bare_before
+    del bare
+    gc.collect()
+    before = _memory(trace)
+    began = perf_counter_ns()
+    kernel = await Kernel().open()
+    nodes = [await kernel.add(Node(f"n{n}")) for n in range(count)]
+    created = perf_counter_ns()
+    connectors = [await kernel.connect(node.out, nodes[(n + 1) % count].inp, length=1) for n, node in enumerate(nodes)]
+    connected = perf_counter_ns()
+    for node in nodes:
+        await kernel.start(EventContext(), node, activate=True)
+    started = perf_counter_ns()
+    gc.collect()
+    memory = _memory(trace) - before - bare_bytes
+    cost = await _write(nodes, messages)
+    told = [f"{one.profile.name}: the ledger does not balance" for one in connectors if not one.statistics.balanced]
+    delivered = sum(one.statistics.delivered for one in connectors)
+    if delivered != messages:
+        told.append(f"{messages} written, {delivered} delivered")
+    stopping = perf_counter_ns()
+    await kernel.aclose()
+    stopped = perf_counter_ns()
+    return {
+        "create": (created - began) / 1e9,
+        "connect": (connected - created) / 1e9,
+        "start": (started - connected) / 1e9,
+        "stop": (stopped - stopping) / 1e9,
+        "total": (started - began + stopped - stopping) / 1e9,
+        "memory": memory / count,
+        "message": cost,
+        "faults": told[:5],
+    }
+
+
+async def _write(nodes: list[Node], messages: int) -> float:
+    """Nanoseconds of one write that wakes an idle event context, the run of its component included."""
+    sample = TimedDouble(0, 1.0)
+    step = max(1, len(nodes) // 97)  # all over the crowd, and not in the order of creation
+    number = 0
+    began = perf_counter_ns()
+    for _ in repeat(None, messages):
+        number = (number + step) % len(nodes)
+        nodes[number].out.write_nowait(sample)
+        await asyncio.sleep(0)
+    for _ in range(3):
+        await asyncio.sleep(0)
+    return (perf_counter_ns() - began) / messages
+
+
+def _memory(trace: bool) -> int:
+    """Octets in use; 0 where that cannot be asked."""
+    if trace:
+        return tracemalloc.get_traced_memory()[0]
+    try:
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, AttributeError):
+        return 0
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print."""
+    trace = "--trace" in arguments
+    count, messages = (int(word) for word in arguments if not word.startswith("-"))
+    if trace:
+        tracemalloc.start()
+    print(json.dumps(run(measure(count, messages, trace=trace))))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,213 @@
+"""Every combination of the lists a user gives to `aiorts bench push`, one row each; what makes no sense is left out."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Any, Final
+
+import click
+
+from aiorts.bench import load, machine
+from aiorts.bench.load import Load
+from aiorts.bench.registry import Options
+from aiorts.bench.report import Report
+
+__all__ = ("AXES", "OPTIONS", "Axis", "Plan", "chosen", "parse", "plan", "report")
+
+_SIZES: Final = {"": 1, "b": 1, "kb": 1000, "mb": 1_000_000, "gb": 1_000_000_000}
+_LARGEST: Final = 1_000_000_000
+
+
+def _word(*words: str) -> Callable[[str], str]:
+    def read(text: str) -> str:
+        if text in words:
+            return text
+        near = get_close_matches(text, words, n=1)
+        raise ValueError(f"did you mean {near[0]}?" if near else f"expected {', '.join(words)}")
+
+    return read
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not text.isascii() or not text.isdigit() or not low <= int(text[:12]) <= high:
+            raise ValueError(f"expected a whole number from {low} to {high}")
+        return int(text)
+
+    return read
+
+
+def _rate(word: str, high: float) -> Callable[[str], float | None]:
+    expected = f"expected a number from 1 to {high:g}" + (f", or {word}" if word else "")
+
+    def read(text: str) -> float | None:
+        if word and text == word:
+            return None
+        try:
+            number = float(text)
+        except ValueError:
+            near = get_close_matches(text, [word] if word else [], n=1)
+            raise ValueError(f"did you mean {near[0]}?" if near else expected) from None
+        if not 1 <= number <= high:  # also refuses NaN
+            raise ValueError(expected)
+        return number
+
+    return read
+
+
+def _payload(text: str) -> float | int:
+    if text == "float":
+        return 1.0
+    digits = text.rstrip("kKmMgGbB")
+    size = _SIZES.get(text[len(digits) :].lower())
+    if not digits.isascii() or not digits.isdigit() or size is None or not 8 <= int(digits[:12]) * size <= _LARGEST:
+        near = get_close_matches(text, ["float", "1kB", "1MB"], n=1)
+        raise ValueError(f"did you mean {near[0]}?" if near else "expected float, or a size from 8B to 1GB such as 1kB")
+    return int(digits) * size
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One list that a user may give.
+
+    Attributes:
+        field: of `Load`.
+        read: one word of the list; raises ValueError that says what is expected.
+        default: the list where none is given.
+    """
+
+    name: str
+    field: str
+    read: Callable[[str], Any]
+    default: str
+    help: str
+
+
+AXES: Final = (
+    Axis(
+        "subscription", "subscription", _word("flush", "new", "periodic"), "flush,new,periodic", "Subscription types."
+    ),
+    Axis("push", "push", _word("all", "fifo", "skip", "new"), "all,new", "Push policies; skip takes every second."),
+    Axis("full", "full", _word("overwrite", "reject", "block"), "overwrite", "Full policies."),
+    Axis("payload", "payload", _payload, "float", "float, or sizes of an array: 1kB,1MB."),
+    Axis("fan-in", "fan_in", _whole(1, 1000), "1", "Writers of one reader."),
+    Axis("fan-out", "fan_out", _whole(1, 1000), "1", "Readers of one writer."),
+    Axis("producer-rate", "producer_rate", _rate("max", 1e6), "1000", "Messages a second of each writer, or max."),
+    Axis("consumer-rate", "consumer_rate", _rate("max", 1e4), "max", "Messages a second that a reader takes, or max."),
+    Axis("length", "length", _whole(1, 1_000_000), "8", "Lengths of the reader's buffer."),
+    Axis("push-rate", "push_rate", _rate("none", 1e4), "200", "Hz of periodic connectors."),
+)
+OPTIONS: Final = tuple(
+    click.Option([f"--{axis.name}"], metavar="LIST", help=f"{axis.help} Default {axis.default}.") for axis in AXES
+)
+
+
+def chosen(options: Options) -> dict[str, str]:
+    """The lists that were given, by the name of the axis; empty when none was."""
+    return {axis.name: text for axis in AXES if (text := options.extra.get(axis.name.replace("-", "_"))) is not None}
+
+
+def parse(given: Mapping[str, str]) -> dict[str, list[tuple[str, Any]]]:
+    """For each axis the words and their values.
+
+    Raises:
+        click.BadParameter: names the option and the word, and says what is expected.
+    """
+    found: dict[str, list[tuple[str, Any]]] = {}
+    for axis in AXES:
+        words = dict.fromkeys(word.strip() for word in given.get(axis.name, axis.default).split(","))
+        found[axis.name] = []
+        for word in words:
+            try:
+                found[axis.name].append((word, axis.read(word)))
+            except ValueError as error:
+                raise click.BadParameter(f"{word[:40]!r}: {error}", param_hint=f"--{axis.name}") from None
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is measured and what is not.
+
+    Attributes:
+        loads: with the words of the axes that vary.
+        fixed: the words of those that do not.
+        left_out: a line for each reason, with the number of combinations it took.
+    """
+
+    loads: tuple[tuple[dict[str, str], Load], ...]
+    fixed: dict[str, str]
+    left_out: tuple[str, ...]
+
+
+def plan(given: Mapping[str, str]) -> Plan:
+    """Every combination that says something of its own."""
+    axes = parse(given)
+    varying = [name for name, words in axes.items() if len(words) > 1]
+    reasons: dict[str, int] = {}
+    seen: dict[Load, dict[str, str]] = {}
+    for combination in itertools.product(*axes.values()):
+        words = {name: word for name, (word, _) in zip(axes, combination, strict=True)}
+        asked = Load(**{axis.field: value for axis, (_, value) in zip(AXES, combination, strict=True)})
+        kept, changed, reason = _sensible(asked)
+        words.update(changed)
+        if kept is None or kept in seen:
+            reasons[reason] = reasons.get(reason, 0) + 1
+        else:
+            seen[kept] = words
+    loads = tuple(({name: words[name] for name in varying}, one) for one, words in seen.items())
+    fixed = {name: words[0][0] for name, words in axes.items() if len(words) == 1}
+    return Plan(loads, fixed, tuple(f"left out {count}: {reason}" for reason, count in reasons.items()))
+
+
+def _sensible(asked: Load) -> tuple[Load | None, dict[str, str], str]:
+    """What a combination really is, the words of the axes that it does not ask, and why another like it is left out."""
+    kept, words, reasons = asked, {}, []
+    if asked.subscription == "periodic" and asked.push_rate is None:
+        return None, {}, "periodic needs a push-rate"
+    if asked.subscription != "periodic":
+        kept = replace(kept, push_rate=None)
+        words["push-rate"] = "-"
+        reasons.append("only periodic has a push-rate")
+    if asked.subscription == "flush":
+        kept = replace(kept, push="all")
+        words["push"] = "-"
+        reasons.append("flush sends everything, whatever its push policy")
+    if asked.subscription == "new" and asked.push == "new":
+        kept = replace(kept, full="overwrite", length=None)
+        words.update({"full": "-", "length": "1"})
+        reasons.append("new/new replaces what is unread: no full policy, no length")
+    return kept, words, "; ".join(reasons) or "given twice"
+
+
+def report(options: Options, given: Mapping[str, str]) -> Report:
+    """Measure the plan: one row for each combination."""
+    planned = plan(given)
+    loops = options.loops if "loop" in options.given else options.loops[-1:]
+    if "rounds" not in options.given:
+        options = replace(options, rounds=1 if options.quick else 3)
+    cases = tuple(load.case(" ".join(axes.values()) or "the only one", one, axes) for axes, one in planned.loads)
+    seconds = sum(case.messages for case in cases) * options.scale * options.rounds * len(loops) / 1000
+    if options.say is not None and seconds > 10:
+        options.say(f"{len(cases)} combinations, about {_duration(seconds)}")
+    described = machine.describe()
+    rows = tuple(row for loop in loops for row in options.rows(cases, loop=loop))
+    fixed = ", ".join(f"{name} {word}" for name, word in planned.fixed.items())
+    notes = ((f"everywhere: {fixed}",) if fixed else ()) + planned.left_out
+    figures = load.curves(rows, fixed) if options.plot else ()
+    return options.report("push", rows, described, how=_how(options.rounds), notes=notes, figures=figures)
+
+
+def _how(rounds: int) -> str:
+    return (
+        f"{rounds} round{'s' if rounds > 1 else ''}, combinations interleaved. rate: messages read in a second, "
+        "median of the rounds; offered: written. latency: write to read; age: of the newest value whenever the reader "
+        "runs; percentiles of all rounds together."
+    )
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

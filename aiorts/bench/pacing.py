@@ -1,0 +1,136 @@
+"""What became of a series of ticks: lateness, period error, rate error, skips. Pure arithmetic on nanoseconds.
+
+A tick is the pair (when it was due, when its code ran). Everything a table says of a clock or a context is computed
+here from such pairs, the same way for aiorts, for the bare loops in Python and for the one in C.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ("BEST", "Ticks", "Timing", "best_deviation")
+
+BEST: Final = 0.99
+"""The share of the periods, nearest to the nominal one, whose deviation is compared: a machine that is shared takes
+the processor away from every loop alike now and then, and one such theft outweighs a thousand ticks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """One series of ticks.
+
+    Attributes:
+        period_ns: nominal.
+        due_ns, ran_ns: when each tick that was run was due, and when its code ran; one clock.
+        skipped: ticks that were left out, as the loop or the context itself counted them.
+        overruns: cycles that were not done when the next was due.
+        cpu_ns: processor time of the process meanwhile; 0 when unknown.
+        counted: ticks that were run as the context itself counted them; None for a bare loop.
+    """
+
+    period_ns: int
+    due_ns: Sequence[int]
+    ran_ns: Sequence[int]
+    skipped: int = 0
+    overruns: int = 0
+    cpu_ns: int = 0
+    counted: int | None = None
+
+    @property
+    def lateness_ns(self) -> list[int]:
+        """Of each tick."""
+        return [ran - due for ran, due in zip(self.ran_ns, self.due_ns, strict=True)]
+
+    @property
+    def periods_ns(self) -> list[int]:
+        """From each tick to the next, where none was left out between them."""
+        return [
+            later - earlier
+            for (first, second, earlier, later) in zip(
+                self.due_ns, self.due_ns[1:], self.ran_ns, self.ran_ns[1:], strict=False
+            )
+            if second - first < 1.5 * self.period_ns
+        ]
+
+    @property
+    def numbers(self) -> list[int]:
+        """The number of each tick, counted from the first, those left out included."""
+        start = self.due_ns[0]
+        return [round((due - start) / self.period_ns) for due in self.due_ns]
+
+    @property
+    def complete(self) -> bool:
+        """Whether ticks run + ticks skipped are all the ticks that were due from the first to the last."""
+        return len(self.due_ns) + self.skipped == self.numbers[-1] + 1
+
+    @property
+    def rate_error(self) -> float:
+        """(ticks run + skipped) / elapsed beside the rate: 1e-4 is 0.01 % too many. 0 for fewer than eight ticks.
+
+        Elapsed runs from the middle of the first quarter to the middle of the last one, each by the median of its
+        ticks: one late tick at an end would otherwise be taken for a drift.
+        """
+        quarter = len(self.ran_ns) // 4
+        if quarter < 2:
+            return 0.0
+        numbers = self.numbers
+        off = [ran - self.ran_ns[0] - n * self.period_ns for ran, n in zip(self.ran_ns, numbers, strict=True)]
+        drift = statistics.median(off[-quarter:]) - statistics.median(off[:quarter])
+        nominal = (statistics.median(numbers[-quarter:]) - statistics.median(numbers[:quarter])) * self.period_ns
+        return nominal / (nominal + drift) - 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """The figures of one or more series; nanoseconds where nothing else is said."""
+
+    ticks: int
+    lateness_p50: float
+    lateness_p99: float
+    lateness_max: float
+    period_min: float
+    period_mean: float
+    period_max: float
+    period_deviation: float
+    """Standard deviation of all periods."""
+    period_deviation_best: float
+    """The same of the `BEST` share that is nearest to the nominal period."""
+    rate_error: float
+    """As a share of the rate."""
+    skipped: int
+    overruns: int
+    cpu_share: float
+    """Processor time as a share of the time that passed."""
+
+    @classmethod
+    def of(cls, ticks: Ticks) -> Timing:
+        """The figures of one series of at least three ticks."""
+        late, periods = sorted(ticks.lateness_ns), ticks.periods_ns
+        if len(late) < 3 or len(periods) < 2:
+            raise ValueError(f"{len(late)} ticks with {len(periods)} whole periods: at least 3 and 2 are needed")
+        elapsed = ticks.ran_ns[-1] - ticks.ran_ns[0]
+        return cls(
+            len(late),
+            statistics.median(late),
+            float(late[max(0, math.ceil(len(late) * 0.99) - 1)]),
+            float(late[-1]),
+            float(min(periods)),
+            statistics.fmean(periods),
+            float(max(periods)),
+            statistics.pstdev(periods),
+            best_deviation(periods, ticks.period_ns),
+            ticks.rate_error,
+            ticks.skipped,
+            ticks.overruns,
+            ticks.cpu_ns / elapsed,
+        )
+
+
+def best_deviation(periods_ns: Sequence[int], nominal_ns: int, share: float = BEST) -> float:
+    """Standard deviation of the `share` of the periods that is nearest to the nominal one, at least two of them."""
+    nearest = sorted(periods_ns, key=lambda period: abs(period - nominal_ns))
+    return statistics.pstdev(nearest[: max(2, math.floor(len(nearest) * share))])
