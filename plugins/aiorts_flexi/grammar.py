@@ -16,6 +16,7 @@ import re
 from dataclasses import dataclass
 
 from aiorts.errors import ConfigurationError
+from aiorts_flexi.place import TypedTextError
 
 __all__ = ("LONGEST_MAP", "Entry", "parse_map", "parse_number")
 
@@ -52,9 +53,10 @@ class Entry:
 
 
 def parse_map(text: str) -> tuple[Entry, ...]:
-    """The entries of a map, in order. ConfigurationError names the first character that does not fit."""
+    """The entries of a map, in order. TypedTextError names the first character that does not fit."""
     if len(text) > LONGEST_MAP:
-        raise ConfigurationError(f"map of {len(text)} characters: expected at most {LONGEST_MAP}")
+        reason = f"expected at most {LONGEST_MAP} characters, got {len(text)}"
+        raise TypedTextError("map", text, LONGEST_MAP, reason, found=False)
     scanner = _Scanner(text)
     entries = []
     while True:
@@ -118,12 +120,8 @@ class _Scanner:
         found = self.take(pattern)
         return None if found is None else parse_number(found, f"map, character {place + 1}")
 
-    def error(self, expected: str) -> ConfigurationError:
-        rest = self.text[self.place : self.place + _SHOWN]
-        found = f"found {rest!r}" if rest else "found the end"
-        start = max(0, self.place - _SHOWN // 2)
-        shown = self.text[start : self.place + _SHOWN // 2]
-        return ConfigurationError(f"map {shown!r}, character {self.place + 1}: expected {expected}, {found}")
+    def error(self, expected: str) -> TypedTextError:
+        return TypedTextError("map", self.text, self.place, f"expected {expected}")
 
 
 def _entry(scanner: _Scanner) -> Entry:
