@@ -169,12 +169,12 @@ class FlexiConst(FlexiComponent):
             await self._sender.send(parcels)
             sent += 1
             number += 1
+            if self._is_enough(sent) or self._settings() != settings:
+                break
             latest = (clock.monotonic_ns() - start) * period.denominator // period.numerator
             if latest > number:
                 skipped += latest - number
                 number = latest
-            if self._settings() != settings:
-                break
         return sent, skipped
 
     async def _send_continuously(self, parcels: list[Parcel], sent: int, settings: tuple[object, ...]) -> int:
