@@ -50,7 +50,9 @@ class FlexiDupe(FlexiComponent):
             [parse_counted(text, f"input{number}") for number, text in enumerate(self.inputs)]
         ):
             source: InPort[Any] = self.add_port(f"input{number}", InPort(cls))
-            targets = [self.add_port(f"output{number}_{copy}", OutPort(cls)) for copy in range(copies)]
+            targets: list[OutPort[Any]] = [
+                self.add_port(f"output{number}_{copy}", OutPort(cls)) for copy in range(copies)
+            ]
             self._routes.append((source, targets))
         self.tell_ports()
 

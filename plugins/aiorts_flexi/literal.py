@@ -38,7 +38,14 @@ _WORDS: Final[dict[str, Any]] = {
     **dict.fromkeys(("-Infinity", "-inf"), -math.inf),
 }
 _ESCAPES: Final = {
-    **{"n": "\n", "t": "\t", "r": "\r", "b": "\b", "f": "\f", "a": "\a", "v": "\v", "0": "\0"},
+    "n": "\n",
+    "t": "\t",
+    "r": "\r",
+    "b": "\b",
+    "f": "\f",
+    "a": "\a",
+    "v": "\v",
+    "0": "\0",
     **{character: character for character in "\\/\"'"},
 }
 _CODES: Final = {"x": 2, "u": 4, "U": 8}
@@ -52,7 +59,9 @@ def parse_literal(text: str, what: str = "constant") -> Any:
         TypedTextError: the text is no literal; says which character of `what` does not fit.
     """
     if len(text) > LONGEST:
-        raise TypedTextError(what, text, LONGEST, f"expected at most {LONGEST} characters, got {len(text)}", found=False)
+        raise TypedTextError(
+            what, text, LONGEST, f"expected at most {LONGEST} characters, got {len(text)}", found=False
+        )
     reader = _Reader(text, what)
     value = reader.value(0)
     reader.blanks()
@@ -101,7 +110,7 @@ class _Reader:
     def word(self) -> Any:
         place, found = self.place, self.take(_WORD)
         if found is None or found not in _WORDS:
-            raise self.error("expected a literal such as 1.5, true, [1, 2], \"text\"; names are none", place)
+            raise self.error('expected a literal such as 1.5, true, [1, 2], "text"; names are none', place)
         return _WORDS[found]
 
     def number(self) -> Any:
@@ -152,7 +161,7 @@ class _Reader:
         length = _CODES.get(kind)
         if length is None:
             if kind not in _ESCAPES:
-                raise self.error("expected an escape such as \\n, \\\" or \\u00e9")
+                raise self.error('expected an escape such as \\n, \\" or \\u00e9')
             self.place += 2
             return _ESCAPES[kind]
         digits = self.text[start + 2 : start + 2 + length]

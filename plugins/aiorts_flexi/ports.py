@@ -84,7 +84,7 @@ class PortSpec:
 
 def parse_port(text: str, name: str) -> PortSpec:
     """A port of `TYPE` or, for a sequence, `TYPE:LEN`. TypedTextError says what is wrong with which part."""
-    written, colon, length = text.partition(":")
+    written, colon, _ = text.partition(":")
     cls = parse_type(written, name, text)
     form, element = _form(cls)
     if form != "sequence":
@@ -120,9 +120,7 @@ def parse_type(text: str, name: str, whole: str = "") -> type:
     except UnknownTypeError as error:
         raise TypedTextError(name, whole, place, str(error), found=False) from None
     if cls not in _PLAIN and not hasattr(cls, "__dataclass_fields__"):
-        raise TypedTextError(
-            name, whole, place, f"{cls.__name__} cannot be a port's type; a record can", found=False
-        )
+        raise TypedTextError(name, whole, place, f"{cls.__name__} cannot be a port's type; a record can", found=False)
     return cls
 
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from aiorts import InPort, OutPort, Param
-from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.errors import AiortsError, ConfigurationError, ConversionError
 from aiorts.types import convert, has_tm, type_name
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
@@ -73,7 +73,9 @@ class FlexiSelect(FlexiComponent):
                 "such as TimedShort, TimedBoolean or int"
             )
         if self.initial >= count:
-            raise ConfigurationError(f"{self.name}.initial = {self.initial}: expected 0..{count - 1}; the inputs are so many")
+            raise ConfigurationError(
+                f"{self.name}.initial = {self.initial}: expected 0..{count - 1}; there are {count} inputs"
+            )
         self._chosen = self.initial
         self._selecting: InPort[Any] = self.add_port("selection", InPort(spec.type))
         self._inputs: list[InPort[Any]] = [self.add_port(f"input{n}", InPort(cls)) for n in range(count)]
@@ -81,6 +83,8 @@ class FlexiSelect(FlexiComponent):
         self._selected: OutPort[Any] | None = self.add_port("selected", OutPort(spec.type)) if self.feedback else None
         self._plain, self._element = spec.plain, spec.element
         self._check_order()
+        if self.feedback:
+            self._fitting(self.initial)
         self.tell_ports()
 
     async def on_activated(self) -> None:
@@ -126,13 +130,19 @@ class FlexiSelect(FlexiComponent):
         port = self._selected
         if port is None or self._chosen < 0:
             return
-        value = convert(self._chosen, self._element)
+        value = self._fitting(self._chosen)
         if self._plain:
             await port.write(value)
         elif has_tm(port.type):
             await port.write(port.type(self.clock.time_ns(), value))
         else:
             await port.write(port.type(value))
+
+    def _fitting(self, number: int) -> Any:
+        try:
+            return convert(number, self._element)
+        except ConversionError as error:
+            raise ConfigurationError(f"{self.name}.initial = {number}: `selected` cannot say so: {error}") from None
 
     def _check_order(self) -> None:
         for port in (self._selecting, self._inputs[0]):

@@ -55,7 +55,9 @@ async def _wait_for(parcels: Sequence[Parcel]) -> None:
         await parcels[0][0].write(parcels[0][1])
         return
     writes = (port.write(sample) for port, sample in parcels)
-    failures = [each for each in await asyncio.gather(*writes, return_exceptions=True) if isinstance(each, BaseException)]
+    failures = [
+        each for each in await asyncio.gather(*writes, return_exceptions=True) if isinstance(each, BaseException)
+    ]
     if len(failures) > 1 and all(isinstance(failure, WriteTimeout) for failure in failures):
         raise WriteTimeout("; ".join(map(str, failures)))
     if failures:

@@ -201,6 +201,7 @@ async def test_a_reader_that_holds_it_up_costs_the_moments_that_passed_and_no_bu
         taken += port.drain()
         # The one that is late goes out at once, the next ones when they are due.
         assert [(sample.tm - start) * 1000 // S for sample in taken] == [0, 100, 200, 1050, 1100, 1200]
+        await kernel.sleep(0.01)
         assert const.state is LifeCycleState.INACTIVE
     assert "7 samples were skipped" in caplog.text
 

@@ -145,7 +145,16 @@ def test_what_is_no_literal_is_refused_with_the_place(text: str, place: int) -> 
 @pytest.mark.fault("F08")
 @pytest.mark.parametrize(
     "text",
-    ["9**9**9", "'a'*10**10", "-" * LONGEST, "[" * LONGEST, "[0," * (LONGEST // 3), "1e999", "9" * LONGEST, "x" * 10**7],
+    [
+        "9**9**9",
+        "'a'*10**10",
+        "-" * LONGEST,
+        "[" * LONGEST,
+        "[0," * (LONGEST // 3),
+        "1e999",
+        "9" * LONGEST,
+        "x" * 10**7,
+    ],
 )
 def test_a_hostile_constant_costs_neither_time_nor_memory(text: str) -> None:
     tracemalloc.start()
@@ -224,7 +233,8 @@ def test_any_text_is_what_python_reads_or_refused_with_a_place(text: str) -> Non
     try:
         value = parse_literal(text)
     except TypedTextError as error:
-        assert 0 <= error.place <= len(text)
+        place = error.place
+        assert 0 <= place <= len(text)
         return
     try:
         expected = ast.literal_eval(text.strip())
