@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from aiorts.errors import ConfigurationError
 from aiorts_flexi.place import TypedTextError
@@ -45,6 +45,8 @@ class Entry:
     target_pin: Pin
     mult: Number | None = None
     off: Number | None = None
+    place: int = field(default=0, compare=False)
+    """Where it begins in the text, from 0."""
 
     def __str__(self) -> str:
         """The entry as it is written; parsing it gives an equal entry."""
@@ -125,6 +127,7 @@ class _Scanner:
 
 
 def _entry(scanner: _Scanner) -> Entry:
+    start = scanner.place
     source = int(scanner.expect(_PORT, "the number of an in-port"))
     source_pin = _pin(scanner)
     scanner.blanks()
@@ -132,7 +135,7 @@ def _entry(scanner: _Scanner) -> Entry:
     scanner.blanks()
     mult, off = _factor(scanner)
     target = int(scanner.expect(_PORT, "the number of an out-port"))
-    return Entry(source, source_pin, target, _pin(scanner), mult, off)
+    return Entry(source, source_pin, target, _pin(scanner), mult, off, start)
 
 
 def _pin(scanner: _Scanner) -> Pin:
