@@ -24,6 +24,10 @@ class FlexiComponent(Component):
     def tell_ports(self) -> None:
         """Log the ports when that is asked for; called once they are made."""
         if self.verbosity >= 1:
-            for port in self.ports.values():
-                direction = "in-port" if isinstance(port, InPort) else "out-port"
-                self.log.info("%s %s: %s", direction, port.name, type_name(port.type))
+            # One line: the log folds what follows by the same template.
+            ports = [f"{_direction(port)} {port.name}: {type_name(port.type)}" for port in self.ports.values()]
+            self.log.info("ports: %s", ", ".join(ports))
+
+
+def _direction(port: object) -> str:
+    return "in-port" if isinstance(port, InPort) else "out-port"

@@ -91,8 +91,8 @@ class FlexiConst(FlexiComponent):
             self._ports.append(self.add_port(name or usual, OutPort(cls, stamp=stamp)))
         self.tell_ports()
         if self.verbosity >= 2:
-            for port, sample in zip(self._ports, samples, strict=True):
-                self.log.info("%s sends %r", port.name, sample)
+            sent = [f"{port.name} sends {sample!r}" for port, sample in zip(self._ports, samples, strict=True)]
+            self.log.info("constants: %s", ", ".join(sent))
 
     async def on_activated(self) -> None:
         self._active_in += 1

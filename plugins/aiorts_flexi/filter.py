@@ -77,8 +77,7 @@ class FlexiFilter(FlexiComponent):
         self.tell_ports()
         if self.verbosity >= 1:
             text, *rules = self._settings()
-            for line in map_table(self.inputs, self.outputs, text, Rules(*rules)).splitlines():
-                self.log.info("%s", line)
+            self.log.info("map:\n%s", map_table(self.inputs, self.outputs, text, Rules(*rules)))
 
     def on_activated(self) -> None:
         self._waiting: list[deque[Any]] = [deque() for _ in self._in_ports]

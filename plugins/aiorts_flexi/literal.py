@@ -28,7 +28,7 @@ _BLANKS: Final = re.compile(r"[ \t\r\n]*")
 _WHOLE: Final = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|0[oO][0-7]+|0[bB][01]+|[0-9]+)(?![\w.])", re.ASCII)
 _DECIMAL: Final = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])", re.ASCII)
 _WORD: Final = re.compile(r"[+-]?[A-Za-z_]\w*")
-_PLAIN: Final = re.compile(r"[^\\\"'\x00-\x1f\x7f]+")
+_PLAIN: Final = re.compile(r"[^\\\"'\x00-\x1f]+")
 _WORDS: Final[dict[str, Any]] = {
     **dict.fromkeys(("true", "True"), True),
     **dict.fromkeys(("false", "False"), False),

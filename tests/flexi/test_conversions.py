@@ -89,8 +89,8 @@ def check(source: str, target: str, value: Any, rounding: str, overflow: str) ->
     try:
         made = mapped(source, target, value, rounding=rounding, overflow=overflow)
     except ConversionError as error:
-        assert str(error).startswith("0:0>0:0: ")
-        made = None
+        made, said = None, str(error)
+        assert said.startswith("0:0>0:0: ")
     if target in TEXTS:
         whole = value if isinstance(value, str) else str(value)
         if made is not None:
