@@ -122,6 +122,7 @@ async def test_lengths_that_differ_are_an_error_that_names_both(wait: str) -> No
         assert component.state is LifeCycleState.ERROR
 
 
+@pytest.mark.row(123)
 @simulated
 async def test_last_adds_the_last_known_of_each_input_that_has_sent() -> None:
     async with Rig(add(port="TimedDoubleSeq:2")) as rig:

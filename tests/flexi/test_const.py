@@ -13,8 +13,11 @@ from aiorts.errors import WriteTimeout
 from aiorts.testing import Rig, check_component, simulated
 from aiorts.types import Point2D, Pose2D, RangeData, TimedDoubleSeq, TimedLong, TimedPose2D
 from aiorts_flexi.const import FlexiConst
+from aiorts_flexi.place import TypedTextError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from aiorts import Context
 
 S = 1_000_000_000
@@ -107,6 +110,7 @@ async def test_in_two_contexts_it_sends_once_and_as_long_as_it_is_active_in_one(
         assert port.drain() == []
 
 
+@pytest.mark.row(123)
 @simulated
 async def test_several_types_with_and_without_time_or_data() -> None:
     types = ["TimedPose2D", "RangeData", "float", "Point2D", "TimedDoubleSeq:2"]
@@ -265,6 +269,29 @@ async def test_bad_parameters_are_refused_at_creation(params: dict[str, Any], sa
         with pytest.raises(error, match=re.escape(said)):
             await kernel.create("FlexiConst", **params)
         assert not kernel.components
+
+
+@pytest.mark.anyio
+@pytest.mark.row(125)
+@pytest.mark.fault("F08")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "__import__('pathlib').Path({path!r}).touch()",
+        "open({path!r}, 'w')",
+        "[open({path!r}, 'w')]",
+        "{{'data': open({path!r}, 'w')}}",
+        "f\"{{open({path!r}, 'w')}}\"",
+        "(lambda: open({path!r}, 'w'))()",
+    ],
+)
+async def test_no_constant_runs_anything(text: str, tmp_path: Path) -> None:
+    canary = tmp_path / "canary"
+    async with Kernel() as kernel:
+        for cls in ("TimedString", "TimedMap", "TimedDoubleSeq"):
+            with pytest.raises(TypedTextError):
+                await kernel.create(FlexiConst, outputs=[cls], constants=[text.format(path=str(canary))])
+    assert not canary.exists()
 
 
 @simulated

@@ -159,6 +159,7 @@ async def _dump(kernel: Kernel, **params: Any) -> OutPort[TimedLong]:
     return port
 
 
+@pytest.mark.row(123)
 @pytest.mark.anyio
 async def test_every_sample_is_a_line() -> None:
     with piped() as lines:

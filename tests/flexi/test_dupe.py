@@ -22,6 +22,7 @@ class Two(FlexiDupe):
         super().on_initialize()
 
 
+@pytest.mark.row(123)
 @simulated
 async def test_each_input_is_copied_to_its_own_outputs_unchanged() -> None:
     async with Rig(Two("dupe"), debug=False) as rig:

@@ -48,6 +48,7 @@ async def test_it_loses_nothing_in_a_periodic_context_either(harness: Harness) -
     assert [s.data for s in await harness.take(0, 50)] == list(range(50))
 
 
+@pytest.mark.row(123)
 async def test_the_map_of_the_paper_works(harness: Harness) -> None:
     await harness.build(
         ["TimedFloatSeq:2", "TimedString", "TimedLong"],
@@ -61,6 +62,8 @@ async def test_the_map_of_the_paper_works(harness: Harness) -> None:
     assert await harness.take(1) == [TimedFloat(6, 20.0)]
 
 
+@pytest.mark.row(126)
+@pytest.mark.row(127)
 @pytest.mark.parametrize(
     ("rules", "value", "result"),
     [
@@ -155,6 +158,7 @@ async def test_reset_sets_the_pins_that_got_nothing_new(harness: Harness) -> Non
     assert sample.tm == 20
 
 
+@pytest.mark.row(126)
 @pytest.mark.parametrize(("combine", "result"), [("sum", 5), ("min", 2), ("max", 3), ("newest", 2)])
 async def test_several_entries_to_one_pin_are_combined(harness: Harness, combine: str, result: int) -> None:
     await harness.build(["TimedShort"] * 2, ["TimedShort"], "0>0,1>0", combine=combine)

@@ -28,6 +28,7 @@ def select(**params: Any) -> FlexiSelect:
     return Made("select")
 
 
+@pytest.mark.row(123)
 @simulated
 async def test_the_selected_input_goes_on_unchanged() -> None:
     async with Rig(select(port="TimedPose2D:2")) as rig:
