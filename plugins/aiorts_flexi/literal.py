@@ -21,7 +21,7 @@ from aiorts_flexi.place import TypedTextError
 
 __all__ = ("DEEPEST", "LONGEST", "parse_literal")
 
-LONGEST: Final = 100_000
+LONGEST: Final = 20_000
 DEEPEST: Final = 32
 _LONGEST_NUMBER: Final = 400
 _BLANKS: Final = re.compile(r"[ \t\r\n]*")
