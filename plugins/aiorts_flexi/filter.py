@@ -59,14 +59,26 @@ class FlexiFilter(FlexiComponent):
         Option(("--overflow",), "overflow", "text", "out of range: error (default), saturate or wrap"),
         Option(("--clamp",), "clamp", "text", "LO,HI: limits of every number"),
         Option(("--nan",), "nan", "text", "pass (default), error or a number in its place"),
-        Option(("--check",), "", "flag", "print the map as a table and run nothing"),
+        Option(("--check",), "", "flag", "print the map as a table and run nothing", action="table"),
         TYPE_MODULES,
     )
 
+    @classmethod
+    def table(cls, **params: object) -> str:
+        """The map as a table that people can read; no component is made.
+
+        Raises:
+            ConfigurationError: what creating it would raise; a TypedTextError has the place.
+        """
+        draft = cls("filter")
+        for name, value in draft.params.check(params).items():
+            setattr(draft, name, value)
+        draft._check_given()
+        text, *rules = draft._settings()
+        return map_table(draft.inputs, draft.outputs, text, Rules(*rules))
+
     def on_initialize(self) -> None:
-        for what, given in (("inputs", self.inputs), ("outputs", self.outputs)):
-            if not given:
-                raise ConfigurationError(f"{self.name}.{what}: expected at least one port")
+        self._check_given()
         self._in_specs = [parse_port(text, f"input{number}") for number, text in enumerate(self.inputs)]
         self._out_specs = [parse_port(text, f"output{number}") for number, text in enumerate(self.outputs)]
         self._remake()
@@ -91,6 +103,11 @@ class FlexiFilter(FlexiComponent):
         while samples := {number: waiting.popleft() for number, waiting in enumerate(self._waiting) if waiting}:
             for name, sample in self._mapping.apply(samples, self.clock.time_ns()):
                 await self._out_ports[name].write(sample)
+
+    def _check_given(self) -> None:
+        for what, given in (("inputs", self.inputs), ("outputs", self.outputs)):
+            if not given:
+                raise ConfigurationError(f"{self.name}.{what}: expected at least one port")
 
     def _settings(self) -> tuple[Any, ...]:
         rules = (self.rounding, self.overflow, self.reset, self.clamp, self.nan, self.combine, self.time, self.zero_old)

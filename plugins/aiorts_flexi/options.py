@@ -23,6 +23,8 @@ class Option:
         none and sets `value`.
     help: one line for people.
     required: whether the component is nothing without it.
+    action: for a flag without parameter: a class method of the component that takes the parameters by name and gives
+        the text to print; nothing is run then.
     """
 
     flags: tuple[str, ...]
@@ -31,6 +33,7 @@ class Option:
     help: str
     value: object = True
     required: bool = False
+    action: str = ""
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS or not self.flags:

@@ -70,11 +70,14 @@ def mapped(source: str, target: str, value: Any, text: str = "0>0", **rules: Any
 def number_in(value: Any) -> Fraction | float | None:
     """The number a value stands for, as exactly as it was written; None for text that is none."""
     if isinstance(value, str):
+        text = value.strip()
+        if not text.isascii() or "_" in text or "/" in text:
+            return None  # numbers to Python, and to nobody else
         try:
-            return Fraction(value.strip())
+            return Fraction(text)
         except (ValueError, ZeroDivisionError):
             try:
-                return float(value)
+                return float(text)
             except ValueError:
                 return None
     return Fraction(value) if math.isfinite(value) else value

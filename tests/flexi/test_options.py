@@ -49,6 +49,14 @@ def test_every_option_sets_a_parameter_that_takes_it_and_every_parameter_has_one
     assert {option.param for option in cls.options} >= set(params)
 
 
+@pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
+def test_every_action_is_a_class_method(cls: type) -> None:
+    for option in cls.options:
+        assert not option.action or (
+            option.kind == "flag" and not option.param and callable(getattr(cls, option.action))
+        )
+
+
 def test_an_option_of_an_unknown_kind_is_refused() -> None:
     assert KINDS == ("text", "number", "flag", "repeat")
     with pytest.raises(ValueError, match="kind of text"):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from aiorts.errors import ConfigurationError
+from aiorts_flexi.filter import FlexiFilter
 from aiorts_flexi.mapping import Rules
 from aiorts_flexi.place import TypedTextError
 from aiorts_flexi.table import map_table
@@ -30,6 +32,19 @@ def test_factors_offsets_and_fields() -> None:
     assert [line.split("  ")[0] for line in made.splitlines()[1:]] == ["input0:position.x", "input0:heading"]
     assert "x 1000 - 5" in made
     assert "x -0.001 + 2" in made
+
+
+def test_the_component_gives_the_table_from_what_a_command_line_has() -> None:
+    made = FlexiFilter.table(inputs=["TimedDouble"], outputs="TimedLong, TimedLong", map="0>1", clamp="-1, 1")
+    assert made.splitlines()[1] == "input0          output1  f64 -> i32"
+    for params, said in (
+        ({"inputs": ["TimedDouble"]}, "outputs: expected at least one port"),
+        ({"inputs": ["TimedDouble"], "outputs": ["TimedLong"], "nan": "x"}, "nan"),
+        ({"inputs": ["TimedDouble"], "outputs": ["TimedLong"], "mapp": "x"}, "did you mean map"),
+        ({"inputs": ["TimedDouble"] * 2, "outputs": ["TimedLong"], "map": "0>0,1>0"}, "feed one pin"),
+    ):
+        with pytest.raises(ConfigurationError, match=said):
+            FlexiFilter.table(**params)
 
 
 @pytest.mark.parametrize(
