@@ -20,6 +20,7 @@ from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.mapping import COMBINE, Mapping, Rules
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
 from aiorts_flexi.ports import parse_port
+from aiorts_flexi.sending import Sender
 from aiorts_flexi.table import map_table
 
 __all__ = ("FlexiFilter",)
@@ -79,6 +80,7 @@ class FlexiFilter(FlexiComponent):
 
     def on_initialize(self) -> None:
         self._check_given()
+        self._sender = Sender()
         self._in_specs = [parse_port(text, f"input{number}") for number, text in enumerate(self.inputs)]
         self._out_specs = [parse_port(text, f"output{number}") for number, text in enumerate(self.outputs)]
         self._remake()
@@ -101,8 +103,8 @@ class FlexiFilter(FlexiComponent):
         for waiting, port in zip(self._waiting, self._in_ports, strict=True):
             waiting.extend(port.drain())
         while samples := {number: waiting.popleft() for number, waiting in enumerate(self._waiting) if waiting}:
-            for name, sample in self._mapping.apply(samples, self.clock.time_ns()):
-                await self._out_ports[name].write(sample)
+            made = self._mapping.apply(samples, self.clock.time_ns())
+            await self._sender.send([(self._out_ports[name], sample) for name, sample in made])
 
     def _check_given(self) -> None:
         for what, given in (("inputs", self.inputs), ("outputs", self.outputs)):

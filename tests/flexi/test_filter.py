@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Kernel, LifeCycleState, PeriodicContext
+from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, PeriodicContext
 from aiorts.errors import ConfigurationError, ConversionError
+from aiorts.testing import simulated
 from aiorts.types import (
     Point2D,
     Pose2D,
@@ -146,6 +147,26 @@ async def test_the_time_is_of_the_sources_that_have_sent(harness: Harness, time:
     sample = (await harness.take(0))[0]
     assert sample.tm == tm
     assert list(sample.data) == [1, 2, 0]
+
+
+@simulated
+async def test_a_reader_that_blocks_does_not_keep_a_sample_from_the_other_outputs() -> None:
+    async with Kernel() as kernel:
+        component = await kernel.create("FlexiFilter", inputs=["TimedLong"], outputs=["TimedLong"] * 2, map="0>0,0>1")
+        user = await kernel.create(Component)
+        feed, full, free = (
+            user.add_port("feed", OutPort(TimedLong)),
+            *(user.add_port(name, InPort(TimedLong)) for name in ("full", "free")),
+        )
+        await kernel.connect(feed, component.ports["input0"])
+        await kernel.connect(component.ports["output0"], full, length=1, full="block", timeout=None)
+        await kernel.connect(component.ports["output1"], free)
+        await kernel.start(EventContext(), component, activate=True)
+        for number in range(3):
+            feed.write_nowait(TimedLong(number, number))
+        await kernel.sleep(0.05)
+        assert [sample.data for sample in free.drain()] == [0, 1]
+        assert [(await full.read()).data for _ in range(3)] == [0, 1, 2]
 
 
 async def test_reset_sets_the_pins_that_got_nothing_new(harness: Harness) -> None:
