@@ -37,7 +37,8 @@ class Rules:
     zero_old: set pins without new data to 0, False or no text; `reset` says to what else.
     clamp: (low, high) for numbers; () is none.
     nan: "pass", "error", or a number to put in its place.
-    combine: what several entries to one pin make; "" allows one entry.
+    combine: what several entries to one pin make of their last values; "" allows one entry. "newest" is the value with
+        the latest time, and the time of the pin is that one.
     time: "oldest" or "newest" of the sources of a sample.
     """
 
@@ -143,8 +144,11 @@ class Mapping:
                 target.last[number] = (self._value(route, target, sample), _time_of(sample))
                 fresh = True
         if fresh:
-            target.value = self._combined(target)
-            target.tm = self._chosen_time(tm for _, tm in target.last.values())
+            if self.rules.combine == "newest":
+                target.value, target.tm = _newest(list(target.last.values()))
+            else:
+                target.value = self._combined(target)
+                target.tm = self._chosen_time(tm for _, tm in target.last.values())
             target.valid = True
         elif self.rules.reset or self.rules.zero_old:
             target.value, target.tm, target.valid = target.empty, None, False
@@ -200,8 +204,6 @@ class Mapping:
         rule = self.rules.combine
         if len(values) == 1:
             return values[0]
-        if rule == "newest":
-            return _newest(list(target.last.values()))
         if rule != "sum":
             # NaN is neither less nor more than anything: it is the answer, whichever entry it came by.
             unordered = [value for value in values if value != value]
@@ -315,13 +317,13 @@ def _port(specs: Sequence[PortSpec], number: int, word: str) -> PortSpec:
     return specs[number]
 
 
-def _newest(found: Sequence[tuple[Any, int | None]]) -> Any:
-    """The value with the latest time; of the same time, or without one, the value that arrived last."""
+def _newest(found: Sequence[tuple[Any, int | None]]) -> tuple[Any, int | None]:
+    """Value and time of the latest; of the same time, or without one, of what arrived last."""
     value, latest = found[0]
     for other, tm in found[1:]:
         if latest is None or tm is None or tm >= latest:
             value, latest = other, tm
-    return value
+    return value, latest
 
 
 def _time_of(sample: Any) -> int | None:

@@ -64,6 +64,20 @@ async def test_a_rate_or_seconds_or_once_a_second(params: dict[str, Any], step: 
     assert [sample.tm - samples[0].tm for sample in samples] == [n * step for n in range(5)]
 
 
+@pytest.mark.anyio
+async def test_on_the_real_clock_it_ends_after_its_count_and_is_never_early() -> None:
+    async with Kernel() as kernel:
+        const = await kernel.create(FlexiConst, outputs=["TimedLong"], constants=["7"], rate=200.0, count=5)
+        (port,) = await reader(kernel, const)
+        await kernel.start(EventContext(), const, activate=True)
+        began = kernel.clock.time_ns()
+        while const.state is LifeCycleState.ACTIVE:
+            await kernel.sleep(0.001)
+        samples = port.drain()
+    assert [sample.data for sample in samples] == [7] * 5
+    assert samples[-1].tm - began > 0.015 * S
+
+
 @simulated
 async def test_count_begins_anew_with_each_activation() -> None:
     async with Kernel() as kernel:

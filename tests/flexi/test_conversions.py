@@ -246,6 +246,14 @@ def test_entries_to_one_pin_are_combined_in_the_same_way_in_any_order() -> None:
         assert all(math.isnan(combined(rule, *samples)) for rule in ("sum", "min", "max"))
 
 
+@pytest.mark.parametrize(("rule", "tm"), [("newest", 9), ("sum", 3), ("max", 3)])
+def test_the_time_of_a_combined_value_is_of_what_it_was_made_of(rule: str, tm: int) -> None:
+    specs = [parse_port("TimedDouble", "input0"), parse_port("TimedDouble", "input1")]
+    mapping = Mapping(specs, [parse_port("TimedDouble", "output0")], "0>0,1>0", Rules(combine=rule))
+    ((_, sample),) = mapping.apply({0: TimedDouble(9, 1.0), 1: TimedDouble(3, 2.0)}, 0)
+    assert sample.tm == tm
+
+
 @pytest.mark.row(127)
 def test_a_combined_value_out_of_range_is_what_was_asked_for() -> None:
     big = TimedDouble(0, 1.7e308)

@@ -111,7 +111,7 @@ def test_a_mark_stands_right_in_a_long_text_and_below_what_does_not_print() -> N
 TYPES = ("TimedLong", "TimedLongSeq", "TimedStringSeq", "TimedPose2D", "RangeData", "int", "float", "TimedFoo", "")
 OTHERS = (":", "0", "1", "2", "10", "999999", "1000001", "-", "+", ".", " ", "x")
 pieces = st.lists(st.sampled_from([*TYPES, *OTHERS]), max_size=5)
-typed = pieces.map("".join) | st.text(max_size=12)
+typed = pieces.map("".join) | st.text("0123456789:-+. \t\x00xyz\u0661\u00b2", max_size=12)
 
 
 def accepted(text: str, name: str, parse: Callable[[str, str], object]) -> bool:
