@@ -60,6 +60,10 @@ FEATURES = {
     64: "A user's own record types without generated code",
     65: "Values checked for range; conversions say what happens on overflow",
     66: "Fields reached by path",
+    123: "Add, select, duplicate, dump, const, filter as components",
+    125: "Constants are literals: nothing is evaluated",
+    126: "Scale and offset, clamp, several sources for a pin",
+    127: "What happens on overflow and NaN is chosen",
     128: "A whole system simulated with the same result every time",
     130: "Written guarantees of order, delivery and life cycle",
 }

@@ -10,19 +10,21 @@ Every sample is taken; with `rate_limit` some are not shown, and how many is sai
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
-from aiorts import Component, InPort, Param
+from aiorts import InPort, Param
 from aiorts.errors import ConfigurationError, InvalidNameError, RecordError
 from aiorts.system import LineStream
 from aiorts.types import has_tm, path_type, type_name
+from aiorts_flexi.base import FlexiComponent
+from aiorts_flexi.options import TYPE_MODULES, Option
 from aiorts_flexi.ports import parse_type
-from aiorts_flexi.text import FORMATS, full_path, line_of
+from aiorts_flexi.text import FORMATS, full_path, line_of, news_of
 
 __all__ = ("FlexiDump",)
 
 
-class FlexiDump(Component):
+class FlexiDump(FlexiComponent):
     """Prints the samples of its in-ports, `input0..` or named by `names`, to standard output.
 
     Where standard output takes no more it waits, and with it the other members of its context, nobody else; when who
@@ -40,7 +42,24 @@ class FlexiDump(Component):
         (), type=tuple[str, ...], doc="field paths to show, such as position.x; none shows all"
     )
 
+    stamp = Param("tm", choices=("tm", "arrival"), doc="TIME of a line: the sample's own, or when it was taken here")
+
+    interface: ClassVar[str] = "in: `input0`, `input1`, ..., or `names`"
+    options: ClassVar[tuple[Option, ...]] = (
+        Option(("-p", "--port"), "inputs", "repeat", "type of an in-port; repeat for more", required=True),
+        Option(("-n", "--port-names"), "names", "text", "names of the in-ports, separated by commas"),
+        Option(("-v", "--verbosity"), "verbosity", "number", "-1 shows that data came and not what; 1 logs the ports"),
+        Option(("--format",), "format", "text", "text (default), json, csv or values"),
+        Option(("--rate-limit",), "rate_limit", "number", "lines in a second for each port at the most"),
+        Option(("--rate-clock",), "rate_clock", "text", "whose seconds: kernel (default) or tm"),
+        Option(("--field",), "fields", "repeat", "a field path to show, such as position.x; repeat for more"),
+        Option(("--stamp",), "stamp", "text", "TIME of a line: tm (default) or arrival"),
+        TYPE_MODULES,
+    )
+
     def on_initialize(self) -> None:
+        if not self.inputs:
+            raise ConfigurationError(f"{self.name}.inputs: expected the type of at least one in-port")
         if len(self.names) > len(self.inputs):
             raise ConfigurationError(
                 f"{self.name}: {len(self.names)} names for {len(self.inputs)} in-ports; give at most one for each"
@@ -50,7 +69,8 @@ class FlexiDump(Component):
         self._hidden = 0
         names = [*self.names, *[""] * (len(self.inputs) - len(self.names))]
         for number, (text, name) in enumerate(zip(self.inputs, names, strict=True)):
-            self._add_input(name or f"input{number}", parse_type(text, f"{self.name}: input{number}"))
+            self._add_input(name or f"input{number}", parse_type(text, f"input{number}"))
+        self.tell_ports()
 
     def _add_input(self, name: str, cls: type[Any]) -> None:
         for path in self.fields:
@@ -69,13 +89,16 @@ class FlexiDump(Component):
         for port in self.ports.values():
             if not isinstance(port, InPort):
                 continue
-            lines += [
-                line_of(self.format, port.name, type_name(type(sample)), sample, self.fields)
-                for sample in port.drain()
-                if self._is_due(port.name, sample)
-            ]
+            lines += [self._line(port.name, sample) for sample in port.drain() if self._is_due(port.name, sample)]
         if lines:
             await self._stream.write(lines)
+
+    def _line(self, port: str, sample: Any) -> str:
+        arrived = self.clock.time_ns() if self.stamp == "arrival" else None
+        name = type_name(type(sample))
+        if self.verbosity < 0:
+            return news_of(port, name, sample, arrived)
+        return line_of(self.format, port, name, sample, self.fields, arrived)
 
     def on_deactivated(self) -> None:
         if self._hidden:

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from aiorts.errors import ConfigurationError
+from aiorts_flexi.place import TypedTextError
 
 __all__ = ("LONGEST_MAP", "Entry", "parse_map", "parse_number")
 
@@ -44,6 +45,8 @@ class Entry:
     target_pin: Pin
     mult: Number | None = None
     off: Number | None = None
+    place: int = field(default=0, compare=False)
+    """Where it begins in the text, from 0."""
 
     def __str__(self) -> str:
         """The entry as it is written; parsing it gives an equal entry."""
@@ -52,9 +55,10 @@ class Entry:
 
 
 def parse_map(text: str) -> tuple[Entry, ...]:
-    """The entries of a map, in order. ConfigurationError names the first character that does not fit."""
+    """The entries of a map, in order. TypedTextError names the first character that does not fit."""
     if len(text) > LONGEST_MAP:
-        raise ConfigurationError(f"map of {len(text)} characters: expected at most {LONGEST_MAP}")
+        reason = f"expected at most {LONGEST_MAP} characters, got {len(text)}"
+        raise TypedTextError("map", text, LONGEST_MAP, reason, found=False)
     scanner = _Scanner(text)
     entries = []
     while True:
@@ -118,15 +122,12 @@ class _Scanner:
         found = self.take(pattern)
         return None if found is None else parse_number(found, f"map, character {place + 1}")
 
-    def error(self, expected: str) -> ConfigurationError:
-        rest = self.text[self.place : self.place + _SHOWN]
-        found = f"found {rest!r}" if rest else "found the end"
-        start = max(0, self.place - _SHOWN // 2)
-        shown = self.text[start : self.place + _SHOWN // 2]
-        return ConfigurationError(f"map {shown!r}, character {self.place + 1}: expected {expected}, {found}")
+    def error(self, expected: str) -> TypedTextError:
+        return TypedTextError("map", self.text, self.place, f"expected {expected}")
 
 
 def _entry(scanner: _Scanner) -> Entry:
+    start = scanner.place
     source = int(scanner.expect(_PORT, "the number of an in-port"))
     source_pin = _pin(scanner)
     scanner.blanks()
@@ -134,7 +135,7 @@ def _entry(scanner: _Scanner) -> Entry:
     scanner.blanks()
     mult, off = _factor(scanner)
     target = int(scanner.expect(_PORT, "the number of an out-port"))
-    return Entry(source, source_pin, target, _pin(scanner), mult, off)
+    return Entry(source, source_pin, target, _pin(scanner), mult, off, start)
 
 
 def _pin(scanner: _Scanner) -> Pin:

@@ -16,9 +16,10 @@ from typing import Any, Final
 from aiorts.errors import ConfigurationError, ConversionError, RecordError
 from aiorts.types import convert, describe, has_tm, read_path
 from aiorts_flexi.grammar import Entry, parse_map, parse_number
+from aiorts_flexi.place import TypedTextError
 from aiorts_flexi.ports import PortSpec
 
-__all__ = ("COMBINE", "NAN", "Mapping", "Rules", "legible")
+__all__ = ("COMBINE", "NAN", "Mapping", "Rules")
 
 COMBINE: Final = ("", "sum", "min", "max", "newest")
 NAN: Final = ("pass", "error")
@@ -33,9 +34,11 @@ class Rules:
     rounding: "nearest", "truncate" or "floor", from a fraction to an integer.
     overflow: "error", "saturate" or "wrap".
     reset: what pins without new data are set to; "" keeps them.
+    zero_old: set pins without new data to 0, False or no text; `reset` says to what else.
     clamp: (low, high) for numbers; () is none.
     nan: "pass", "error", or a number to put in its place.
-    combine: what several entries to one pin make; "" allows one entry.
+    combine: what several entries to one pin make of their last values; "" allows one entry. "newest" is the value with
+        the latest time, and the time of the pin is that one.
     time: "oldest" or "newest" of the sources of a sample.
     """
 
@@ -46,10 +49,13 @@ class Rules:
     nan: str = "pass"
     combine: str = ""
     time: str = "oldest"
+    zero_old: bool = False
 
     def __post_init__(self) -> None:
         if len(self.clamp) not in (0, 2) or (self.clamp and not self.clamp[0] <= self.clamp[1]):
             raise ConfigurationError(f"clamp = {self.clamp}: expected two numbers, the lower one first")
+        if self.reset and self.zero_old:
+            raise ConfigurationError(f"reset = {self.reset!r} and zero_old exclude each other; give one of them")
         if self.nan not in NAN:
             parse_number(self.nan, 'nan, which is "pass", "error" or a number')
 
@@ -96,6 +102,7 @@ class Mapping:
 
     def __init__(self, inputs: Sequence[PortSpec], outputs: Sequence[PortSpec], text: str, rules: Rules) -> None:
         self.inputs = tuple(inputs)
+        self._text = text
         self.entries = parse_map(text)
         self.rules = rules
         self._rounding = "round" if rules.rounding == "nearest" else rules.rounding
@@ -137,10 +144,13 @@ class Mapping:
                 target.last[number] = (self._value(route, target, sample), _time_of(sample))
                 fresh = True
         if fresh:
-            target.value = self._combined(target)
-            target.tm = self._chosen_time(tm for _, tm in target.last.values())
+            if self.rules.combine == "newest":
+                target.value, target.tm = _newest(list(target.last.values()))
+            else:
+                target.value = self._combined(target)
+                target.tm = self._chosen_time(tm for _, tm in target.last.values())
             target.valid = True
-        elif self.rules.reset:
+        elif self.rules.reset or self.rules.zero_old:
             target.value, target.tm, target.valid = target.empty, None, False
 
     def _value(self, route: _Route, target: _Target, sample: Any) -> Any:
@@ -150,12 +160,8 @@ class Mapping:
         except RecordError as error:
             raise ConversionError(f"{entry}: {self.inputs[entry.source].name}: {error}") from None
         try:
-            return convert(
-                self._limited(self._scaled(value, entry)),
-                target.kind,
-                overflow=self.rules.overflow,
-                rounding=self._rounding,
-            )
+            # A NaN may have been text, or have come of infinity times zero: it is asked for after each step.
+            return self._without_nan(self._fitted(self._limited(self._scaled(value, entry)), target.kind))
         except ConversionError as error:
             raise ConversionError(f"{entry}: {error}") from None
 
@@ -163,18 +169,21 @@ class Mapping:
         value = self._without_nan(value)
         if entry.mult is None:
             return value
-        number = self._without_nan(convert(value, "f64") if isinstance(value, str) else value)
+        number = self._without_nan(convert(value, "f64")) if isinstance(value, str) else value
         try:
             result = number * entry.mult + (entry.off or 0)
         except OverflowError:
             result = math.copysign(math.inf, number) * math.copysign(1.0, entry.mult)
         if isinstance(result, float) and math.isinf(result) and math.isfinite(number):
-            return self._overflowed(result, number)
-        return result
+            return self._overflowed(result, f"{number!r} times the factor")
+        return self._without_nan(result)
 
-    def _overflowed(self, result: float, number: float) -> float:
+    def _fitted(self, value: Any, kind: str) -> Any:
+        return convert(value, kind, overflow=self.rules.overflow, rounding=self._rounding)
+
+    def _overflowed(self, result: float, what: str) -> float:
         if self.rules.overflow == "error":
-            raise ConversionError(f"{number!r} times the factor is too large for a number of 64 bits; see overflow")
+            raise ConversionError(f"{what} is too large for a number of 64 bits; see overflow")
         return math.copysign(_LARGEST, result) if self.rules.overflow == "saturate" else result
 
     def _without_nan(self, value: Any) -> Any:
@@ -192,12 +201,18 @@ class Mapping:
 
     def _combined(self, target: _Target) -> Any:
         values = [value for value, _ in target.last.values()]
-        if len(values) == 1 or self.rules.combine in ("", "newest"):
-            return values[-1]
-        if self.rules.combine != "sum":
-            return min(values) if self.rules.combine == "min" else max(values)
+        rule = self.rules.combine
+        if len(values) == 1:
+            return values[0]
+        if rule != "sum":
+            # NaN is neither less nor more than anything: it is the answer, whichever entry it came by.
+            unordered = [value for value in values if value != value]
+            return unordered[0] if unordered else min(values) if rule == "min" else max(values)
         try:
-            return convert(sum(values), target.kind, overflow=self.rules.overflow, rounding=self._rounding)
+            total = sum(values)
+            if isinstance(total, float) and math.isinf(total) and all(map(math.isfinite, values)):
+                total = self._overflowed(total, "it")
+            return self._without_nan(self._fitted(total, target.kind))
         except ConversionError as error:
             raise ConversionError(
                 f"sum of {' and '.join(str(route.entry) for route in target.routes)}: {error}"
@@ -245,15 +260,10 @@ class Mapping:
     def _make_outputs(self, specs: Sequence[PortSpec]) -> list[_Output]:
         found: dict[int, dict[str, _Target]] = {}
         for entry in self.entries:
-            source = _port(self.inputs, entry.source, "in-port", entry)
-            spec = _port(specs, entry.target, "out-port", entry)
-            path, kind = spec.pin_path(entry.target_pin), spec.kind(entry.target_pin)
-            if "[" in path and spec.form == "record":
-                raise ConfigurationError(
-                    f"map entry {entry}: an item of a sequence cannot be set; name a field without index"
-                )
-            route = _Route(entry, source.pin_path(entry.source_pin), source.kind(entry.source_pin))
-            _check_factor(route)
+            try:
+                route, kind, path = self._looked_up(entry, specs)
+            except ConfigurationError as error:
+                raise TypedTextError("map", self._text, entry.place, str(error), found=False) from None
             targets = found.setdefault(entry.target, {})
             target = targets.get(path)
             if target is None:
@@ -264,36 +274,26 @@ class Mapping:
                 target.routes.append(route)
         return [_output(specs[number], found[number]) for number in sorted(found)]
 
+    def _looked_up(self, entry: Entry, specs: Sequence[PortSpec]) -> tuple[_Route, str, str]:
+        """The entry with its source looked up, and kind and path of its target."""
+        source, spec = _port(self.inputs, entry.source, "in-port"), _port(specs, entry.target, "out-port")
+        path, kind = spec.pin_path(entry.target_pin), spec.kind(entry.target_pin)
+        if "[" in path and spec.form == "record":
+            raise ConfigurationError(f"{entry}: an item of a sequence cannot be set; name a field without index")
+        route = _Route(entry, source.pin_path(entry.source_pin), source.kind(entry.source_pin))
+        if entry.mult is not None and route.kind in ("char", "wchar"):
+            raise ConfigurationError(f"{entry}: a character cannot be multiplied; leave the factor out")
+        return route, kind, path
+
     def _check_combine(self, target: _Target, route: _Route) -> None:
-        first = target.routes[0].entry
+        first, second = target.routes[0].entry, route.entry
+        reason = ""
         if not self.rules.combine:
-            raise ConfigurationError(
-                f"map entries {first} and {route.entry} feed one pin; take one away, or set combine (sum, min, ...)"
-            )
-        if self.rules.combine == "sum" and target.kind in _TEXT:
-            raise ConfigurationError(f"map entries {first} and {route.entry}: there is no sum of {target.kind}")
-
-
-def legible(mapping: Mapping, outputs: Sequence[PortSpec]) -> str:
-    """The map as a table, one line for each entry."""
-    rows = []
-    for entry in mapping.entries:
-        source, target = mapping.inputs[entry.source], outputs[entry.target]
-        factor = "" if entry.mult is None else f"x {entry.mult!r}"
-        offset = "" if entry.off is None else f"{entry.off:+}"
-        kinds = f"{source.kind(entry.source_pin)} -> {target.kind(entry.target_pin)}"
-        rows.append(
-            (
-                f"{source.name}:{entry.source_pin}",
-                f"{factor} {offset}".strip(),
-                f"{target.name}:{entry.target_pin}",
-                kinds,
-            )
-        )
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    return "\n".join(
-        f"{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  ->  {row[2]:<{widths[2]}}  {row[3]}".rstrip() for row in rows
-    )
+            reason = f"{first} and {second} feed one pin; take one away, or set combine (sum, min, ...)"
+        elif self.rules.combine == "sum" and target.kind in _TEXT:
+            reason = f"{first} and {second}: there is no sum of {target.kind}"
+        if reason:
+            raise TypedTextError("map", self._text, second.place, reason, found=False)
 
 
 def _output(spec: PortSpec, targets: dict[str, _Target]) -> _Output:
@@ -310,17 +310,20 @@ def _base(spec: PortSpec) -> Any:
         ) from None
 
 
-def _port(specs: Sequence[PortSpec], number: int, word: str, entry: Entry) -> PortSpec:
+def _port(specs: Sequence[PortSpec], number: int, word: str) -> PortSpec:
     if number >= len(specs):
-        names = ", ".join(spec.name for spec in specs) or "none"
-        raise ConfigurationError(f"map entry {entry}: there is no {word} {number}; there are {names}")
+        names = ", ".join(spec.name for spec in specs[:20]) or "none"
+        raise ConfigurationError(f"there is no {word} {number}; there are {names}")
     return specs[number]
 
 
-def _check_factor(route: _Route) -> None:
-    entry = route.entry
-    if entry.mult is not None and route.kind in ("char", "wchar"):
-        raise ConfigurationError(f"map entry {entry}: a character cannot be multiplied; leave the factor out")
+def _newest(found: Sequence[tuple[Any, int | None]]) -> tuple[Any, int | None]:
+    """Value and time of the latest; of the same time, or without one, of what arrived last."""
+    value, latest = found[0]
+    for other, tm in found[1:]:
+        if latest is None or tm is None or tm >= latest:
+            value, latest = other, tm
+    return value, latest
 
 
 def _time_of(sample: Any) -> int | None:

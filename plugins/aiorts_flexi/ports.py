@@ -1,4 +1,4 @@
-"""What a user may write as a port, `TYPE` or `TYPE:LEN`, and the pins such a port has; it reads no samples.
+"""What a user may write as ports, `TYPE`, `TYPE:LEN` or `TYPE:N`, and the pins such a port has; it reads no samples.
 
 A sequence has the pins 0 to LEN - 1, a scalar pin 0, a record its fields by path. A path that the record does not have
 is looked for below its field `data`, so `position.x` is a pin of TimedPose2D.
@@ -12,10 +12,12 @@ from typing import Any, Final
 
 from aiorts.errors import ConfigurationError, RecordError, UnknownTypeError
 from aiorts.types import describe, find_type, path_type
+from aiorts_flexi.place import TypedTextError
 
-__all__ = ("MOST_PINS", "PortSpec", "is_scalar", "parse_port", "parse_type")
+__all__ = ("MOST_PINS", "MOST_PORTS", "PortSpec", "is_scalar", "parse_counted", "parse_port", "parse_type")
 
 MOST_PINS: Final = 1_000_000
+MOST_PORTS: Final = 1_000
 _LENGTH = re.compile(r"[1-9][0-9]{0,6}")
 _SCALAR_KINDS: Final = frozenset(
     ("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f32", "f64", "bool", "char", "wchar", "str", "stamp")
@@ -81,35 +83,57 @@ class PortSpec:
 
 
 def parse_port(text: str, name: str) -> PortSpec:
-    """A port of `TYPE` or, for a sequence, `TYPE:LEN`. ConfigurationError says what is wrong with which part."""
-    written, colon, length = text.strip().partition(":")
-    cls = parse_type(written, name)
+    """A port of `TYPE` or, for a sequence, `TYPE:LEN`. TypedTextError says what is wrong with which part."""
+    written, colon, _ = text.partition(":")
+    cls = parse_type(written, name, text)
     form, element = _form(cls)
     if form != "sequence":
         if colon:
-            raise ConfigurationError(f"{name} = {text!r}: {cls.__name__} is no sequence; write {written} alone")
+            reason = f"{cls.__name__} is no sequence; write {written.strip()} alone"
+            raise TypedTextError(name, text, len(written), reason, found=False)
         return PortSpec(name, cls, form, element, 1, plain=cls in _PLAIN)
     if not colon:
-        raise ConfigurationError(f"{name} = {text!r}: a sequence needs its length; write {written}:LEN")
-    if _LENGTH.fullmatch(length) is None or int(length) > MOST_PINS:
-        raise ConfigurationError(f"{name} = {text!r}: expected a length from 1 to {MOST_PINS}, got {length[:20]!r}")
-    return PortSpec(name, cls, form, element, int(length))
+        reason = f"a sequence needs its length; write {written.strip()}:LEN"
+        raise TypedTextError(name, text, len(written), reason, found=False)
+    return PortSpec(name, cls, form, element, _number(text, written, name, "a length", MOST_PINS))
 
 
-def parse_type(text: str, name: str) -> type:
-    """The type of a port by its name. ConfigurationError with near names when there is none."""
+def parse_counted(text: str, name: str) -> tuple[type, int]:
+    """Several ports of one type, `TYPE:N`. TypedTextError says what is wrong with which part."""
+    written, colon, _ = text.partition(":")
+    cls = parse_type(written, name, text)
+    if not colon:
+        reason = f"expected ':' and how many ports; write {written.strip()}:2"
+        raise TypedTextError(name, text, len(written), reason, found=False)
+    return cls, _number(text, written, name, "how many ports,", MOST_PORTS)
+
+
+def parse_type(text: str, name: str, whole: str = "") -> type:
+    """The type of a port by its name, which stands at the beginning of `whole`.
+
+    TypedTextError with near names when there is none.
+    """
+    whole = whole or text
+    place = len(text) - len(text.lstrip()) if text.strip() else 0
     try:
         cls = find_type(text.strip())
     except UnknownTypeError as error:
-        raise ConfigurationError(f"{name}: {error}") from None
+        raise TypedTextError(name, whole, place, str(error), found=False) from None
     if cls not in _PLAIN and not hasattr(cls, "__dataclass_fields__"):
-        raise ConfigurationError(f"{name}: {cls.__name__} cannot be a port's type; a record can")
+        raise TypedTextError(name, whole, place, f"{cls.__name__} cannot be a port's type; a record can", found=False)
     return cls
 
 
 def is_scalar(kind: str) -> bool:
     """Whether values of this kind are single values, which `convert` makes."""
     return kind in _SCALAR_KINDS
+
+
+def _number(text: str, written: str, name: str, what: str, most: int) -> int:
+    number = text[len(written) + 1 :].rstrip()
+    if _LENGTH.fullmatch(number) is None or int(number) > most:
+        raise TypedTextError(name, text, len(written) + 1, f"expected {what} from 1 to {most}")
+    return int(number)
 
 
 def _form(cls: type) -> tuple[str, str]:

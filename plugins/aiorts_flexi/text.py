@@ -14,18 +14,22 @@ from typing import Any, Final
 
 from aiorts.types import fields_of, has_tm, read_path, to_plain
 
-__all__ = ("FORMATS", "full_path", "line_of", "printable", "stamp_text")
+__all__ = ("FORMATS", "full_path", "line_of", "news_of", "printable", "stamp_text")
 
 FORMATS: Final = ("text", "json", "csv", "values")
 
 
-def line_of(form: str, name: str, type_name: str, sample: Any, fields: Sequence[str] = ()) -> str:
+def line_of(
+    form: str, name: str, type_name: str, sample: Any, fields: Sequence[str] = (), arrived: int | None = None
+) -> str:
     """One line, without its end, for a sample of the port `name`.
+
+    `arrived`, in ns, stands in the line in place of the sample's own time.
 
     Raises:
         RecordError, InvalidNameError: the sample has no such field.
     """
-    tm = int(sample.tm) if has_tm(type(sample)) else None
+    tm = _time_of(sample) if arrived is None else arrived
     data = _data(sample, fields)
     if form == "json":
         line: dict[str, Any] = {"port": name, "type": type_name}
@@ -36,6 +40,12 @@ def line_of(form: str, name: str, type_name: str, sample: Any, fields: Sequence[
         return " ".join(_value_text(value) for value in _leaves(data))
     stamp = "" if tm is None else f" {stamp_text(tm)}"
     return f"{printable(name)} {type_name}{stamp}: {_shown(data, fields)}"
+
+
+def news_of(name: str, type_name: str, sample: Any, arrived: int | None = None) -> str:
+    """One line, without its end, that says that a sample came and not what is in it."""
+    tm = _time_of(sample) if arrived is None else arrived
+    return f"{printable(name)} {type_name}{'' if tm is None else f' {stamp_text(tm)}'} has new data"
 
 
 def stamp_text(tm: int) -> str:
@@ -53,6 +63,10 @@ def printable(text: str) -> str:
 def _number_of(character: str) -> str:
     code = ord(character)
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def _time_of(sample: Any) -> int | None:
+    return int(sample.tm) if has_tm(type(sample)) else None
 
 
 def _data(sample: Any, fields: Sequence[str]) -> Any:

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts import Component, EventContext, Kernel, LifeCycleState, OutPort, PeriodicContext
-from aiorts.errors import ConfigurationError
+from aiorts.testing import simulated
 from aiorts.types import (
     Point2D,
     Pose2D,
@@ -29,7 +29,7 @@ from aiorts.types import (
     TimedString,
 )
 from aiorts_flexi.dump import FlexiDump
-from aiorts_flexi.text import line_of
+from aiorts_flexi.text import line_of, news_of
 from campaign import cases
 
 if TYPE_CHECKING:
@@ -86,6 +86,42 @@ def test_no_text_can_command_a_terminal(text: str) -> None:
     assert len(next(csv.reader([line_of("csv", "in", "TimedString", sample)]))) == 4
 
 
+@pytest.mark.parametrize(
+    ("sample", "line"),
+    [
+        (TimedLong(TM, 6200), "in TimedLong 0.000000009 has new data"),
+        (2.5, "in float 0.000000009 has new data"),
+    ],
+)
+def test_a_line_may_tell_of_the_arrival_and_not_of_the_data(sample: Any, line: str) -> None:
+    kind = type(sample).__name__
+    assert news_of("in", kind, sample, 9) == line
+    assert news_of("in", "TimedLong", TimedLong(TM, 6200)) == "in TimedLong 1700000000.000000042 has new data"
+    assert news_of("in", "float", 2.5) == "in float has new data"
+    assert line_of("text", "in", kind, sample, (), 9).startswith(f"in {kind} 0.000000009: ")
+    assert json.loads(line_of("json", "in", kind, sample, (), 9))["tm"] == 9
+
+
+@simulated
+async def test_arrival_is_kernel_time_and_verbosity_hides_the_data(capsys: pytest.CaptureFixture[str]) -> None:
+    async with Kernel() as kernel:
+        dumps = [
+            await kernel.create(FlexiDump, inputs=["TimedLong"], names=["n"], stamp="arrival", verbosity=verbosity)
+            for verbosity in (0, -1)
+        ]
+        out = (await kernel.create(Component)).add_port("out", OutPort(TimedLong))
+        for dump in dumps:
+            await kernel.connect(out, dump.ports["n"])
+        await kernel.start(EventContext(), *dumps, activate=True)
+        await kernel.sleep(2.5)
+        out.write_nowait(TimedLong(7, 6200))
+        await kernel.sleep(0.1)
+    assert capsys.readouterr().out.splitlines() == [
+        "n TimedLong 2.500000000: 6200",
+        "n TimedLong 2.500000000 has new data",
+    ]
+
+
 @contextlib.contextmanager
 def piped() -> Iterator[Callable[[int], Awaitable[list[str]]]]:
     """Standard output is a pipe meanwhile; gives a function that reads so many lines from its other end."""
@@ -123,6 +159,7 @@ async def _dump(kernel: Kernel, **params: Any) -> OutPort[TimedLong]:
     return port
 
 
+@pytest.mark.row(123)
 @pytest.mark.anyio
 async def test_every_sample_is_a_line() -> None:
     with piped() as lines:
@@ -205,9 +242,12 @@ async def test_a_reader_that_has_gone_puts_the_dump_in_error_and_nobody_else() -
         ({"inputs": ("TimedLongg",)}, "did you mean"),
         ({"inputs": ("TimedPose2D",), "fields": ("position.q",)}, "position"),
         ({"format": "xml"}, "must be one of"),
+        ({}, "at least one in-port"),
+        ({"inputs": ("TimedLong", "TimedLong"), "names": ("a", "a")}, "of that name already"),
+        ({"inputs": ("TimedLong", "TimedLong"), "names": ("input1",)}, "of that name already"),
     ],
 )
 async def test_bad_parameters_are_refused_at_creation(params: dict[str, Any], said: str) -> None:
     async with Kernel() as kernel:
-        with pytest.raises(ConfigurationError, match=said):
+        with pytest.raises(ValueError, match=said):  # ConfigurationError, and the WiringError of add_port
             await kernel.create(FlexiDump, "dump", **params)

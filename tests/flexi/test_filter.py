@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Kernel, LifeCycleState, PeriodicContext
+from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, PeriodicContext
 from aiorts.errors import ConfigurationError, ConversionError
+from aiorts.testing import simulated
 from aiorts.types import (
     Point2D,
     Pose2D,
@@ -48,6 +49,7 @@ async def test_it_loses_nothing_in_a_periodic_context_either(harness: Harness) -
     assert [s.data for s in await harness.take(0, 50)] == list(range(50))
 
 
+@pytest.mark.row(123)
 async def test_the_map_of_the_paper_works(harness: Harness) -> None:
     await harness.build(
         ["TimedFloatSeq:2", "TimedString", "TimedLong"],
@@ -61,6 +63,8 @@ async def test_the_map_of_the_paper_works(harness: Harness) -> None:
     assert await harness.take(1) == [TimedFloat(6, 20.0)]
 
 
+@pytest.mark.row(126)
+@pytest.mark.row(127)
 @pytest.mark.parametrize(
     ("rules", "value", "result"),
     [
@@ -145,6 +149,26 @@ async def test_the_time_is_of_the_sources_that_have_sent(harness: Harness, time:
     assert list(sample.data) == [1, 2, 0]
 
 
+@simulated
+async def test_a_reader_that_blocks_does_not_keep_a_sample_from_the_other_outputs() -> None:
+    async with Kernel() as kernel:
+        component = await kernel.create("FlexiFilter", inputs=["TimedLong"], outputs=["TimedLong"] * 2, map="0>0,0>1")
+        user = await kernel.create(Component)
+        feed, full, free = (
+            user.add_port("feed", OutPort(TimedLong)),
+            *(user.add_port(name, InPort(TimedLong)) for name in ("full", "free")),
+        )
+        await kernel.connect(feed, component.ports["input0"])
+        await kernel.connect(component.ports["output0"], full, length=1, full="block", timeout=None)
+        await kernel.connect(component.ports["output1"], free)
+        await kernel.start(EventContext(), component, activate=True)
+        for number in range(3):
+            feed.write_nowait(TimedLong(number, number))
+        await kernel.sleep(0.05)
+        assert [sample.data for sample in free.drain()] == [0, 1]
+        assert [(await full.read()).data for _ in range(3)] == [0, 1, 2]
+
+
 async def test_reset_sets_the_pins_that_got_nothing_new(harness: Harness) -> None:
     await harness.build(["TimedLong"] * 2, ["TimedLongSeq:3"], "0>0:0,1>0:1", reset="-1")
     await harness.feed(0, TimedLong(10, 1))
@@ -155,6 +179,7 @@ async def test_reset_sets_the_pins_that_got_nothing_new(harness: Harness) -> Non
     assert sample.tm == 20
 
 
+@pytest.mark.row(126)
 @pytest.mark.parametrize(("combine", "result"), [("sum", 5), ("min", 2), ("max", 3), ("newest", 2)])
 async def test_several_entries_to_one_pin_are_combined(harness: Harness, combine: str, result: int) -> None:
     await harness.build(["TimedShort"] * 2, ["TimedShort"], "0>0,1>0", combine=combine)

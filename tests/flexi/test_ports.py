@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from typing import TYPE_CHECKING
+
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from aiorts.errors import ConfigurationError
-from aiorts_flexi.ports import parse_port
+from aiorts.types import find_type
+from aiorts_flexi.place import TypedTextError
+from aiorts_flexi.ports import MOST_PINS, MOST_PORTS, parse_counted, parse_port
+from campaign import cases
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 @pytest.mark.parametrize(
@@ -56,3 +67,83 @@ def test_the_pins_of_a_record_are_its_fields() -> None:
             pose.kind(pin)
     with pytest.raises(ConfigurationError, match="last one is 1"):
         parse_port("TimedLongSeq:2", "input0").kind(2)
+
+
+@pytest.mark.fault("F06")
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("TimedFoo", 1),
+        ("  TimedFoo", 3),
+        ("TimedLong:3", 10),
+        ("TimedLongSeq", 13),
+        ("TimedLongSeq:", 14),
+        ("TimedLongSeq:0", 14),
+        ("TimedLongSeq:-1", 14),
+        ("TimedLongSeq:1 000", 14),
+        ("TimedLongSeq:1000000000", 14),
+        ("TimedLongSeq:1000001", 14),
+        ("TimedLongSeq:\u0661", 14),
+        ("TimedLongSeq:2:3", 14),
+        (":", 1),
+        ("", 1),
+        ("a:b:c", 1),
+        ("GPSFixType", 1),
+    ],
+)
+def test_the_bad_part_of_a_port_is_marked(text: str, place: int) -> None:
+    with pytest.raises(TypedTextError) as caught:
+        parse_port(text, "input3")
+    assert caught.value.place == place - 1
+    assert f"character {place}: " in str(caught.value)
+    quoted, mark = caught.value.marked().split("\n")
+    assert quoted == text
+    assert mark == " " * (place - 1) + "^"
+
+
+def test_a_mark_stands_right_in_a_long_text_and_below_what_does_not_print() -> None:
+    quoted, mark = TypedTextError("map", "\x1b" * 500 + "!" + "x" * 500, 500, "expected nothing").marked().split("\n")
+    assert quoted[len(mark) - 1] == "!"
+    assert quoted.isprintable()
+    assert len(quoted) <= 120
+
+
+TYPES = ("TimedLong", "TimedLongSeq", "TimedStringSeq", "TimedPose2D", "RangeData", "int", "float", "TimedFoo", "")
+OTHERS = (":", "0", "1", "2", "10", "999999", "1000001", "-", "+", ".", " ", "x")
+pieces = st.lists(st.sampled_from([*TYPES, *OTHERS]), max_size=5)
+typed = pieces.map("".join) | st.text("0123456789:-+. \t\x00xyz\u0661\u00b2", max_size=12)
+
+
+def accepted(text: str, name: str, parse: Callable[[str, str], object]) -> bool:
+    """Whether it is accepted; if not, that it says where."""
+    try:
+        parse(text, name)
+    except TypedTextError as error:
+        place, said = error.place, str(error)
+    else:
+        return True
+    assert 0 <= place <= len(text)
+    assert said.startswith(f"{name} ")
+    assert f"character {place + 1}: " in said
+    return False
+
+
+@pytest.mark.fault("F06")
+@given(typed)
+@settings(max_examples=cases(5_000))
+def test_what_is_accepted_as_a_port_is_the_grammar(text: str) -> None:
+    sequence = re.fullmatch(r"\s*(TimedLongSeq|TimedStringSeq):([1-9][0-9]{0,6})\s*", text)
+    other = re.fullmatch(r"\s*(TimedLong|TimedPose2D|RangeData|int|float)\s*", text)
+    good = other is not None or (sequence is not None and int(sequence[2]) <= MOST_PINS)
+    assert accepted(text, "output7", parse_port) is good
+
+
+@pytest.mark.fault("F06")
+@given(typed)
+@settings(max_examples=cases(5_000))
+def test_what_is_accepted_as_a_type_and_a_number_of_ports_is_the_grammar(text: str) -> None:
+    match = re.fullmatch(r"\s*(Timed(Long|LongSeq|StringSeq|Pose2D)|RangeData|int|float)\s*:([1-9][0-9]{0,6})\s*", text)
+    good = match is not None and int(match[3]) <= MOST_PORTS
+    assert accepted(text, "port", parse_counted) is good
+    if match is not None and good:
+        assert parse_counted(text, "port") == (find_type(match[1]), int(match[3]))

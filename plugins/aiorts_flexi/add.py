@@ -1,0 +1,82 @@
+"""FlexiAdd: the sum of its in-ports, member by member: motor schemas, biases, fused forces.
+
+    [components.steer]
+    type = "FlexiAdd"
+    params.port = "TimedVelocity2D:2"     # input0 + input1 -> output
+
+With `wait = "last"` each sample that arrives makes a sum with the last known ones of the other inputs; an input that
+has sent nothing since the activation adds nothing. With `wait = "all"` a sum takes one new sample of each input, and
+what has no partner yet waits in its connector, by that connector's own length and full policy.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar
+
+from aiorts import InPort, OutPort, Param
+from aiorts.types import has_tm
+from aiorts_flexi.base import FlexiComponent
+from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.ports import parse_counted
+from aiorts_flexi.summing import Summation
+
+__all__ = ("FlexiAdd",)
+
+
+class FlexiAdd(FlexiComponent):
+    """Adds the samples of `input0`, ... and sends the sum from `output`.
+
+    Two sequences of different lengths, and a sum that its field cannot hold, are errors that name input and field.
+    """
+
+    port = Param("", doc="TYPE:N, the type and how many in-ports are added")
+    wait = Param("last", choices=("last", "all"), doc="use the last known of each input, or wait for one of all")
+    overflow = Param("error", choices=("error", "saturate", "wrap"), doc="a sum that its field cannot hold")
+    time = Param("newest", choices=("newest", "oldest"), doc="time of a sum: of its newest or its oldest sample")
+
+    interface: ClassVar[str] = "in: `input0`, ..., `input<N-1>`; out: `output`"
+    options: ClassVar[tuple[Option, ...]] = (
+        Option(("-p", "--port"), "port", "text", "TYPE:N, the type and number of in-ports", required=True),
+        Option(("--wait",), "wait", "text", "last: with the last known of each input; all: one of each"),
+        Option(("--overflow",), "overflow", "text", "error, saturate or wrap"),
+        Option(("--time",), "time", "text", "newest or oldest"),
+        TYPE_MODULES,
+        VERBOSITY,
+    )
+
+    def on_initialize(self) -> None:
+        self._type, count = parse_counted(self.port, "port")
+        self._remake()
+        self._last: dict[int, Any] = {}
+        self._inputs: list[InPort[Any]] = [self.add_port(f"input{n}", InPort(self._type)) for n in range(count)]
+        self._output: OutPort[Any] = self.add_port("output", OutPort(self._type))
+        self.tell_ports()
+
+    def on_activated(self) -> None:
+        self._last.clear()
+
+    async def on_execute(self) -> None:
+        if self.overflow != self._made_for:
+            self._remake()
+        if self.wait == "all":
+            while all(port.is_new for port in self._inputs):
+                self._last = {number: port.read_nowait() for number, port in enumerate(self._inputs)}
+                await self._send_sum()
+            return
+        waiting = [deque(port.drain()) for port in self._inputs]
+        while any(waiting):
+            self._last.update({number: samples.popleft() for number, samples in enumerate(waiting) if samples})
+            await self._send_sum()
+
+    async def _send_sum(self) -> None:
+        numbers = sorted(self._last)
+        samples = [self._last[number] for number in numbers]
+        tm = 0
+        if has_tm(self._type):
+            tm = (max if self.time == "newest" else min)(int(sample.tm) for sample in samples)
+        await self._output.write(self._sum(samples, [f"input{number}" for number in numbers], tm))
+
+    def _remake(self) -> None:
+        self._made_for = self.overflow
+        self._sum = Summation(self._type, self.overflow)

@@ -1,0 +1,198 @@
+"""FlexiConst: constants at a rate of its own, every so many seconds, or as fast as the readers take them.
+
+    [components.speed]
+    type = "FlexiConst"
+    params.outputs = ["TimedVelocity2D"]
+    params.constants = ['{"vx": 0.3}']
+    params.rate = 20.0
+
+The rate is the component's, not its context's: samples leave in a task of its own at t0 + n / rate of the kernel's
+clock, whatever runs the component, and t0 is the activation. A moment that has passed while a reader held up the last
+sample is skipped, and how many were is said at the end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from fractions import Fraction
+from typing import Any, ClassVar, Final
+
+from aiorts import OutPort, Param
+from aiorts.errors import ConfigurationError
+from aiorts.types import has_tm
+from aiorts_flexi.base import FlexiComponent
+from aiorts_flexi.constant import sample_of
+from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.ports import parse_port, parse_type
+from aiorts_flexi.sending import Parcel, Sender
+
+__all__ = ("FlexiConst",)
+
+_LONGEST_SLEEP_NS: Final = 1_000_000_000
+"""A change of parameters takes effect within this."""
+_AT_ONCE: Final = 8
+"""Continuous samples between two turns of the loop: what a connector's buffer holds unless its user says otherwise."""
+_UNHINDERED: Final = 1024
+"""Continuous samples that nobody held up, after which a pause keeps time and everybody else moving."""
+_PAUSE: Final = 0.001
+
+
+class FlexiConst(FlexiComponent):
+    """Sends a constant from each of its out-ports, stamped by the kernel's clock; literals only, nothing is run.
+
+    Its parameters may change while it runs, its ports not. After `count` samples of each port it finishes.
+    """
+
+    outputs: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc="types of the out-ports: TYPE, or TYPE:LEN for a sequence of that length"
+    )
+    constants: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc="one literal for each out-port, JSON or Python: data alone, or fields by name"
+    )
+    names: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc='names of the out-ports; "" or missing: output, or output0, output1, ...'
+    )
+    rate = Param(1.0, gt=0.0, le=1e6, unit="Hz", doc="samples in a second")
+    seconds = Param(0.0, ge=0.0, le=1e9, unit="s", doc="from one sample to the next, in place of a rate; 0 is the rate")
+    continuous = Param(False, doc="as fast as the readers take them; connect them with full = block")
+    count = Param(0, ge=0, doc="finish after so many samples of each port; 0 is never")
+
+    interface: ClassVar[str] = "out: `output`, with several `output0`, `output1`, ..., or `names`"
+    options: ClassVar[tuple[Option, ...]] = (
+        Option(("-p", "--port"), "outputs", "repeat", "type of an out-port; repeat with -c for more", required=True),
+        Option(("-c", "--const"), "constants", "repeat", "its constant, a JSON or Python literal", required=True),
+        Option(("-m", *TYPE_MODULES.flags), TYPE_MODULES.param, TYPE_MODULES.kind, TYPE_MODULES.help),
+        Option(("-r", "--rate"), "rate", "number", "samples in a second (default 1)"),
+        Option(("-s", "--seconds"), "seconds", "number", "seconds from one sample to the next, in place of a rate"),
+        Option(("--continuous",), "continuous", "flag", "as fast as the reader takes them"),
+        Option(("--count",), "count", "number", "end after so many samples of each port"),
+        Option(("--port-names",), "names", "text", "names of the out-ports, separated by commas"),
+        VERBOSITY,
+    )
+
+    def on_initialize(self) -> None:
+        self._task: asyncio.Task[None] | None = None
+        self._active_in = 0
+        self._sender = Sender()
+        if not self.outputs:
+            raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
+        if len(self.names) > len(self.outputs):
+            raise ConfigurationError(
+                f"{self.name}: {len(self.names)} names for {len(self.outputs)} out-ports; give at most one for each"
+            )
+        self._types = [_type(text, f"output{number}") for number, text in enumerate(self.outputs)]
+        samples = self._samples()
+        self._period_ns()
+        names = [*self.names, *[""] * (len(self.outputs) - len(self.names))]
+        self._ports: list[OutPort[Any]] = []
+        for number, ((cls, _), name) in enumerate(zip(self._types, names, strict=True)):
+            usual = "output" if len(self.outputs) == 1 else f"output{number}"
+            stamp = "write" if has_tm(cls) else None
+            self._ports.append(self.add_port(name or usual, OutPort(cls, stamp=stamp)))
+        self.tell_ports()
+        if self.verbosity >= 2:
+            sent = [f"{port.name} sends {sample!r}" for port, sample in zip(self._ports, samples, strict=True)]
+            self.log.info("constants: %s", ", ".join(sent))
+
+    async def on_activated(self) -> None:
+        self._active_in += 1
+        if self._task is None:
+            self._task = asyncio.create_task(self._send_all(), name=f"{self.name} sends")
+
+    async def on_deactivated(self) -> None:
+        self._active_in -= 1
+        task = self._task
+        if task is None or self._active_in > 0:
+            return
+        self._task = None
+        if task.done():
+            return  # a failure of it is why we are here
+        task.cancel()
+        await asyncio.wait([task])
+        if not task.cancelled() and (error := task.exception()) is not None:
+            raise error
+
+    # -- what is sent ----------------------------------------------------------------------------------------------
+
+    def _samples(self) -> list[Any]:
+        if len(self.constants) != len(self._types):
+            raise ConfigurationError(
+                f"{self.name}: {len(self.constants)} constants for {len(self._types)} out-ports; give one for each"
+            )
+        return [
+            sample_of(cls, text, f"constant {number}", length)
+            for number, ((cls, length), text) in enumerate(zip(self._types, self.constants, strict=True))
+        ]
+
+    def _period_ns(self) -> Fraction | None:
+        """Nanoseconds from one sample to the next, exactly; None is as soon as there is room."""
+        if (self.rate != 1.0) + (self.seconds != 0.0) + self.continuous > 1:
+            raise ConfigurationError(f"{self.name}: rate, seconds and continuous exclude each other; give one of them")
+        if self.continuous:
+            return None
+        return Fraction(10**9) * (Fraction(self.seconds) if self.seconds else 1 / Fraction(self.rate))
+
+    def _settings(self) -> tuple[object, ...]:
+        return self.constants, self.rate, self.seconds, self.continuous
+
+    async def _send_all(self) -> None:
+        sent, skipped = 0, 0
+        while not self._is_enough(sent):
+            settings = self._settings()
+            parcels: list[Parcel] = list(zip(self._ports, self._samples(), strict=True))
+            period = self._period_ns()
+            if period is None:
+                sent = await self._send_continuously(parcels, sent, settings)
+            else:
+                sent, missed = await self._send_periodically(parcels, period, sent, settings)
+                skipped += missed
+        if skipped:
+            self.log.info("%d samples were skipped: the readers had no room in time", skipped)
+        self.finish()
+
+    def _is_enough(self, sent: int) -> bool:
+        return 0 < self.count <= sent
+
+    # -- when ------------------------------------------------------------------------------------------------------
+
+    async def _send_periodically(
+        self, parcels: list[Parcel], period: Fraction, sent: int, settings: tuple[object, ...]
+    ) -> tuple[int, int]:
+        clock = self.clock
+        start, number, skipped = clock.monotonic_ns(), 0, 0
+        while not self._is_enough(sent):
+            due = start + -(-number * period.numerator // period.denominator)
+            while (left := due - clock.monotonic_ns()) > 0:
+                await self.sleep(min(left, _LONGEST_SLEEP_NS) / 1e9)
+                if self._settings() != settings:
+                    return sent, skipped
+            await self._sender.send(parcels)
+            sent += 1
+            number += 1
+            if self._is_enough(sent) or self._settings() != settings:
+                break
+            latest = (clock.monotonic_ns() - start) * period.denominator // period.numerator
+            if latest > number:
+                skipped += latest - number
+                number = latest
+        return sent, skipped
+
+    async def _send_continuously(self, parcels: list[Parcel], sent: int, settings: tuple[object, ...]) -> int:
+        unhindered = 0
+        while not self._is_enough(sent) and self._settings() == settings:
+            unhindered = unhindered + 1 if await self._sender.send(parcels) else 0
+            sent += 1
+            if unhindered >= _UNHINDERED:
+                unhindered = 0
+                await self.sleep(_PAUSE)
+            elif unhindered % _AT_ONCE == 0:
+                await asyncio.sleep(0)
+        return sent
+
+
+def _type(text: str, name: str) -> tuple[type, int]:
+    """The type of a port, and how many items its sequence must have; 0 is any number."""
+    if ":" not in text:
+        return parse_type(text, name), 0
+    spec = parse_port(text, name)
+    return spec.type, spec.length

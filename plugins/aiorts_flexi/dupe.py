@@ -1,0 +1,69 @@
+"""FlexiDupe: every sample of an in-port to each of its out-ports, as it is.
+
+    [components.twice]
+    type = "FlexiDupe"
+    params.inputs = ["TimedDouble:2", "TimedPose2D:3"]    # input0 to output0_0 and output0_1, input1 to ...
+
+An out-port can have many connectors, so a component that only copies is for those who want ports to connect by name.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar
+
+from aiorts import InPort, OutPort, Param
+from aiorts.errors import ConfigurationError
+from aiorts_flexi.base import FlexiComponent
+from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.ports import parse_counted
+from aiorts_flexi.sending import Parcel, Sender
+
+__all__ = ("FlexiDupe",)
+
+
+class FlexiDupe(FlexiComponent):
+    """Copies each sample of `input0` to `output0_0`, `output0_1`, ..., of `input1` to `output1_0`, ...
+
+    A reader with full = block holds up the others no longer than a write to it lasts: all get a sample at once that
+    have room, the others are waited for together.
+    """
+
+    inputs: tuple[str, ...] = Param(
+        (), type=tuple[str, ...], doc="TYPE:N for each in-port: its type and how many out-ports it is copied to"
+    )
+
+    interface: ClassVar[str] = "in: `input<i>`; out: `output<i>_0`, ..., `output<i>_<N-1>`"
+    options: ClassVar[tuple[Option, ...]] = (
+        Option(("-p", "--port"), "inputs", "repeat", "TYPE:N, an in-port and its number of out-ports", required=True),
+        Option(("-f", "--config-file"), "", "text", "rtc.conf of the original: accepted and not read"),
+        TYPE_MODULES,
+        VERBOSITY,
+    )
+
+    def on_initialize(self) -> None:
+        if not self.inputs:
+            raise ConfigurationError(f"{self.name}.inputs: expected at least one TYPE:N")
+        self._sender = Sender()
+        self._routes: list[tuple[InPort[Any], list[OutPort[Any]]]] = []
+        for number, (cls, copies) in enumerate(
+            [parse_counted(text, f"input{number}") for number, text in enumerate(self.inputs)]
+        ):
+            source: InPort[Any] = self.add_port(f"input{number}", InPort(cls))
+            targets: list[OutPort[Any]] = [
+                self.add_port(f"output{number}_{copy}", OutPort(cls)) for copy in range(copies)
+            ]
+            self._routes.append((source, targets))
+        self.tell_ports()
+
+    async def on_execute(self) -> None:
+        waiting = [(deque(source.drain()), targets) for source, targets in self._routes]
+        while True:
+            parcels: list[Parcel] = []
+            for samples, targets in waiting:
+                if samples:
+                    sample = samples.popleft()
+                    parcels += [(target, sample) for target in targets]
+            if not parcels:
+                return
+            await self._sender.send(parcels)

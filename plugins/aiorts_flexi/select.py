@@ -1,0 +1,152 @@
+"""FlexiSelect: one of several in-ports goes on, and another in-port says which.
+
+    [components.switch]
+    type = "FlexiSelect"
+    params.port = "TimedVelocity2D:2"        # input0, input1 -> output
+    params.selection_type = "TimedBoolean"   # the type of `selection`: any integer or truth value
+
+Which selection is in force for a sample: with `order = "cycle"` every selection that has arrived is applied before any
+sample of the same cycle is looked at, so the last one decides for all of them. With `order = "tm"` the samples and
+selections of a cycle are taken in the order of their time stamps, a selection before the samples of its own moment.
+Samples of inputs that are not selected are taken and dropped in every cycle, so nothing old is left to come out later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+from aiorts import InPort, OutPort, Param
+from aiorts.errors import AiortsError, ConfigurationError, ConversionError
+from aiorts.types import convert, has_tm, type_name
+from aiorts_flexi.base import FlexiComponent
+from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.ports import parse_counted, parse_port
+
+__all__ = ("FlexiSelect", "SelectionError")
+
+_SELECTING = ("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "bool")
+_NONE = -1
+
+
+class SelectionError(AiortsError, LookupError):
+    """A selection names an input that does not exist."""
+
+    code = "E-SELECT"
+
+
+class FlexiSelect(FlexiComponent):
+    """Sends the samples of the selected one of `input0`, ... from `output`, unchanged.
+
+    The selection lasts: after a reset or a new activation the last valid one is in force.
+    """
+
+    port = Param("", doc="TYPE:N, the type and how many in-ports to select from")
+    selection_type = Param("TimedShort", doc="type of `selection`: an integer or truth value")
+    initial = Param(0, ge=0, doc="what is selected until a selection arrives")
+    out_of_range = Param(
+        "error",
+        choices=("error", "hold", "none"),
+        doc="a selection that there is no input for: error, hold keeps the last one, none sends nothing until the next",
+    )
+    order = Param("cycle", choices=("cycle", "tm"), doc="selections first in each cycle, or by time stamp")
+    feedback = Param(False, doc="an out-port `selected` sends each selection that comes into force")
+
+    interface: ClassVar[str] = "in: `selection`, `input0`, ..., `input<N-1>`; out: `output`, with `feedback` `selected`"
+    options: ClassVar[tuple[Option, ...]] = (
+        Option(("-p", "--port"), "port", "text", "TYPE:N, the type and number of in-ports", required=True),
+        Option(("--selection-type",), "selection_type", "text", "type of the in-port selection (default TimedShort)"),
+        Option(("--initial",), "initial", "number", "selected until a selection arrives (default 0)"),
+        Option(("--out-of-range",), "out_of_range", "text", "error, hold or none"),
+        Option(("--order",), "order", "text", "cycle: selections first; tm: by time stamp"),
+        Option(("--feedback",), "feedback", "flag", "an out-port `selected` says what is selected"),
+        TYPE_MODULES,
+        VERBOSITY,
+    )
+
+    def on_initialize(self) -> None:
+        cls, count = parse_counted(self.port, "port")
+        spec = parse_port(self.selection_type, "selection_type")
+        if spec.form != "scalar" or spec.element not in _SELECTING:
+            raise ConfigurationError(
+                f"{self.name}.selection_type = {self.selection_type!r}: expected an integer or a truth value "
+                "such as TimedShort, TimedBoolean or int"
+            )
+        if self.initial >= count:
+            raise ConfigurationError(
+                f"{self.name}.initial = {self.initial}: expected 0..{count - 1}; there are {count} inputs"
+            )
+        self._chosen = self.initial
+        self._selecting: InPort[Any] = self.add_port("selection", InPort(spec.type))
+        self._inputs: list[InPort[Any]] = [self.add_port(f"input{n}", InPort(cls)) for n in range(count)]
+        self._output: OutPort[Any] = self.add_port("output", OutPort(cls))
+        self._selected: OutPort[Any] | None = self.add_port("selected", OutPort(spec.type)) if self.feedback else None
+        self._plain, self._element = spec.plain, spec.element
+        self._check_order()
+        if self.feedback:
+            self._fitting(self.initial)
+        self.tell_ports()
+
+    async def on_activated(self) -> None:
+        await self._tell()
+
+    async def on_execute(self) -> None:
+        self._check_order()
+        for number, sample in self._arrivals():
+            if number < 0:
+                if self._select(sample if self._plain else sample.data):
+                    await self._tell()
+            elif number == self._chosen:
+                await self._output.write(sample)
+
+    def _arrivals(self) -> Iterator[tuple[int, Any]]:
+        """What has come in this cycle, selections as number -1, in the order in which it counts."""
+        found = [(_NONE, sample) for sample in self._selecting.drain()]
+        for number, port in enumerate(self._inputs):
+            found += [(number, sample) for sample in port.drain()]
+        if self.order == "tm":
+            found.sort(key=lambda one: int(one[1].tm))  # stable: selections first, each port in its own order
+        return iter(found)
+
+    def _select(self, value: int) -> bool:
+        """Put a selection in force, or refuse it and leave the old one; whether anything changed."""
+        number, before = int(value), self._chosen
+        if 0 <= number < len(self._inputs):
+            self._chosen = number
+            if self.verbosity >= 1 and number != before:
+                self.log.info("selected input%d", number)
+        elif self.out_of_range == "error":
+            raise SelectionError(
+                f"{self._selecting.path}: expected a selection 0..{len(self._inputs) - 1}, got {number}; "
+                f"{'nothing' if before < 0 else f'input{before}'} stays selected"
+            )
+        elif self.out_of_range == "none":
+            self._chosen = _NONE
+        else:
+            self.log.warning("selection %d is not in 0..%d; the last one is held", number, len(self._inputs) - 1)
+        return self._chosen != before
+
+    async def _tell(self) -> None:
+        port = self._selected
+        if port is None or self._chosen < 0:
+            return
+        value = self._fitting(self._chosen)
+        if self._plain:
+            await port.write(value)
+        elif has_tm(port.type):
+            await port.write(port.type(self.clock.time_ns(), value))
+        else:
+            await port.write(port.type(value))
+
+    def _fitting(self, number: int) -> Any:
+        try:
+            return convert(number, self._element)
+        except ConversionError as error:
+            raise ConfigurationError(f"{self.name}.initial = {number}: `selected` cannot say so: {error}") from None
+
+    def _check_order(self) -> None:
+        for port in (self._selecting, self._inputs[0]):
+            if self.order == "tm" and not has_tm(port.type):
+                raise ConfigurationError(
+                    f"{self.name}.order = 'tm': {port.name} has samples of {type_name(port.type)}, which have no time"
+                )
