@@ -1,4 +1,4 @@
-"""What a case of a bench is: a workload, what it measures and promises, and the ratios to baselines it aims at. Pure."""
+"""What a case of a bench is: a workload, what it measures and promises, the ratios to baselines it aims at. Pure."""
 
 from __future__ import annotations
 

@@ -129,8 +129,7 @@ def names() -> dict[str, str]:
     """One line of help for each bench there is, without importing any."""
     found = {name: line for name, (_, line) in OWN.items()}
     for name, offers in extensions("benches").items():
-        packages = " and ".join(entry.dist.name if entry.dist is not None else entry.value for entry in offers)
-        found.setdefault(name, f"Of {packages}.")
+        found.setdefault(name, f"Of {' and '.join(offer.source for offer in offers)}.")
     return found
 
 
