@@ -34,7 +34,7 @@ class _LazyGroup(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
-            return None
+            return _component_command(cmd_name)
         module, _, attribute = _COMMANDS[cmd_name][0].partition(":")
         try:
             command: Any = getattr(importlib.import_module(module), attribute)
@@ -46,9 +46,9 @@ class _LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
-        if name not in _COMMANDS and not name.startswith("-"):
-            near = get_close_matches(name, _COMMANDS, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(_COMMANDS)}"
+        if name not in _COMMANDS and not name.startswith("-") and name not in (filters := _filters()):
+            near = get_close_matches(name, (*_COMMANDS, *filters), n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join((*_COMMANDS, *filters))}"
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 
@@ -57,10 +57,30 @@ class _LazyGroup(click.Group):
             formatter.write_dl([(name, help_text) for name, (_, help_text) in _COMMANDS.items()])
 
 
+def _filters() -> dict[str, str]:
+    """Components that are installed, by the name of their command."""
+    from aiorts import Catalogue
+
+    return {name.lower(): name for name in Catalogue().extensions("components")}
+
+
+def _component_command(name: str) -> click.Command | None:
+    component = _filters().get(name)
+    if component is None:
+        return None
+    from aiorts.cli.filter import command_of, load_component
+
+    return command_of(name, load_component(component))
+
+
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, "-V", "--version", prog_name="aiorts", message="%(prog)s %(version)s")
 def aiorts() -> None:
-    """RT-Middleware for Python: robot software as components on an asyncio microkernel."""
+    """RT-Middleware for Python: robot software as components on an asyncio microkernel.
+
+    Every installed component is a command as well, in lower case: a Unix filter for JSON lines, as in
+    `aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 | aiorts flexidump -p TimedDouble`.
+    """
 
 
 def run_command(arguments: Sequence[str]) -> int:

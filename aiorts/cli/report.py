@@ -32,6 +32,9 @@ def report_error(error: BaseException, *, verbose: bool) -> None:
     where = "".join(f"{note}: " for note in notes[:1])
     advice = "" if isinstance(error, AiortsError) or verbose else _ADVICE
     report(code_of(error), f"{where}{cause_of(error)}{advice}")
+    marked: Callable[[], str] | None = getattr(error, "marked", None)
+    if marked is not None:  # a mistake in text that somebody typed: the text, and a mark under the place
+        _say_all("".join(f"  {line}\n" for line in marked().splitlines()))
     if verbose:
         _say_all("".join(traceback.format_exception(error)))
 

@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from aiorts.errors import PluginError
 
@@ -97,6 +97,12 @@ class Catalogue:
             sources = " and ".join(f"{one.target} ({one.source})" for one in found)
             raise PluginError(f"{word} {name!r} is offered twice, by {sources}; remove one")
         return found[0]
+
+    def load(self, kind: str, name: str) -> Any:
+        """The object itself, imported. PluginError as `find`, and when it cannot be imported."""
+        from aiorts.kernel.plugins import load
+
+        return load(self.find(kind, name))
 
     # -- folders ---------------------------------------------------------------------------------------------------
 

@@ -39,10 +39,20 @@ class StandardInput(Component):
         ports: type of each in-port that is to be fed; this component gets an out-port of the same name for it.
         tell: called with the number of a line (from 1) that is bad and why.
         descriptor: what is read; standard input by default. It is not closed.
+        count: finish after so many samples; None is with the end of input.
     """
 
-    def __init__(self, name: str, ports: Mapping[str, type], tell: Tell, descriptor: int | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        ports: Mapping[str, type],
+        tell: Tell,
+        descriptor: int | None = None,
+        *,
+        count: int | None = None,
+    ) -> None:
         super().__init__(name)
+        self._count = count
         self.lines = 0
         """Lines read, bad ones among them; blank ones are none."""
         self.bad = 0
@@ -64,8 +74,13 @@ class StandardInput(Component):
         async for lines in _batches(_standard_input() if self._descriptor is None else self._descriptor):
             for line in lines:
                 number += 1
+                if self._count is not None and self.lines - self.bad >= self._count:
+                    break
                 if line is None or line.strip():
                     await self._take(number, line)
+            else:
+                continue
+            break
         self._reading = None
         self.finish()
 

@@ -1,0 +1,206 @@
+"""Any component as a Unix filter: `aiorts flexifilter -i TimedDouble ...` reads JSON lines and writes JSON lines.
+
+Its options are those the class states in `options`, else one for each parameter. In-ports are fed from standard input,
+out-ports written to standard output; back-pressure goes all the way, so that no line is lost.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import click
+
+from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, StateChanged
+from aiorts.cli.report import report, report_error
+from aiorts.cli.session import Options, checked, execute
+from aiorts.cli.stopping import Stopper
+from aiorts.errors import AiortsError, ConfigurationError, PluginError
+from aiorts.system import StandardInput, StandardOutput
+from aiorts.types import type_name
+
+__all__ = ("command_of", "load_component")
+
+_WAYS: Final = {"length": 1000, "full": "block", "timeout": None}
+_OURS: Final = (
+    click.Option(["--count"], type=click.IntRange(min=1), metavar="N", help="End after N samples."),
+    click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
+    click.Option(["--loop"], type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop."),
+    click.Option(["--debug"], is_flag=True, help="Say what the component says, and show tracebacks."),
+)
+
+
+def load_component(name: str) -> type[Component]:
+    """The class that is installed under this name. PluginError when it cannot be had."""
+    found = Catalogue().load("components", name)
+    if not (isinstance(found, type) and issubclass(found, Component)):
+        raise PluginError(f"component {name!r}: {found!r:.80} is no class derived from Component")
+    return found
+
+
+def command_of(name: str, cls: type[Component]) -> click.Command:
+    """The command that runs a component of this class."""
+    table = getattr(cls, "options", None)
+    own = _from_table(table) if table is not None else _from_parameters(cls)
+    taken = {flag for option in own for flag in option.opts}
+    ours = [option for option in _OURS if not taken.intersection(option.opts)]
+
+    def run(**given: Any) -> int:
+        common = {option.name: given.pop(str(option.name)) for option in ours}
+        return _run(cls, table or (), given, common)
+
+    return click.Command(name, callback=run, params=[*own, *ours], help=_help(cls), no_args_is_help=False)
+
+
+def _help(cls: type[Component]) -> str:
+    first = inspect.cleandoc(cls.__doc__ or cls.__name__)
+    ports = getattr(cls, "interface", "").replace("`", "")
+    return f'{first}\n\nA line in: {{"port": "input0", "data": 1.5}}, or the bare data.\n\nPorts: {ports or "its own"}'
+
+
+# -- options -----------------------------------------------------------------------------------------------------------
+
+
+def _from_table(table: Iterable[Any]) -> list[click.Option]:
+    return [
+        click.Option(
+            [*option.flags, f"option{number}"],
+            is_flag=option.kind == "flag",
+            multiple=option.kind == "repeat",
+            required=option.required,
+            help=option.help,
+            metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
+        )
+        for number, option in enumerate(table)
+    ]
+
+
+def _from_parameters(cls: type[Component]) -> list[click.Option]:
+    return [
+        click.Option([f"--{name.replace('_', '-')}", f"param_{name}"], help=parameter.spec.doc, metavar="VALUE")
+        for name, parameter in cls("draft").params.items()
+    ]
+
+
+def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any], str]:
+    """Parameters, actions to do instead of running, and the modules that define types."""
+    params: dict[str, Any] = {}
+    actions, modules = [], ""
+    for number, option in enumerate(table):
+        value = given[f"option{number}"]
+        if value in (None, False, ()):
+            continue
+        if option.action:
+            actions.append(option)
+        elif option.param:
+            params[option.param] = option.value if option.kind == "flag" else value
+        elif "--type-mod" in option.flags:
+            modules = value
+    params |= {
+        name.removeprefix("param_"): value for name, value in given.items() if value and name.startswith("param_")
+    }
+    return params, actions, modules
+
+
+# -- running -----------------------------------------------------------------------------------------------------------
+
+
+def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], common: Mapping[str, Any]) -> int:
+    params, actions, modules = _chosen(table, given)
+    try:
+        _import_types(modules)
+        for option in actions:
+            click.echo(getattr(cls, option.action)(**params))
+        if actions:
+            return 0
+        draft = cls("draft")
+        draft.params.check(params)
+    except AiortsError as error:
+        return _refused(error)
+    filter_ = _Filter(cls, params, common.get("count"))
+    options = checked(
+        Options(
+            loop=common["loop"],
+            simulate=False,
+            speed=None,
+            strict=False,
+            duration=common.get("duration"),
+            verbose=common["debug"],
+            debug=common["debug"],
+        )
+    )
+    stopper = Stopper()
+    with stopper.signals():
+        return execute(filter_.make, 3, options, stopper) or filter_.status
+
+
+def _refused(error: AiortsError) -> int:
+    """What was typed is wrong: said in one line, and two that show where where that is known."""
+    report_error(error, verbose=False)
+    return 2
+
+
+def _import_types(modules: str) -> None:
+    import importlib
+
+    for name in filter(None, (part.strip() for part in modules.split(","))):
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise ConfigurationError(f"--type-mod {name}: {error}") from error
+
+
+class _Filter:
+    """The system of one component, standard input and standard output."""
+
+    def __init__(self, cls: type[Component], params: Mapping[str, Any], count: int | None) -> None:
+        self._cls = cls
+        self._params = params
+        self._count = count
+        self._input: StandardInput | None = None
+        self._failed = False
+
+    @property
+    def status(self) -> int:
+        """1 when a line was bad or the component went to error."""
+        return int(self._failed or (self._input is not None and self._input.bad > 0))
+
+    async def make(self, kernel: Kernel) -> None:
+        """Build it, readers before writers."""
+        component = await kernel.create(self._cls, **self._params)
+        ins = {port.name: port.type for port in component.ports.values() if isinstance(port, InPort)}
+        outs = {port.name: port.type for port in component.ports.values() if isinstance(port, OutPort)}
+        kernel.bus.subscribe(StateChanged, lambda event: self._watch(kernel, event, component.name))
+        parts: list[Component] = [component]
+        if outs:
+            sink = StandardOutput("stdout", outs, count=self._count, done=kernel.request_stop)
+            await kernel.add(sink)
+            for name in outs:
+                await kernel.connect(component.ports[name], sink.ports[name], **_WAYS)
+            parts.insert(0, sink)
+        if ins:
+            count = None if outs else self._count
+            self._input = await kernel.add(StandardInput("stdin", ins, _complain, count=count))
+            for name in ins:
+                await kernel.connect(self._input.ports[name], component.ports[name], **_WAYS)
+            parts.append(self._input)
+            _tell_terminal(ins)
+        for part in parts:
+            await kernel.start(EventContext(), part, activate=True)
+
+    def _watch(self, kernel: Kernel, event: StateChanged, name: str) -> None:
+        if event.component == name and event.new is LifeCycleState.ERROR:
+            self._failed = True
+            kernel.request_stop()
+
+
+def _complain(number: int, why: str) -> None:
+    report("E-LINE", f"standard input, line {number}: {why}")
+
+
+def _tell_terminal(ins: Mapping[str, type]) -> None:
+    if sys.stdin is not None and sys.stdin.isatty():
+        ports = ", ".join(f"{name} ({type_name(cls)})" for name, cls in ins.items())
+        click.echo(f"aiorts: reading JSON lines for {ports} from this terminal; Ctrl-D ends", err=True)
