@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         StateChanged,
         ThreadsExhausted,
     )
-    from aiorts.kernel.catalogue import Catalogue
+    from aiorts.kernel.catalogue import Catalogue, Extension
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.running import run
@@ -61,6 +61,7 @@ __all__ = (
     "Disconnected",
     "Event",
     "EventContext",
+    "Extension",
     "ExternalContext",
     "HookAfter",
     "HookBefore",
@@ -95,7 +96,7 @@ _HOMES = {
     "aiorts.contexts": ("EventContext", "ExternalContext", "PeriodicContext", "RealtimeContext", "ThreadContext"),
     "aiorts.errors": ("AiortsError",),
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
-    "aiorts.kernel.catalogue": ("Catalogue",),
+    "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),

@@ -15,7 +15,7 @@ from typing import Final
 
 from aiorts.errors import AiortsError
 
-__all__ = ("LONGEST", "LineHandler", "code_of", "cause_of", "report", "report_error")
+__all__ = ("LONGEST", "LineHandler", "code_of", "cause_of", "printed", "report", "report_error")
 
 LONGEST: Final = 240
 _ADVICE: Final = "; -v shows the traceback"
@@ -88,6 +88,11 @@ class LineHandler(logging.Handler):
             _say_all("".join(traceback.format_exception(error)))
 
 
+def printed(text: str) -> str:
+    """The text with whatever does not print as its number: nothing that is shown commands a terminal."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 def _message(record: logging.LogRecord) -> str:
     try:
         return record.getMessage()
@@ -98,7 +103,7 @@ def _message(record: logging.LogRecord) -> str:
 def _say(line: str) -> None:
     """One line of at most LONGEST characters: the end, which says what to do, is kept."""
     line = "; ".join(part.strip() for part in line.splitlines() if part.strip())
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    line = printed(line)
     if len(line) > LONGEST:
         line = f"{line[: LONGEST - 73]}...{line[-70:]}"
     _say_all(f"{line}\n")

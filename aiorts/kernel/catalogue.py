@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from aiorts.errors import PluginError
 
@@ -41,6 +41,12 @@ class Extension:
     folder: Path | None = None
     """Where its modules are, for one that is not installed."""
 
+    def load(self) -> Any:
+        """The object itself, imported. PluginError names the plugin and what went wrong."""
+        from aiorts.kernel.plugins import load
+
+        return load(self)
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -56,6 +62,8 @@ class Catalogue:
     Args:
         folders: plugins that are not installed: a folder, or one with such folders in it.
     """
+
+    KINDS: ClassVar[tuple[str, ...]] = KINDS
 
     def __init__(self, folders: Iterable[Path] = ()) -> None:
         self.folders = tuple(folders)
@@ -100,9 +108,7 @@ class Catalogue:
 
     def load(self, kind: str, name: str) -> Any:
         """The object itself, imported. PluginError as `find`, and when it cannot be imported."""
-        from aiorts.kernel.plugins import load
-
-        return load(self.find(kind, name))
+        return self.find(kind, name).load()
 
     # -- folders ---------------------------------------------------------------------------------------------------
 
