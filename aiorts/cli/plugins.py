@@ -9,11 +9,10 @@ import sys
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
-from aiorts import Catalogue
+from aiorts import Catalogue, Extension
 from aiorts.cli.report import printed, report
 
 __all__ = ("plugins",)
@@ -70,11 +69,11 @@ def _table(findings: Iterable[_Finding]) -> str:
     )
 
 
-def _verdict(extension: Any, offers: int, limit: float) -> str:
+def _verdict(extension: Extension, offers: int, limit: float) -> str:
     asked = json.dumps(
         [extension.kind, extension.name, extension.target, extension.source, str(extension.folder or "")]
     )
-    child = subprocess.Popen(
+    child = subprocess.Popen(  # noqa: S603 - this interpreter; what it imports is the user's own wish
         [sys.executable, "-m", "aiorts.cli.plugin_child", asked],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

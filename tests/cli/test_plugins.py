@@ -1,4 +1,4 @@
-"""`aiorts plugins`: what is there is listed, what is broken is named, and nothing a plugin does takes the others down."""
+"""`aiorts plugins`: what is there is listed, what is broken is named, and no plugin takes the others down."""
 
 from __future__ import annotations
 
