@@ -94,7 +94,7 @@ class SystemClock(Clock):
         return self._wall()
 
     # The function itself: every hook asks it, and a method round it would cost more than it does.
-    monotonic_ns = staticmethod(time.monotonic_ns)
+    monotonic_ns = staticmethod(time.monotonic_ns)  # pyright: ignore[reportAssignmentType] # called on instances only
 
     def __repr__(self) -> str:
         return "SystemClock()"

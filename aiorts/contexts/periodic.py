@@ -73,7 +73,8 @@ class PeriodicContext(Context):
             plan.lateness_total_ns,
             self._hook_statistics(),
             plan.overrun,
-            *(() if self._missed is None else (self._missed.counts, self._missed.last)),
+            {} if self._missed is None else self._missed.counts,
+            None if self._missed is None else self._missed.last,
         )
 
     async def set_rate(self, rate: float, *, timeout: float | None = 5.0) -> None:
