@@ -96,10 +96,12 @@ class PeriodicContext(Context):
         super()._life_began()
 
     def _life_ended(self, error: BaseException | None) -> None:
-        if self._watch is not None:
-            self._require_kernel()._deadman.unwatch(self._watch)
-            self._watch = None
-        super()._life_ended(error)
+        try:
+            if self._watch is not None:
+                self._require_kernel()._deadman.unwatch(self._watch)
+                self._watch = None
+        finally:
+            super()._life_ended(error)
 
     def _look_out(self) -> None:
         """Have missed deadlines of this rate watched; in the thread that runs the hooks."""

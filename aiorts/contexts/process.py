@@ -82,6 +82,14 @@ class ProcessSettings:
                     gc.unfreeze()
                 gc.enable()
 
+    def after_fork(self) -> None:
+        """In the child no real-time thread is there: everything as it was found."""
+        self._lock = threading.Lock()
+        self._lockers = 0
+        if self._users:
+            self._users = 1
+            self.release()
+
     # -- garbage ---------------------------------------------------------------------------------------------------
 
     def collect(self, slack_ns: int) -> None:
@@ -175,3 +183,5 @@ def _libc() -> Any:
 
 SETTINGS: Final = ProcessSettings()
 """There is one process."""
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=SETTINGS.after_fork)

@@ -127,9 +127,9 @@ def _let_out(component: Component) -> None:
     """It runs in no real-time thread any more, and is one of the loop's again."""
     if component.contexts or component._rt_abandoned is not None:
         return  # one whose hook was left behind may still be inside
-    host, log = component._rt_host, component.log
+    host, log = component._rt_host, component._rt_log
     host.realtime, host.thread_id, host.turns.left = False, None, UNSUSPENDED
-    if isinstance(log.logger, HandedLogger):
+    if log is not None and isinstance(log.logger, HandedLogger):
         log.logger = log.logger.real
     for port in component.ports.values():
         crossings.uncross_all(port)

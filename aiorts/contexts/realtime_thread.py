@@ -51,8 +51,9 @@ class RealtimeDriver(ThreadDriver):
         self._sleep = relative_sleep
         self._parked = False
         self._acquired = False
-        self._guard = None if self._virtual else kernel.loop.call_later(_GUARD_SECONDS, self._relieve)
         super().__init__(context, kernel)
+        # After the thread, which may not have come into being.
+        self._guard = None if self._virtual else kernel.loop.call_later(_GUARD_SECONDS, self._relieve)
 
     def kick(self) -> None:
         if self._virtual:

@@ -122,7 +122,8 @@ class ThreadContext(PeriodicContext):
 
     def _set_ports_open(self, member: Member) -> None:
         super()._set_ports_open(member)
-        if member.left:
+        # One whose hook was left behind is still in its thread.
+        if member.left and member.component._rt_abandoned is None:
             member.component._rt_host.threaded = False
             member.component._rt_host.thread_id = None
 
@@ -148,7 +149,11 @@ class ThreadDriver:
         for member in context._members:
             member.component._rt_host.stopping = False
         self.thread = threading.Thread(target=self._run, name=f"aiorts {context.name}", daemon=True)
-        self.thread.start()
+        try:
+            self.thread.start()
+        except BaseException:
+            self._blocking.end()
+            raise
 
     @property
     def current(self) -> Member | None:

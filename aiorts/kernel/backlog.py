@@ -82,6 +82,8 @@ class PeriodicConnector(Connector):
 
     def offer(self, sample: Any) -> bool:
         with self._guard():
+            if self._crosses:
+                return self.offer(sample)
             if self.closed:
                 return True
             self._written += 1

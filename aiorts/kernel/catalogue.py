@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import ast
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
-from importlib.metadata import entry_points
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -77,7 +77,7 @@ class Catalogue:
     @cached_property
     def _offers(self) -> dict[str, dict[str, list[Extension]]]:
         found: dict[str, dict[str, list[Extension]]] = {kind: {} for kind in KINDS}
-        for extension in (*_installed(), *(one for folder in self.folders for one in self._in_folder(folder))):
+        for extension in (*self._installed(), *(one for folder in self.folders for one in self._in_folder(folder))):
             offers = found[extension.kind].setdefault(extension.name, [])
             # A package that is installed and named as a folder, too, is one.
             if all(other.target != extension.target for other in offers):
@@ -110,22 +110,48 @@ class Catalogue:
         """The object itself, imported. PluginError as `find`, and when it cannot be imported."""
         return self.find(kind, name).load()
 
+    def _installed(self) -> Iterator[Extension]:
+        """What packages offer; one whose metadata is broken is a problem and hides nothing."""
+        seen = set()
+        for distribution in distributions():
+            try:
+                entries = [entry for entry in distribution.entry_points if entry.group.startswith("aiorts.")]
+                if not entries:
+                    continue
+                name, version = str(distribution.metadata["Name"]), str(distribution.version)
+                if name in seen:
+                    continue  # further back on the path: what is imported is the first
+                seen.add(name)
+            except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+                self._problems.append(Problem(f"package {getattr(distribution, '_path', '?')}", str(error)))
+                continue
+            for entry in entries:
+                if (kind := entry.group.removeprefix("aiorts.")) in KINDS:
+                    yield Extension(kind, entry.name, entry.value, f"package {name} {version}")
+
     # -- folders ---------------------------------------------------------------------------------------------------
 
     def _in_folder(self, folder: Path) -> Iterator[Extension]:
         try:
             inside = sorted(path for path in folder.iterdir() if not path.name.startswith((".", "_")))
-        except OSError as error:
-            self._problems.append(Problem(f"folder {folder}", error.strerror or str(error)))
+        except (OSError, ValueError) as error:
+            self._problems.append(Problem(f"folder {folder}", getattr(error, "strerror", None) or str(error)))
             return
-        for place in (folder, *(path for path in inside if path.is_dir())):
-            if (place / "pyproject.toml").is_file():
+        for place in (folder, *(path for path in inside if self._is(path, Path.is_dir))):
+            if self._is(place / "pyproject.toml", Path.is_file):
                 yield from self._declared(place)
-        if (folder / "pyproject.toml").is_file():
+        if self._is(folder / "pyproject.toml", Path.is_file):
             return  # its files are the modules of what it declares
         for path in inside[:_MOST_FILES]:
-            if path.suffix == ".py" and path.is_file():
+            if path.suffix == ".py" and self._is(path, Path.is_file):
                 yield from self._defined(path)
+
+    def _is(self, path: Path, what: Callable[[Path], bool]) -> bool:
+        try:
+            return what(path)
+        except OSError as error:
+            self._problems.append(Problem(f"folder {path.parent}", error.strerror or str(error)))
+            return False
 
     def _declared(self, folder: Path) -> Iterator[Extension]:
         text = self._text(folder / "pyproject.toml")
@@ -157,17 +183,13 @@ class Catalogue:
     def _text(self, path: Path) -> str:
         try:
             with path.open("rb") as file:
-                return file.read(_LARGEST).decode("utf-8")
+                data = file.read(_LARGEST + 1)
+            if len(data) > _LARGEST:
+                raise OSError(f"larger than {_LARGEST} bytes")
+            return data.decode("utf-8")
         except (OSError, UnicodeDecodeError) as error:
             self._problems.append(Problem(f"file {path}", str(error)))
             return ""
-
-
-def _installed() -> Iterator[Extension]:
-    for kind in KINDS:
-        for entry in entry_points(group=f"aiorts.{kind}"):
-            source = "unknown package" if entry.dist is None else f"package {entry.dist.name} {entry.dist.version}"
-            yield Extension(kind, entry.name, entry.value, source)
 
 
 def _says_component(base: ast.expr) -> bool:

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from aiorts.kernel.ledger import Ledger
 from aiorts.kernel.port import OFF, UNLOCKED
@@ -71,6 +71,10 @@ class Connector(Ledger):
         "name",
         "profile",
     )
+
+    _crosses: ClassVar[bool] = False
+    """Whether this is one of `crossing.py`; asked again by a thread that had to wait for the lock: it may have become
+    one meanwhile."""
 
     def __init__(
         self,
@@ -192,6 +196,8 @@ class Connector(Ledger):
     def offer(self, sample: Any) -> bool:
         """Take a sample that need not wait; False when it was rejected."""
         with self._guard():
+            if self._crosses:
+                return self.offer(sample)
             if self.closed:
                 return True
             self._written += 1
@@ -206,6 +212,8 @@ class Connector(Ledger):
     def refuse(self, reason: str) -> None:
         """Count a sample that was written and never got in."""
         with self._guard():
+            if self._crosses:
+                return self.refuse(reason)
             self._written += 1
             self._drop(reason)
 
@@ -255,6 +263,8 @@ class Connector(Ledger):
     def wait_for_room(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting | None:
         """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
         with self._guard():
+            if self._crosses:
+                return self.wait_for_room(sample, future)
             if self.must_wait():
                 return self.queue_up(sample, future)
             self.offer(sample)

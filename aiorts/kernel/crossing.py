@@ -77,6 +77,7 @@ class CrossingConnector(Connector):
     _cross: Sides
     _waiting: Any
     _dropped: Any
+    _crosses = True
     _times_each: ClassVar[bool] = True
     """Whether a send is a sample; of a periodic connector it is a period."""
 
@@ -223,6 +224,8 @@ class CrossingConnector(Connector):
 
     def _replace_newest(self, sample: Any, reason: str, dropped: dict[str, int]) -> bool:
         """In one step, so that the reader never finds nothing; False when it has taken everything."""
+        times = self._times if self._times_each else None
+        began_ns = 0 if times is None else self._monotonic_ns()
         try:
             self._queue[-1] = sample
         except IndexError:
@@ -230,6 +233,8 @@ class CrossingConnector(Connector):
         add(dropped, reason)
         self._arrived_at = next(self.in_._cross.numbers)
         self._settle(dropped, True)
+        if times is not None:
+            times.add(began_ns, self._monotonic_ns())
         return True
 
     def _append(self, sample: Any, counted: bool, dropped: dict[str, int]) -> None:

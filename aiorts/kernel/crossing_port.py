@@ -27,6 +27,7 @@ class CrossingInPort(InPort[T]):
     """An in-port whose connectors cross into or out of a real-time thread. See `InPort`."""
 
     __slots__ = ()
+    _crosses = True
     _cross: Arrivals
 
     def peek(self) -> T | None:

@@ -16,7 +16,7 @@ from aiorts.kernel.crossing_periodic import CrossingPeriodic
 from aiorts.kernel.crossing_port import CrossingInPort
 from aiorts.kernel.ports import InPort, Port
 
-__all__ = ("cross", "cross_all", "fit", "uncross", "uncross_all")
+__all__ = ("cross", "cross_all", "fit", "uncross", "uncross_all", "uncross_unneeded")
 
 
 def cross_all(port: Port[Any]) -> None:
@@ -30,8 +30,13 @@ def cross_all(port: Port[Any]) -> None:
 def uncross_all(port: Port[Any]) -> None:
     """A component with this port has left its real-time thread."""
     for in_port in {id(p): p for p in (port, *(c.in_ for c in port.connectors)) if isinstance(p, InPort)}.values():
-        if isinstance(in_port, CrossingInPort) and not _needed(in_port):
-            uncross(in_port)
+        uncross_unneeded(in_port)
+
+
+def uncross_unneeded(port: InPort[Any]) -> None:
+    """One of its connectors has ended: no thread may be left at this port."""
+    if isinstance(port, CrossingInPort) and not _needed(port):
+        uncross(port)
 
 
 def cross(port: InPort[Any]) -> None:

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import logging
 import os
-import select
-import threading
 import time
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from aiorts.clock import SimulatedClock, SystemClock
-from aiorts.kernel import timers
+from aiorts.kernel import timers, watcher
 from aiorts.kernel.blame import Entry, Glance, judge
 from aiorts.kernel.pauses import Pauses
 from aiorts.kernel.pool import PoolWatch
@@ -42,6 +40,8 @@ _FAST_NS: Final = 2_000_000
 _LAZY_NS: Final = 1_000_000
 """A context with a shorter period than the first re-arms its timer once in the second; it is looked at later by it."""
 _MANY: Final = 50
+_REST: Final = 20
+"""Times the last walk through the books before the next."""
 _SOON_NS: Final = 1_000_000_000
 """With so many contexts all books are gone through once in a second at the most."""
 _MOST_TIMERS: Final = 64
@@ -58,6 +58,7 @@ class _Findings:
         self.seen: dict[tuple[int, str], Entry] = {}
         self.last: tuple[int, Blame] | None = None
         self.walked_ns = -_SOON_NS
+        self.walk_ns = 0
 
 
 class Watch:
@@ -113,7 +114,7 @@ class Watch:
             self._open()
 
     def _open(self) -> None:
-        timer = None if _WATCHER and len(_WATCHER[0].watches) >= _MOST_TIMERS else timers._find_timerfd()
+        timer = None if watcher.watched() >= _MOST_TIMERS else timers._find_timerfd()
         if timer is None:
             return
         try:
@@ -122,8 +123,13 @@ class Watch:
             return  # none left, or blocked by a sandbox: the books alone
         self._fd, self._timer, self._good_until_ns = fd, timer, -1
         self._glances = []
-        _join(self)
-        self._finalizer = weakref.finalize(self, _leave, fd)
+        try:
+            watcher.join(self)
+        except (OSError, RuntimeError):  # no descriptor or thread left: the books alone
+            os.close(fd)
+            self._fd, self._timer, self._good_until_ns, self._glances = -1, None, _NEVER, _NONE
+            return
+        self._finalizer = weakref.finalize(self, watcher.leave, fd)
 
     # -- in the thread of the context ------------------------------------------------------------------------------
 
@@ -207,7 +213,8 @@ class Watch:
         findings, now = self._findings, time.monotonic_ns()
         # With thousands of contexts the books are long; they are not gone through for each that is late.
         few = self._context.exclusive or len(self._kernel._contexts) < _MANY
-        whole = few or now - findings.walked_ns > _SOON_NS
+        # Long books are not gone through all the time: that would make the next cycle late.
+        whole = not self._real or now - findings.walked_ns > (_REST * findings.walk_ns if few else _SOON_NS)
         known = (self._seen or {}) if few else findings.seen
         seen_now = {} if whole else known  # who has left is forgotten
         for member, entry in books(self._kernel, self._context, whole=whole):
@@ -222,10 +229,14 @@ class Watch:
                     if took <= late_ns + self._period_ns:
                         fresh.append(entry._replace(last_ns=took))
                         break
+        if whole:
+            findings.walk_ns = time.monotonic_ns() - now
         if few:
             self._seen = seen_now
         elif whole:
-            findings.walked_ns, findings.seen = now, seen_now
+            findings.seen = seen_now
+        if whole:
+            findings.walked_ns = now
         return fresh
 
     def close(self) -> None:
@@ -246,7 +257,7 @@ class Watch:
         now, used = time.monotonic_ns(), time.process_time_ns()
         since = kernel.clock.real_deadline_ns(due)
         if now < since + self._tolerance_ns:
-            timer.set(self._fd, self._alarm_ns(due + self._lazy_ns, now))
+            self._set(timer, self._alarm_ns(due + self._lazy_ns, now))
             return
         glances = self._glances
         # On time it would have rung at the tolerance, or at twice the delay of the glance before.
@@ -260,7 +271,12 @@ class Watch:
         if len(glances) < _GLANCES:
             glances.append(glance._replace(absent_ns=absent))
             self._glance_cpu = (now, used)
-            timer.set(self._fd, now + max(now - since, _LEAST_NS))
+            self._set(timer, now + max(now - since, _LEAST_NS))
+
+    def _set(self, timer: Timerfd, deadline_ns: int) -> None:
+        with watcher.lock():  # closed, its descriptor may be somebody else's
+            if self._timer is not None:
+                timer.set(self._fd, deadline_ns)
 
 
 class Deadman:
@@ -288,7 +304,7 @@ class Deadman:
         findings = _Findings() if context.exclusive else self._findings
         watch = Watch(context._require_kernel(), context, thread_id, self._pauses, findings)
         if watch._real:
-            with _LOCK:
+            with watcher.lock():
                 self._watching += 1
                 self._pauses.listen()
         return watch
@@ -296,102 +312,7 @@ class Deadman:
     def unwatch(self, watch: Watch) -> None:
         """The context has stopped."""
         watch.close()
-        with _LOCK:
+        with watcher.lock():
             self._watching -= watch._real
             if not self._watching:
                 self._pauses.stop()
-
-
-class _Watcher:
-    """The thread that waits on the timers of all watches of the process."""
-
-    def __init__(self) -> None:
-        self.watches: dict[int, weakref.ref[Watch]] = {}
-        self.ending = False
-        self._epoll = select.epoll()
-        self._bell = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
-        self._epoll.register(self._bell, select.EPOLLIN)
-        self.thread = threading.Thread(target=self._run, name="aiorts deadman", daemon=True)
-        self.thread.start()
-
-    def add(self, fd: int, watch: Watch) -> None:
-        self.watches[fd] = weakref.ref(watch)
-        # Edge-triggered: set anew, a timer rings anew, without anybody reading it.
-        self._epoll.register(fd, select.EPOLLIN | select.EPOLLET)
-
-    def remove(self, fd: int) -> None:
-        del self.watches[fd]
-        self._epoll.unregister(fd)
-        os.close(fd)
-
-    def end(self) -> None:
-        """Have the thread end and wait for it, unless this is it."""
-        self.ending = True
-        os.eventfd_write(self._bell, 1)
-        if threading.current_thread() is not self.thread:
-            self.thread.join(1.0)
-
-    def drop(self) -> None:
-        """In the child of a fork the thread is not there, and what it waited on is shared with the parent."""
-        for fd in (*self.watches, self._bell):
-            os.close(fd)
-        self._epoll.close()
-        for ref in self.watches.values():
-            watch = ref()
-            if watch is not None:
-                watch._timer, watch._good_until_ns, watch._fd = None, _NEVER, -1
-                watch._finalizer.detach()
-        self.watches.clear()
-
-    def _run(self) -> None:
-        timer = timers._find_timerfd()
-        while not self.ending and timer is not None:
-            for fd, _ in self._epoll.poll():
-                ref = self.watches.get(fd)
-                watch = None if ref is None else ref()
-                if watch is not None:
-                    _ring(watch, timer)
-                del watch
-        self._epoll.close()
-        os.close(self._bell)
-
-
-def _ring(watch: Watch, timer: Timerfd) -> None:
-    try:
-        watch.ring(timer)
-    except Exception:  # noqa: BLE001 - what it looks at changes under it; a diagnosis may fail, its thread may not
-        _LOG.debug("a glance at %s failed", watch._context.name, exc_info=True)
-
-
-_LOCK = threading.RLock()
-_WATCHER: list[_Watcher] = []
-_FORKS: list[Callable[[], Any]] = []
-
-
-def _join(watch: Watch) -> None:
-    with _LOCK:
-        if not _WATCHER:
-            _WATCHER.append(_Watcher())
-            if not _FORKS:
-                _FORKS.append(_forked)
-                os.register_at_fork(after_in_child=_forked)
-        _WATCHER[0].add(watch._fd, watch)
-
-
-def _leave(fd: int) -> None:
-    # Re-entrant: a watch that nobody closed goes with its context, whenever the collector finds it.
-    with _LOCK:
-        if _WATCHER and fd in _WATCHER[0].watches:
-            watcher = _WATCHER[0]
-            watcher.remove(fd)
-            if not watcher.watches:
-                _WATCHER.clear()
-                watcher.end()
-
-
-def _forked() -> None:
-    global _LOCK
-    _LOCK = threading.RLock()
-    for watcher in _WATCHER:
-        watcher.drop()
-    _WATCHER.clear()

@@ -53,6 +53,7 @@ class InPort(Port[T]):
     )
 
     direction: ClassVar[str] = "in"
+    _crosses: ClassVar[bool] = False  # asked with the lock held: it may have become a crossing one meanwhile
 
     def __init__(
         self,
@@ -69,15 +70,11 @@ class InPort(Port[T]):
         self._last: T = NOTHING
         """The sample read last, in this cycle of an event context; it sets it aside when the next one begins."""
         self._before: T | None = None
-        self._direct: deque[T] = OFF
-        """The queue that `_fast` is while nobody waits for room in it."""
-        self._plain = False
-        """Whether reading is the same at every connector: no lock, no stamp, no check."""
-        self._read_stamps = 0
-        """Connectors that stamp when a sample is read."""
+        self._direct: deque[T] = OFF  # the queue that `_fast` is while nobody waits for room in it
+        self._plain = False  # whether reading is the same at every connector: no lock, no stamp, no check
+        self._read_stamps = 0  # connectors that stamp when a sample is read
         self._tokens: deque[Connector] | None = None
-        self._arrivals = 0
-        """Samples that arrived while there were several connectors."""
+        self._arrivals = 0  # samples that came while there were several connectors
         self._source: Connector | None = None
         self._sole: Connector | None = None
         self._sole_delivered = 0
@@ -144,6 +141,8 @@ class InPort(Port[T]):
         """The oldest unread sample, which stays unread; None when there is none."""
         self._bound()
         with self._guard():
+            if self._crosses:
+                return self.peek()
             connector = self._next()
             return None if connector is None else cast("T", connector._queue[0])
 
@@ -157,6 +156,8 @@ class InPort(Port[T]):
             return samples
         samples = []
         with self._guard():
+            if self._crosses:
+                return self.drain()
             while self._unread():
                 samples.append(self.read_nowait())
         return samples
@@ -242,6 +243,8 @@ class InPort(Port[T]):
                 return cast("T", sample)
         self._bound()
         with self._guard():
+            if self._crosses:
+                return self._read_general()
             connector = self._next()
             if connector is None:
                 self._raise_if_removed()
@@ -255,6 +258,8 @@ class InPort(Port[T]):
     def _latest_general(self) -> T | None:
         self._bound()
         with self._guard():
+            if self._crosses:
+                return self._latest_general()
             connector = self._newest()
             if connector is None:
                 return self._kept()

@@ -350,12 +350,11 @@ class OutPort(Port[T]):
     def _refresh(self) -> None:
         # Only noted: with many connectors each change would else cost as much as all of them.
         self._stale = True
-        self._class = _NoClass
-        self._fast = OFF
-        self._room = 0
+        self._class, self._fast, self._room = _NoClass, OFF, 0
 
     def _choose_path(self) -> None:
         self._stale = False  # first: what another thread changes from here on marks it once more
+        self._class, self._fast, self._room = _NoClass, OFF, 0
         host, connectors = self._host, self._connectors
         if host is None:
             return

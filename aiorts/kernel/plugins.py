@@ -57,8 +57,16 @@ def load(extension: Extension) -> Any:
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(f"{where} cannot be loaded: {type(error).__name__}: {error}") from error
+        raise PluginError(f"{where} cannot be loaded: {type(error).__name__}: {_text(error)}") from error
     return found
+
+
+def _text(thing: object) -> str:
+    """What a plugin's object says of itself, as far as it does."""
+    try:
+        return str(thing)
+    except Exception:  # noqa: BLE001 - a plugin's border
+        return "(its text cannot be had)"
 
 
 async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: float = _LONGEST) -> type[T]:
@@ -103,7 +111,8 @@ async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: f
         if held is not None:
             held.release()
     if not (isinstance(found, type) and issubclass(found, base)):
-        raise PluginError(f"{_named(extension)}: {found!r:.80} is no class derived from {base.__name__}")
+        kind = getattr(found, "__qualname__", None) or f"an object of {type(found).__qualname__}"
+        raise PluginError(f"{_named(extension)}: {kind} is no class derived from {base.__name__}")
     return found
 
 
@@ -138,14 +147,18 @@ def load_file(path: Path) -> ModuleType:
     Raises:
         BaseException: whatever its import does.
     """
-    name = f"aiorts_system.{path.parent.name}.{path.stem}"
-    loaded = sys.modules.get(name)
-    if loaded is not None and loaded.__file__ == str(path):
-        return loaded
-    if loaded is not None:
-        name = f"{name}_{zlib.crc32(str(path).encode()):08x}"
-        if name in sys.modules:
-            return sys.modules[name]
+    with _lock_of(path):  # one that is being imported by another thread is waited for, not taken half done
+        name = f"aiorts_system.{path.parent.name}.{path.stem}"
+        for taken in (name, f"{name}_{zlib.crc32(str(path).encode()):08x}"):
+            loaded = sys.modules.get(taken)
+            if loaded is None:
+                return _executed(taken, path)
+            if loaded.__file__ == str(path):
+                return loaded
+    raise ImportError(f"{path}: another module has its name {name}")
+
+
+def _executed(name: str, path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise ImportError(f"{path} is no Python file")
@@ -157,6 +170,16 @@ def load_file(path: Path) -> ModuleType:
         del sys.modules[name]
         raise
     return module
+
+
+_LOCK = threading.Lock()
+_LOCKS: dict[str, threading.RLock] = {}
+"""One for each file: an import that never ends holds up nobody else's."""
+
+
+def _lock_of(path: Path) -> threading.RLock:
+    with _LOCK:
+        return _LOCKS.setdefault(str(path), threading.RLock())
 
 
 def _make_importable(folder: Path) -> None:

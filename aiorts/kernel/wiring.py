@@ -101,6 +101,7 @@ def unwire(connector: Connector) -> None:
             in_._settle_tokens()
         in_._refresh()
     _refresh_writers(out, in_, several)
+    crossings.uncross_unneeded(in_)
 
 
 def _refresh_writers(out: OutPort[Any], in_: InPort[Any], several: bool) -> None:

@@ -82,7 +82,7 @@ class LineReader:
             return self._port(""), self._form("").sample(plain, now_ns)
         for key in plain:
             if key not in _KEYS:
-                near = get_close_matches(key, _KEYS, n=1)
+                near = get_close_matches(key[:100], _KEYS, n=1)
                 hint = f"did you mean {near[0]!r}?" if near else f"a line has {', '.join(_KEYS)}"
                 raise RecordError(f"unknown key {_shown(key)}; {hint}")
         port = plain.get("port", "")
@@ -141,9 +141,11 @@ def _no_constant(name: str) -> NoReturn:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the key {_shown(twice)} stands there twice")
+        seen: set[str] = set()
+        for name, _ in pairs:
+            if name in seen:
+                raise ValueError(f"the key {_shown(name)} stands there twice")
+            seen.add(name)
     return found
 
 

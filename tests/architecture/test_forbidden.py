@@ -43,8 +43,10 @@ BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run_quickly",
     "aiorts/kernel/bus.py:publish",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
-    "aiorts/kernel/deadman.py:_ring",
+    "aiorts/kernel/watcher.py:_ring",
     "aiorts/kernel/plugins.py:load",
+    # What an exception of a plugin says of itself may raise in its turn.
+    "aiorts/kernel/plugins.py:_text",
     "aiorts/kernel/solo.py:_run",
     "aiorts/contexts/thread.py:_call",
     # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.

@@ -171,7 +171,7 @@ def test_an_extension_that_is_no_component_is_refused(tmp_path: Path) -> None:
 
     async def main() -> None:
         async with Kernel(plugins=Catalogue([tmp_path])) as kernel:
-            with pytest.raises(PluginError, match="5 is no class derived from Component"):
+            with pytest.raises(PluginError, match="an object of int is no class derived from Component"):
                 await kernel.create("Odd")
 
     asyncio.run(main())
