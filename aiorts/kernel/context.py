@@ -326,7 +326,11 @@ class Context(Members):
 
     def _activity(self) -> int:
         """A number that changes while something happens here."""
-        return self.ticks + (0 if self._driver is None else self._driver.hooks_run)
+        driver = self._driver
+        if driver is None:
+            return self.ticks
+        member = driver.current
+        return hash((self.ticks, driver.hooks_run, 0 if member is None else member.order))
 
     # -- for the drivers -------------------------------------------------------------------------------------------
 
