@@ -158,3 +158,7 @@ class DriverState:
     def beware_of_sharing(self) -> None:
         """The component whose hook runs now is in a second context from now on."""
         self._joined = self._careful = True
+
+    def abandon(self) -> None:
+        """The hook ignored every cancellation: go on without it."""
+        raise NotImplementedError
