@@ -27,7 +27,6 @@ __all__ = ("EventContext",)
 _FOR_EVER = Wait(None)
 _order = attrgetter("order")
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
-_ACTIVE = LifeCycleState.ACTIVE
 _INACTIVE = LifeCycleState.INACTIVE
 
 
@@ -104,15 +103,15 @@ class EventContext(Context):
             ready.pop()
         return _FOR_EVER
 
-    def _alone(self) -> tuple[Member, ...]:
+    def _alone(self) -> Member | None:
         # Written out: this stands between a sample and the hook it is for.
         ready = self._ready
         if len(ready) != 1 or self._everyone or self._actions or self._stopping or self._updating:
-            return ()
+            return None
         member = ready[0]
         rung = member.rung
-        if len(rung) != 1 or not rung[0]._direct or member.state is not _ACTIVE or member.failure is not None:
-            return ()
+        if len(rung) != 1 or not rung[0]._direct or member.execute is None:
+            return None
         ready.clear()
         rung[0]._armed = True
         rung.clear()
@@ -121,7 +120,7 @@ class EventContext(Context):
             if port._last is not NOTHING:
                 port._before, port._last = port._last, NOTHING
         self.ticks += 1
-        return (member,)
+        return member
 
     def _begin_cycle(self) -> Sequence[Member]:
         everyone, self._everyone = self._everyone, ()

@@ -85,14 +85,14 @@ class TaskDriver(DriverState):
                         self._sleeper = None
                         self._kicked = False
                         alone = self.context._alone()
-                        if alone:
+                        if alone is not None:
                             self._batch = _NOTHING_LEFT  # for who takes over
                             if self._careful:
-                                await self._run_and_record(alone[0], "on_execute")
+                                await self._run_and_record(alone, "on_execute")
                             else:
-                                await self._run_quickly(iter(alone))
+                                await self._run_one(alone)
                             self._batch = None
-                            self.context._end_cycle(alone)
+                            self.context._end_cycle((alone,))
                             if self._kicked:  # work is left, or somebody wants something
                                 self._kicked = False
                                 await give_turn()
@@ -191,6 +191,25 @@ class TaskDriver(DriverState):
                 if elapsed_ns > times.max_ns:
                     times.max_ns = elapsed_ns
         self._member = None
+
+    async def _run_one(self, member: Member) -> None:
+        """`_run_quickly` for one member that has an `execute`: this stands between a sample and the hook it is for."""
+        timing, task = self.context.timing, self.task
+        begun_ns = self.context._now_ns() if timing else 0
+        error: BaseException | None = None
+        self._member = member
+        try:
+            result = await member.execute() if member.awaits else member.execute()  # type: ignore[misc] # it has one
+        except BaseException as raised:  # noqa: BLE001 - the border round a hook
+            error = result = raised
+        if result is not None or self._careful:
+            if self.task is not task:
+                raise _LeftBehind
+            await self._end_oddly(member, error, result, begun_ns)
+            return
+        self._member = None
+        if timing:
+            member.timed("on_execute").add(self.context._now_ns() - begun_ns)
 
     async def _end_oddly(self, member: Member, error: BaseException | None, result: object, begun_ns: int) -> None:
         """The end of a hook that was begun quickly and did not simply return, or was not to be left alone meanwhile."""

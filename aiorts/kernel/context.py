@@ -178,9 +178,9 @@ class Context(Members):
         """None when a cycle is due, else what to wait for."""
         raise NotImplementedError
 
-    def _alone(self) -> tuple[Member, ...]:
+    def _alone(self) -> Member | None:
         """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; as `Life` would, sooner."""
-        return ()
+        return None
 
     def _begin_cycle(self) -> Sequence[Member]:
         """A cycle begins now: who takes part in it."""
