@@ -358,3 +358,20 @@ def test_a_trigger_for_all_is_for_those_who_are_active_when_the_cycle_begins() -
                 await context.stop()
 
     simulate(main)
+
+
+@pytest.mark.row(28)
+def test_what_was_read_between_cycles_is_no_reason_to_run_again_after_a_trigger_for_all() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            idler, sender = await kernel.add(Reader("idler", share=0)), await kernel.add(Sender("sender"))
+            await kernel.connect(sender.output, idler.input)
+            context = await kernel.start(EventContext(), idler, activate=True)
+            sender.send(1, 2)
+            await asyncio.sleep(0.01)
+            assert (idler.input.read_nowait().data, context.ticks) == (1, 1)
+            context.trigger()
+            await asyncio.sleep(0.01)
+            assert (idler.runs, context.ticks) == ([[], []], 2)
+
+    simulate(main)
