@@ -27,7 +27,6 @@ __all__ = ("EventContext",)
 _FOR_EVER = Wait(None)
 _order = attrgetter("order")
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
-_ACTIVE = LifeCycleState.ACTIVE
 _INACTIVE = LifeCycleState.INACTIVE
 
 
@@ -39,25 +38,39 @@ class EventContext(Context):
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
         self._ready: list[Member] = []
+        """Each of these is marked ready. Empty while the context sleeps: whoever makes the first entry wakes it."""
+        self._everyone: Sequence[Member] = ()
+        """Who was there when all were triggered at once: as good as ready and triggered, without a mark on each."""
+        self._listening = 0
+        """In-ports that wake members."""
 
     def trigger(self, *components: Component) -> None:
         """Give these members, or all, a cause to run. Triggers before the next cycle coalesce."""
         self._check("trigger")
-        self._make_ready([self._member(component) for component in components] if components else self._members)
+        if components:
+            self._make_ready([self._member(component) for component in components])
+        else:
+            self._everyone = self._members.copy()
+            if self._driver is not None:
+                self._driver.kick()
 
     def _make_ready(self, members: Sequence[Member]) -> None:
+        self._mark(members)
+        if self._driver is not None:
+            self._driver.kick()
+
+    def _mark(self, members: Sequence[Member]) -> None:
         ready = self._ready
         for member in members:
             member.triggered = True
             if not member.ready:
                 member.ready = True
                 ready.append(member)
-        if self._driver is not None:
-            self._driver.kick()
 
     def _member_ready(self, member: Member) -> None:
-        self._ready.append(member)
-        if self._driver is not None:
+        ready = self._ready
+        ready.append(member)
+        if len(ready) == 1 and self._driver is not None:
             self._driver.kick()
 
     def _member_aborted(self, member: Member) -> None:
@@ -66,16 +79,23 @@ class EventContext(Context):
     def _port_added(self, member: Member, port: Port[object]) -> None:
         super()._port_added(member, port)
         if isinstance(port, InPort):
+            self._listening += 1
             port._wakes += (member.ring,)
             port._arm()
 
     def _port_removed(self, member: Member, port: Port[object]) -> None:
+        known = port in member.in_ports
         super()._port_removed(member, port)
-        if isinstance(port, InPort):
+        if isinstance(port, InPort) and known:
+            self._listening -= 1
             port._wakes = tuple(wake for wake in port._wakes if wake != member.ring)
             port._arm()
 
     def _next_cause(self) -> Wait | None:
+        if self._everyone:
+            if any(member.execute is not None or _can_run(member) for member in self._everyone):
+                return None
+            self._everyone = ()
         ready = self._ready
         while ready:
             if _has_cause(ready[-1]):
@@ -83,15 +103,15 @@ class EventContext(Context):
             ready.pop()
         return _FOR_EVER
 
-    def _alone(self) -> tuple[Member, ...]:
+    def _alone(self) -> Member | None:
         # Written out: this stands between a sample and the hook it is for.
         ready = self._ready
-        if len(ready) != 1 or self._actions or self._stopping or self._updating:
-            return ()
+        if len(ready) != 1 or self._everyone or self._actions or self._stopping or self._updating:
+            return None
         member = ready[0]
         rung = member.rung
-        if len(rung) != 1 or not rung[0]._direct or member.state is not _ACTIVE or member.failure is not None:
-            return ()
+        if len(rung) != 1 or not rung[0]._direct or member.execute is None:
+            return None
         ready.clear()
         rung[0]._armed = True
         rung.clear()
@@ -100,28 +120,65 @@ class EventContext(Context):
             if port._last is not NOTHING:
                 port._before, port._last = port._last, NOTHING
         self.ticks += 1
-        return (member,)
+        return member
 
     def _begin_cycle(self) -> Sequence[Member]:
+        everyone, self._everyone = self._everyone, ()
+        if everyone:
+            if not self._ready:
+                return self._begin_for_all(everyone)
+            self._mark(everyone)
         ready, self._ready = self._ready, []
         if len(ready) > 1:
             ready.sort(key=_order)
         members = []
         for member in ready:
-            if (member.triggered and member.execute is not None) or _has_cause(member):
-                members.append(member)
-                member.ready = member.triggered = False
-                if member.rung:
+            rung = member.rung
+            if member.execute is not None and len(rung) == 1 and rung[0]._direct:
+                # Written out: the one that data came for, through the port that nobody else writes or reads.
+                rung[0]._armed = True
+                rung.clear()
+            elif (member.triggered and member.execute is not None) or _has_cause(member):
+                if rung:
                     member.rearm()
-                for port in member.in_ports:
-                    if port._last is not NOTHING:
-                        port._before, port._last = port._last, NOTHING
+            else:
+                continue
+            members.append(member)
+            member.ready = member.triggered = False
+            for port in member.in_ports:
+                if port._last is not NOTHING:
+                    port._before, port._last = port._last, NOTHING
+        return members
+
+    def _begin_for_all(self, everyone: Sequence[Member]) -> Sequence[Member]:
+        """All were triggered and nobody has another cause: no flag is set, no port has rung."""
+        if not self._listening:
+            return everyone  # who cannot run is passed over
+        members = [member for member in everyone if member.execute is not None or _can_run(member)]
+        for member in members:
+            for port in member.in_ports:
+                if port._last is not NOTHING:
+                    port._before, port._last = port._last, NOTHING
         return members
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
-        again = [m for m in members if m.in_ports and m.active and _took_and_left(m)]
+        if not self._listening:
+            return
+        again = []
+        # Written out: this ends every cycle.
+        for member in members:
+            for port in member.in_ports:
+                if port._last is not NOTHING:
+                    queue = port._direct
+                    if (queue or queue is OFF or len(member.in_ports) > 1) and member.active and _left_unread(member):
+                        again.append(member)
+                    break
         if again:
             self._make_ready(again)
+
+
+def _can_run(member: Member) -> bool:
+    return member.state is not _INACTIVE and not member.left
 
 
 def _has_cause(member: Member) -> bool:
@@ -147,14 +204,7 @@ def _has_cause(member: Member) -> bool:
     return False
 
 
-def _took_and_left(member: Member) -> bool:
-    """Whether a member read at least one sample and unread data remains."""
-    # Written out: this ends every cycle.
-    for port in member.in_ports:
-        if port._last is not NOTHING:
-            break
-    else:
-        return False
+def _left_unread(member: Member) -> bool:
     for port in member.in_ports:
         queue = port._direct
         if queue or (queue is OFF and port._unread()):

@@ -160,6 +160,12 @@ class ThreadDriver:
         """The member whose hook runs now."""
         return self._member
 
+    def beware(self) -> None:
+        """Observers of hooks came or went: looked at before each hook."""
+
+    def beware_of_sharing(self) -> None:
+        """Not of a thread's."""
+
     def kick(self) -> None:
         """Somebody wants something: do not wait on. From any thread."""
         with self._changed:

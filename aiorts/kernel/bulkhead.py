@@ -10,13 +10,12 @@ a new one: repeated delivery, as cancel scopes do it, would pin a core.
 from __future__ import annotations
 
 import asyncio
-import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from aiorts.kernel.bus import Bus, HookAfter, HookBefore
-from aiorts.kernel.deadlines import StopBudget
-from aiorts.kernel.driver_task import DriverTask, resolve, wait_for_turn
+from aiorts.kernel.driver_state import DriverState
+from aiorts.kernel.driver_task import DriverTask, wait_for_turn
 from aiorts.kernel.hooks import HookKind, bad_return
 from aiorts.kernel.life import Batch, Call, Steps, Wait, first_pass
 from aiorts.kernel.port import give_turn
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ("TaskDriver",)
 
-_LOG = logging.getLogger("aiorts.kernel")
 _ABSENT = HookKind.ABSENT
 _ASYNC = HookKind.ASYNC
 _NOTHING_LEFT = Batch(iter(()), first_pass)
@@ -41,33 +39,10 @@ class _LeftBehind(BaseException):
     """This task was abandoned and its hook has returned after all: it must touch nothing any more."""
 
 
-class TaskDriver:
+class TaskDriver(DriverState):
     """Carries out the steps of a context's life in a task of its own."""
 
-    __slots__ = (
-        "__weakref__",
-        "_batch",
-        "_bus",
-        "_call_at",
-        "_careful",
-        "_ended",
-        "_kicked",
-        "_member",
-        "_over",
-        "_sleeper",
-        "_steps",
-        "_stopped_by_host",
-        "_watch",
-        "budget",
-        "call_later",
-        "cancelled_by_others",
-        "context",
-        "deadline",
-        "hooks_run",
-        "loop",
-        "task",
-        "turn",
-    )
+    __slots__ = ()
 
     def __init__(
         self,
@@ -78,79 +53,8 @@ class TaskDriver:
         call_later: Callable[[float, Callable[[], None]], Cancellable],
         bus: Bus,
     ) -> None:
-        self.context = context
-        self.loop = loop
-        self.call_later = call_later
-        self.deadline: float | None = context.deadline
-        self.budget: StopBudget | None = None
-        self.hooks_run = 0
-        self._stopped_by_host = self.cancelled_by_others = False
-        self._careful = False
-        """Whether hooks take the long way: they have a deadline, a stop began, or somebody cancelled."""
-        self._bus = bus
-        self._call_at = call_at
-        self._steps = steps
-        self._batch: Batch | None = None
-        self._member: Member | None = None
-        self._watch: Watch | None = None
-        self._sleeper: asyncio.Future[None] | None = None
-        self.turn: asyncio.Future[bool] | None = None
-        self._kicked = False
-        self._over = False
-        self._ended: asyncio.Future[None] | None = None
-        self._beware()
+        super().__init__(context, steps, loop, call_at, call_later, bus)
         self.task = DriverTask(self, self._drive(None))
-
-    @property
-    def ended(self) -> asyncio.Future[None]:
-        """Done when the last step was carried out; made when somebody asks for it first."""
-        if self._ended is None:
-            self._ended = self.loop.create_future()
-            if self._over:
-                self._ended.set_result(None)
-        return self._ended
-
-    @property
-    def current(self) -> Member | None:
-        """The member whose hook runs now."""
-        return self._member
-
-    def kick(self) -> None:
-        """Somebody wants something: do not sleep on. In the loop's thread only."""
-        sleeper = self._sleeper
-        if sleeper is not None and not sleeper.done():
-            sleeper.set_result(None)
-        else:
-            self._kicked = True
-
-    def hurry(self, budget: StopBudget) -> None:
-        """A stop began: hooks are limited from now on, the one that runs included."""
-        if self.budget is None:
-            self.budget = budget
-            self._careful = True
-            if self._watch is None and self._member is not None:
-                self._watch = Watch(self)
-                self._watch.arm()
-            elif self._watch is not None:
-                self._watch.rearm()
-            elif self.turn is not None:
-                self.loop.call_later(budget.limit, resolve, self.turn, False)
-
-    def stop_for_host(self) -> None:
-        """The application cancelled the context's task: an odd way to stop it, but a clear one."""
-        context = self.context
-        if not context._stopping:
-            _LOG.warning("context %s: its task was cancelled by the application; it stops", context.name)
-            context._stopping = self._stopped_by_host = True
-            self.hurry(StopBudget(self.loop))
-            self.kick()
-
-    def beware_of_cancellation(self) -> None:
-        """Somebody else cancels the hook that runs now."""
-        self.cancelled_by_others = self._careful = True
-
-    def _beware(self) -> None:
-        self._careful = self.deadline is not None or self.budget is not None
 
     # -- the task --------------------------------------------------------------------------------------------------
 
@@ -166,6 +70,8 @@ class TaskDriver:
                     if step.hook_of is first_pass and not self._careful:
                         self._batch = step
                         await self._run_quickly(step.members)
+                        if self._careful:  # for what is left
+                            await self._run_batch(step)
                         self._batch = None
                     else:
                         await self._run_batch(step)
@@ -179,11 +85,14 @@ class TaskDriver:
                         self._sleeper = None
                         self._kicked = False
                         alone = self.context._alone()
-                        if alone:
+                        if alone is not None:
                             self._batch = _NOTHING_LEFT  # for who takes over
-                            await self._run_quickly(alone)
+                            if self._careful:
+                                await self._run_and_record(alone, "on_execute")
+                            else:
+                                await self._run_one(alone)
                             self._batch = None
-                            self.context._end_cycle(alone)
+                            self.context._end_cycle((alone,))
                             if self._kicked:  # work is left, or somebody wants something
                                 self._kicked = False
                                 await give_turn()
@@ -234,26 +143,28 @@ class TaskDriver:
         if error is not None:
             self.context._life.failed(member, hook, error)
 
-    async def _run_quickly(self, members: Iterable[Member]) -> None:
+    async def _run_quickly(self, members: Iterator[Member]) -> None:
         """The first pass of a cycle: `_run_batch` and `_run`, written out for hooks that nothing unusual is about.
 
+        What is unusual was laid out before: in `Member.execute` what is so with the member, in `_careful` the rest;
+        it returns early when that is set.
         Between two hooks nothing runs but this: the end of one is the beginning of the next.
         """
-        context, bus, now_ns = self.context, self._bus, self.context._now_ns
-        task, timing, careful, run = self.task, context.timing, self._careful, self.hooks_run
+        now_ns, timing, task = self.context._now_ns, self.context.timing, self.task
+        error: BaseException | None = None
         begun_ns = now_ns() if timing else 0
-        error = None
         for member in members:
-            execute, gate = member.execute, member.gate
-            if execute is None or gate.inside is not None or gate.waiting or careful or bus.hooks_wanted:
+            execute = member.execute
+            if execute is None:
                 hook = first_pass(member)
                 if hook:
+                    self._member = None
                     await self._run_and_record(member, hook)
-                    careful, run = self._careful, self.hooks_run
-                begun_ns = now_ns() if timing else 0
+                    if self._careful:
+                        break
+                    begun_ns = now_ns() if timing else 0
                 continue
-            self._member = gate.inside = member
-            self.hooks_run = run = run + 1
+            self._member = member
             try:
                 result = await execute() if member.awaits else execute()
             except BaseException as raised:  # noqa: BLE001 - the border round a hook
@@ -261,16 +172,17 @@ class TaskDriver:
             if result is not None or self._careful:
                 if self.task is not task:
                     raise _LeftBehind
-                error = await self._outcome(member, "on_execute", error, result)
-                careful = self._careful
-            self._member = gate.inside = None
-            if gate.waiting:
-                gate.pass_on()
-            if timing:
+                await self._end_oddly(member, error, result, begun_ns)
+                if self._careful:
+                    break
+                error = None
+                begun_ns = now_ns() if timing else 0
+            elif timing:
                 ended_ns = now_ns()
                 times = member.execute_times
                 if times is None:
                     times = member.timed("on_execute")
+                # `HookTimes.add`, written out.
                 elapsed_ns = ended_ns - begun_ns
                 begun_ns = ended_ns
                 times.count += 1
@@ -278,10 +190,45 @@ class TaskDriver:
                 times.last_ns = elapsed_ns
                 if elapsed_ns > times.max_ns:
                     times.max_ns = elapsed_ns
-            if error is not None:
-                context._life.failed(member, "on_execute", error)
-                error, careful = None, self._careful
-                begun_ns = now_ns() if timing else 0
+        self._member = None
+
+    async def _run_one(self, member: Member) -> None:
+        """`_run_quickly` for one member that has an `execute`: this stands between a sample and the hook it is for."""
+        timing, task = self.context.timing, self.task
+        begun_ns = self.context._now_ns() if timing else 0
+        error: BaseException | None = None
+        self._member = member
+        try:
+            result = await member.execute() if member.awaits else member.execute()  # type: ignore[misc] # it has one
+        except BaseException as raised:  # noqa: BLE001 - the border round a hook
+            error = result = raised
+        if result is not None or self._careful:
+            if self.task is not task:
+                raise _LeftBehind
+            await self._end_oddly(member, error, result, begun_ns)
+            return
+        self._member = None
+        if timing:
+            member.timed("on_execute").add(self.context._now_ns() - begun_ns)
+
+    async def _end_oddly(self, member: Member, error: BaseException | None, result: object, begun_ns: int) -> None:
+        """The end of a hook that was begun quickly and did not simply return, or was not to be left alone meanwhile."""
+        error = await self._outcome(member, "on_execute", error, result)
+        self._leave(member)
+        if self.context.timing:
+            member.timed("on_execute").add(self.context._now_ns() - begun_ns)
+        if error is not None:
+            self.context._life.failed(member, "on_execute", error)
+
+    def _leave(self, member: Member) -> None:
+        """No hook of this member runs now."""
+        gate = member.gate
+        self._member = gate.inside = None
+        if self._joined:
+            self._joined = False
+            self.beware()
+        if gate.waiting:
+            gate.pass_on()
 
     async def _run(self, member: Member, hook: str, args: tuple[Any, ...]) -> BaseException | None:
         """Run one hook; whatever comes out of it is this component's affair."""
@@ -320,10 +267,8 @@ class TaskDriver:
             raise _LeftBehind
         if error is not None or result is not None or self._watch is not None or self.cancelled_by_others:
             error = await self._outcome(member, hook, error, result)
-        self._member = gate.inside = None
+        self._leave(member)
         member.hook = "on_execute"
-        if gate.waiting:
-            gate.pass_on()
         if context.timing:
             member.timed(hook).add(context._now_ns() - started_ns)
         if watched:
@@ -358,7 +303,7 @@ class TaskDriver:
 
     def _uncancel(self) -> None:
         self.cancelled_by_others = False
-        self._beware()
+        self.beware()
         while self.task.cancelling():
             self.task.uncancel()
 
@@ -386,10 +331,10 @@ class TaskDriver:
         component._rt_abandoned = error
         for other in component._rt_members:
             other.abandoned = True
-        self._member = self._watch = member.gate.inside = None
-        member.hook = "on_execute"
+        self._watch = None
         self.cancelled_by_others = False
-        member.gate.pass_on()
+        self._leave(member)
+        member.hook = "on_execute"
         if self.context._hooks_wanted():
             self.context._publish(HookAfter(component.name, self.context.name, hook, error))
         if self._batch is not None:

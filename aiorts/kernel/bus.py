@@ -210,7 +210,8 @@ _QUIET = (HookBefore, HookAfter)
 class Bus:
     """Who wants to hear of what."""
 
-    def __init__(self) -> None:
+    def __init__(self, hooks_wanted_changed: Callable[[], None] = lambda: None) -> None:
+        self._hooks_wanted_changed = hooks_wanted_changed
         self._observers: list[tuple[type[Event], Callable[[Any], object]]] = []
         self.hooks_wanted = False
         """Whether anybody asked for HookBefore or HookAfter: they cost nothing otherwise."""
@@ -244,4 +245,7 @@ class Bus:
                     _LOG.exception("observer %r failed at %r", observer, event)
 
     def _recount(self) -> None:
-        self.hooks_wanted = any(kind in _QUIET for kind, _ in self._observers)
+        wanted = any(kind in _QUIET for kind, _ in self._observers)
+        if self.hooks_wanted is not wanted:
+            self.hooks_wanted = wanted
+            self._hooks_wanted_changed()

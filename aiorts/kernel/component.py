@@ -158,7 +158,13 @@ class Component:
     @property
     def _rt_running(self) -> Member | None:
         """The member whose hook runs now."""
-        return self._rt_gate.inside
+        gate = self._rt_gate
+        if gate.inside is None and not gate.shared and self._rt_members:
+            # In one context its hooks may pass by the gate.
+            member = self._rt_members[0]
+            driver = member.context._driver
+            return member if driver is not None and driver.current is member else None
+        return gate.inside
 
     def _rt_log_fields(self) -> LogFields:
         kernel = self._rt_kernel.name if self._rt_kernel is not None else ""

@@ -178,9 +178,9 @@ class Context(Members):
         """None when a cycle is due, else what to wait for."""
         raise NotImplementedError
 
-    def _alone(self) -> tuple[Member, ...]:
+    def _alone(self) -> Member | None:
         """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; as `Life` would, sooner."""
-        return ()
+        return None
 
     def _begin_cycle(self) -> Sequence[Member]:
         """A cycle begins now: who takes part in it."""
@@ -326,7 +326,11 @@ class Context(Members):
 
     def _activity(self) -> int:
         """A number that changes while something happens here."""
-        return self.ticks + (0 if self._driver is None else self._driver.hooks_run)
+        driver = self._driver
+        if driver is None:
+            return self.ticks
+        member = driver.current
+        return hash((self.ticks, driver.hooks_run, 0 if member is None else member.order))
 
     # -- for the drivers -------------------------------------------------------------------------------------------
 

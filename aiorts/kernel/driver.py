@@ -16,6 +16,7 @@ class Driver(Protocol):
     """A task on the loop (`bulkhead.py`) or a thread."""
 
     hooks_run: int
+    """Together with the context's ticks and the current member it changes with each hook."""
 
     @property
     def ended(self) -> asyncio.Future[None]:
@@ -25,6 +26,14 @@ class Driver(Protocol):
     @property
     def current(self) -> Member | None:
         """The member whose hook runs now."""
+        ...
+
+    def beware(self) -> None:
+        """Observers of hooks came or went."""
+        ...
+
+    def beware_of_sharing(self) -> None:
+        """The component whose hook runs now is in a second context from now on."""
         ...
 
     def kick(self) -> None:

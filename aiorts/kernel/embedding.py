@@ -127,12 +127,12 @@ def settle(kernel: Kernel, loop: asyncio.AbstractEventLoop) -> None:
 def _creator(task: Any) -> Any:
     """Who made a task, so that one can tell whether it still runs: one run of a hook, or a task."""
     driver = getattr(task, "_aiorts_driver", None)
-    return task if driver is None else (driver, driver.hooks_run)
+    return task if driver is None else (driver, driver.run)
 
 
 def _still_runs(task: Any) -> bool:
     creator = task._aiorts_creator
     if isinstance(creator, tuple):
         driver, run = creator
-        return driver.hooks_run == run and driver.current is not None
+        return bool(driver.run == run)
     return not creator.done()

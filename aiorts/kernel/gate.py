@@ -1,11 +1,13 @@
 """A component in several contexts is entered by one at a time, in the order they came.
 
-A component in one context finds its gate open and pays for looking, no more.
+A component in one context, and never yet in two, has nobody to wait for: its hooks pass by the gate and may leave no
+trace at it. Whoever brings it into a second context says so (`share`).
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,11 +19,13 @@ __all__ = ("Gate",)
 class Gate:
     """The way into one component. On the kernel's loop only."""
 
-    __slots__ = ("inside", "waiting")
+    __slots__ = ("inside", "shared", "waiting")
 
     def __init__(self) -> None:
         self.inside: Member | None = None
-        """The member whose hook runs now."""
+        """The member whose hook runs now; always, once the gate is shared."""
+        self.shared = False
+        """Whether the component is, or ever was, in several contexts."""
         self.waiting: dict[asyncio.Future[bool], None] | None = None
         """Who wants to come in, in the order they came; None as long as nobody ever did."""
 
@@ -29,6 +33,18 @@ class Gate:
     def open(self) -> bool:
         """Whether nobody is inside and nobody came first."""
         return self.inside is None and not self.waiting
+
+    def share(self, members: Sequence[Member]) -> None:
+        """The component is in several contexts from now on: as these members, one of which may have a hook running."""
+        if self.shared:
+            return
+        self.shared = True
+        for member in members:
+            member.settle()
+            driver = member.context._driver
+            if driver is not None and driver.current is member and self.inside is None:
+                self.inside = member
+                driver.beware_of_sharing()
 
     async def wait(self, turn: asyncio.Future[bool]) -> bool:
         """Wait for one's turn and enter at once; False when somebody resolved `turn` so, as a deadline does."""

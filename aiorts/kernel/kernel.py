@@ -66,7 +66,7 @@ class Kernel:
     ) -> None:
         self.name = check_name(name, "kernel")
         self.debug = debug
-        self.bus = Bus()
+        self.bus = Bus(self._hooks_wanted_changed)
         self.exit_status = 0
         """What `request_stop` said."""
         self.plugins = Catalogue() if plugins is None else plugins
@@ -375,6 +375,11 @@ class Kernel:
         if self._contexts.get(context.name) is context:
             del self._contexts[context.name]
             self._numbering.free(context.name)
+
+    def _hooks_wanted_changed(self) -> None:
+        for context in tuple(self._contexts.values()):
+            if context._driver is not None:
+                context._driver.beware()
 
     def _interrupted(self, error: KeyboardInterrupt) -> None:
         """From any thread; once for each interrupt."""

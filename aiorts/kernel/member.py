@@ -82,7 +82,10 @@ class Member:
         """Kind and method of the hooks that have run; `hook_of` for any."""
         self.awaits = component._rt_hook_kinds["on_execute"] == HookKind.ASYNC
         self.execute: Callable[..., Any] | None = None
-        """`on_execute` where it is the next cycle's affair: it is there, and the member active. And its times."""
+        """`on_execute` where nothing is unusual: it is there, the member active and the component in no other context.
+
+        And its times.
+        """
         self.execute_times: HookTimes | None = None
         self.updates = component._rt_hook_kinds["on_state_update"] != HookKind.ABSENT
         self.hook = "on_execute"
@@ -105,7 +108,7 @@ class Member:
     @state.setter
     def state(self, state: LifeCycleState) -> None:
         self._state = state
-        self._settle()
+        self.settle()
 
     @property
     def failure(self) -> BaseException | None:
@@ -115,7 +118,7 @@ class Member:
     @failure.setter
     def failure(self, failure: BaseException | None) -> None:
         self._failure = failure
-        self._settle()
+        self.settle()
 
     @property
     def abandoned(self) -> bool:
@@ -125,7 +128,7 @@ class Member:
     @abandoned.setter
     def abandoned(self, abandoned: bool) -> None:
         self._abandoned = abandoned
-        self._settle()
+        self.settle()
 
     @property
     def left(self) -> bool:
@@ -135,11 +138,12 @@ class Member:
     @left.setter
     def left(self, left: bool) -> None:
         self._left = left
-        self._settle()
+        self.settle()
 
-    def _settle(self) -> None:
+    def settle(self) -> None:
+        """Lay out anew what a cycle looks at."""
         self.execute = None
-        if self.active and not self._left:
+        if self.active and not self._left and not self.gate.shared:
             kind, function = self.hooks.get("on_execute") or self.hook_of("on_execute")
             if kind != HookKind.ABSENT:
                 self.execute = function

@@ -43,6 +43,8 @@ class Members:
         component = member.component
         self._members.append(member)
         component._rt_members.append(member)
+        if len(component._rt_members) > 1:
+            component._rt_gate.share(component._rt_members)
         self._updating += member.updates
         for port in component.ports.values():
             self._port_added(member, port)

@@ -72,7 +72,7 @@ def waiting_driver(task: Any) -> Any:
         task = getattr(task, "_aiorts_creator", None)
         if isinstance(task, tuple):
             driver, run = task
-            return driver if driver.hooks_run == run and driver.current is not None else None
+            return driver if driver.run == run else None
     return None
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from aiorts.kernel.deadlines import CANCELLATIONS, GRACE
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bulkhead import TaskDriver
+    from aiorts.kernel.driver_state import DriverState
     from aiorts.kernel.host import Cancellable
 
 __all__ = ("Watch",)
@@ -18,7 +18,7 @@ class Watch:
 
     __slots__ = ("cancels", "driver", "stopping", "timer")
 
-    def __init__(self, driver: TaskDriver) -> None:
+    def __init__(self, driver: DriverState) -> None:
         self.driver = driver
         self.cancels = 0
         self.stopping = False

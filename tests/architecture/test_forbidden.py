@@ -39,7 +39,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # a reason.
 BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run",
-    # `_run` written out for the hooks of a cycle.
+    # `_run` written out for the hooks of a cycle, and for the one that a sample woke.
+    "aiorts/kernel/bulkhead.py:_run_one",
     "aiorts/kernel/bulkhead.py:_run_quickly",
     "aiorts/kernel/bus.py:publish",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.

@@ -321,3 +321,57 @@ def test_latest_is_still_there_in_a_cycle_without_new_data() -> None:
             assert asking.seen == [5] * 6
 
     simulate(main)
+
+
+@pytest.mark.row(28)
+def test_a_trigger_for_all_is_for_those_who_are_active_when_the_cycle_begins() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        runs: list[str] = []
+
+        class Noting(Component):
+            async def on_execute(self) -> None:
+                runs.append(self.name)
+
+        class Listening(Noting):
+            input = InPort(TimedLong)
+
+        async with Kernel() as kernel:
+            for kinds in ((Noting, Noting, Noting), (Noting, Listening, Listening)):
+                a, b, c = [await kernel.create(kind) for kind in kinds]
+                context = await kernel.start(EventContext(), a, b, c, activate=True)
+                await context.deactivate(c)
+                runs.clear()
+                context.trigger()
+                context.trigger(b)
+                await context.deactivate(a)  # takes effect before the cycle that was asked for
+                await asyncio.sleep(0.01)
+                assert (runs, context.ticks) == ([b.name], 1)
+                await context.deactivate()
+                context.trigger()
+                await asyncio.sleep(0.01)
+                await context.activate()  # nobody could run: the trigger did not wait
+                await asyncio.sleep(0.01)
+                assert (runs, context.ticks) == ([b.name], 1)
+                context.trigger()
+                await asyncio.sleep(0.01)
+                assert (runs, context.ticks) == ([b.name, a.name, b.name, c.name], 2)
+                await context.stop()
+
+    simulate(main)
+
+
+@pytest.mark.row(28)
+def test_what_was_read_between_cycles_is_no_reason_to_run_again_after_a_trigger_for_all() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            idler, sender = await kernel.add(Reader("idler", share=0)), await kernel.add(Sender("sender"))
+            await kernel.connect(sender.output, idler.input)
+            context = await kernel.start(EventContext(), idler, activate=True)
+            sender.send(1, 2)
+            await asyncio.sleep(0.01)
+            assert (idler.input.read_nowait().data, context.ticks) == (1, 1)
+            context.trigger()
+            await asyncio.sleep(0.01)
+            assert (idler.runs, context.ticks) == ([[], []], 2)
+
+    simulate(main)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import random
 import time
 
@@ -23,6 +24,7 @@ from aiorts import (
     SimulatedClock,
 )
 from aiorts.errors import AiortsError
+from aiorts.kernel.bus import HookBefore
 from aiorts.testing.simulation import SimulatedLoop, simulate
 from campaign import cases
 from contexts.parts import MS, Doer, Idle, Ticker
@@ -280,5 +282,42 @@ def test_requests_that_ask_for_each_other_in_hooks_do_not_starve_the_loop() -> N
                 await asyncio.sleep(0)
             assert rounds < 1000, "the loop got no turn"
             rounds = 100_000
+
+    simulate(main)
+
+
+@pytest.mark.fault("A06")
+def test_a_component_that_joins_a_second_context_from_within_a_hook_is_not_entered_twice() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        log: list[str] = []
+
+        class Slow(Component):
+            async def on_startup(self) -> None:
+                log.append(f"startup in {self.context.name} at {clock.monotonic_ns() // MS}")
+
+            async def on_execute(self) -> None:
+                began, context = clock.monotonic_ns() // MS, self.context.name
+                await self.sleep(0.1)
+                assert self.context.name == context
+                log.append(f"{context} {began} to {clock.monotonic_ns() // MS}")
+
+        async with Kernel() as kernel:
+            slow = await kernel.create(Slow, "slow")
+            first = await kernel.start(ExternalContext(name="first"), slow, activate=True)
+            start = clock.monotonic_ns() // MS
+            tick = asyncio.create_task(first.tick())
+            await asyncio.sleep(0.03)
+            second = ExternalContext(name="second")
+            starting = asyncio.create_task(kernel.start(second, slow, activate=True))
+            await asyncio.sleep(0.01)
+            # Observers come and go meanwhile: it is entered by one at a time all the same.
+            kernel.bus.subscribe(HookBefore, lambda event: None)()
+            await asyncio.gather(tick, starting)
+            await asyncio.gather(first.tick(2), second.tick(2))
+        assert log[1] == f"first {start} to {start + 100}"
+        assert log[2] == f"startup in second at {start + 100}"
+        spans = [tuple(map(int, line.split()[1::2])) for line in log if " to " in line]
+        assert len(spans) == 5
+        assert all(before[1] <= after[0] for before, after in itertools.pairwise(spans))
 
     simulate(main)

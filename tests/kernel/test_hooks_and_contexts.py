@@ -88,3 +88,25 @@ def test_a_context_that_named_itself_starts_again_beside_another_of_its_kind() -
 def test_a_deadline_that_is_no_time_is_refused(deadline: float) -> None:
     with pytest.raises(ConfigurationError, match="deadline"):
         PeriodicContext(10.0, deadline=deadline)
+
+
+def test_time_that_is_advanced_waits_for_a_cycle_whose_hooks_give_turns() -> None:
+    async def main() -> None:
+        clock = SimulatedClock()
+        ran = 0
+
+        class Yielding(Component):
+            async def on_execute(self) -> None:
+                nonlocal ran
+                await asyncio.sleep(0)
+                ran += 1
+
+        async with Kernel(clock=clock) as kernel:
+            members = [await kernel.create(Yielding) for _ in range(100)]
+            await kernel.start(PeriodicContext(10.0), *members, activate=True)
+            await clock.advance(0.05)
+            ran = 0
+            await clock.advance(0.1)
+            assert ran == 100
+
+    asyncio.run(main())
