@@ -217,6 +217,8 @@ class Watch:
         whole = not self._real or now - findings.walked_ns > (_REST * findings.walk_ns if few else _SOON_NS)
         known = (self._seen or {}) if few else findings.seen
         seen_now = {} if whole else known  # who has left is forgotten
+        if not whole and len(self._context._members) > _MANY:
+            return fresh
         for member, entry in books(self._kernel, self._context, whole=whole):
             key = id(member), entry.blame.hook
             seen = known.get(key)

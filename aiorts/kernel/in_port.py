@@ -81,8 +81,7 @@ class InPort(Port[T]):
         self._waiter: asyncio.Future[None] | None = None
         self._wakes: tuple[Callable[[InPort[Any]], None], ...] = ()
         self._armed = False
-        self._cross: Any = None
-        """What its connectors share while a real-time thread is at one of them (`crossing.py`)."""
+        self._cross: Any = None  # what its connectors share while a real-time thread is at one (`crossing.py`)
 
     def bind(self, host: PortHost, name: str) -> InPort[T]:
         """A live port of `host` made after this declaration."""
