@@ -1,10 +1,12 @@
 """What changed between two runs of a bench, beyond their spread. Pure but for `read`: two documents in, lines out.
 
-Times of two runs differ with whatever else the machine did, so a row is judged by its ratio to the baseline of the same
-round; one without a baseline is divided by how the bare baselines of the run moved. A row changed when all three hold:
-the rank test of Mann and Whitney says so at 5 % over all rows together (Bonferroni), the shift of Hodges and Lehmann is
-at least `LEAST`, and it is `BEYOND` times as wide as the middle half of either run: rounds of one run share what
-disturbs that run, so the rank test alone would find a change in two equal runs.
+Times of two runs differ with whatever else the machine did, so a row is judged beside the baseline of its own run; one
+without a baseline is divided by how the bare baselines of the run moved. What disturbs a machine only makes it slower,
+and for longer than a round: the rounds of one run are not independent, and their medians move by half between two equal
+runs where the best rounds move by a tenth. A row whose figure is a cost or a rate changed when its best round, beside
+the best round of its baseline, moved by `LEAST` or more, its second best by `SECOND`, and all rounds together (Hodges
+and Lehmann) the same way. A percentile of latencies or ages has no such floor: there the rank test of Mann and Whitney
+must say so at `ALPHA`, by at least `LEAST`, and by more than the middle half of either run is wide.
 """
 
 from __future__ import annotations
@@ -22,14 +24,15 @@ import click
 
 from aiorts.bench.report import SCHEMA
 
-__all__ = ("BEYOND", "LEAST", "Change", "Comparison", "Document", "Shift", "compare", "read", "shift")
+__all__ = ("LEAST", "Change", "Comparison", "Document", "Shift", "compare", "read", "shift")
 
 Document: TypeAlias = Mapping[str, Any]
 
-ALPHA: Final = 0.05
-LEAST: Final = 1.15
+ALPHA: Final = 0.01
+LEAST: Final = 1.2
 """A smaller factor is no change."""
-BEYOND: Final = 1.5
+SECOND: Final = 1.1
+"""The factor by which the second best round moves at least."""
 FEWEST: Final = 4
 """Rounds of each run below which no row is judged."""
 _MACHINE: Final = ("commit", "aiorts", "python", "cpu", "cores", "system", "packages")
@@ -54,10 +57,10 @@ class Shift:
     p: float
     spread: float
 
-    def changed(self, tests: int) -> bool:
-        """Whether it is a change, when it is one of so many rows that are judged."""
+    def changed(self) -> bool:
+        """Whether the samples differ by more than they are wide."""
         size = abs(math.log(self.factor))
-        return self.p <= ALPHA / tests and size >= math.log(LEAST) and size >= BEYOND * math.log(self.spread)
+        return self.p <= ALPHA and size >= math.log(LEAST) and size >= math.log(self.spread)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +121,11 @@ def compare(old: Document, new: Document) -> Comparison:
         if min(len(pair.old), len(pair.new)) < FEWEST:
             few += 1
         elif min(*pair.old, *pair.new) > 0:
-            judged.append((after[key], pair, shift(pair.old, pair.new)))
+            best = _best(before[key], after[key], before, after, drift.get(key[0], 1.0))
+            judged.append((after[key], pair, shift(pair.old, pair.new), best))
     if few:
         lines.append(f"{few} rows not judged: below {FEWEST} rounds")
-    changes = [_change(row, pair, found) for row, pair, found in judged if found.changed(len(judged))]
+    changes = [_change(row, pair, found, best) for row, pair, found, best in judged if _changed(pair, found, best)]
     changes.sort(key=lambda change: -abs(math.log(change.worse)))
     lines += [change.text for change in changes]
     if judged and not changes:
@@ -188,20 +192,53 @@ def _samples(old: Mapping[str, Any], new: Mapping[str, Any], drift: float) -> _P
     return _Pair(was["rounds"], scaled, now["unit"], less)
 
 
-def _change(row: Mapping[str, Any], pair: _Pair, found: Shift) -> Change:
+def _best(
+    old: Mapping[str, Any], new: Mapping[str, Any], before: Mapping[Any, Any], after: Mapping[Any, Any], drift: float
+) -> tuple[float, float] | None:
+    """How many times as bad the best and the second best round became; None for what is no cost and no rate."""
+    figures = [_compared(old), _compared(new)]
+    wanted = next((ratio["baseline"] for ratio in new["ratios"] if ratio["baseline"]), None)
+    bases = [rows.get((new["loop"], wanted)) for rows in (before, after)]
+    figures += [_compared(row) for row in bases if row is not None and wanted is not None]
+    if any(figure["pooled"] is not None for figure in figures) or len({figure["unit"] for figure in figures}) > 1:
+        return None
+    was, now, *beside = [_least_bad(figure) for figure in figures]
+    if len(beside) == 2:
+        was, now = ((own[0] / base[0], own[1] / base[1]) for own, base in ((was, beside[0]), (now, beside[1])))
+        drift = 1.0
+    return now[0] / was[0] / drift, now[1] / was[1] / drift
+
+
+def _least_bad(figure: Mapping[str, Any]) -> tuple[float, float]:
+    ordered = sorted(value if figure["better"] == "less" else 1 / value for value in figure["rounds"])
+    return ordered[0], ordered[1]
+
+
+def _changed(pair: _Pair, found: Shift, best: tuple[float, float] | None) -> bool:
+    if best is None:
+        return found.changed()
+    worse = found.factor if pair.more_is_worse else 1 / found.factor
+    first, second, together = (math.log(value) for value in (*best, worse))
+    if first < 0:
+        first, second, together = -first, -second, -together
+    return first >= math.log(LEAST) and second >= math.log(SECOND) and together > 0
+
+
+def _change(row: Mapping[str, Any], pair: _Pair, found: Shift, best: tuple[float, float] | None) -> Change:
     worse = found.factor if pair.more_is_worse else 1 / found.factor
     low, high = (found.low, found.high) if pair.more_is_worse else (1 / found.high, 1 / found.low)
     word = "worse" if worse > 1 else "better"
     if worse < 1:
         low, high = 1 / high, 1 / low
-    times = max(worse, 1 / worse)
     was, now = statistics.median(pair.old), statistics.median(pair.new)
     figures = (
         f"{was:.2f}x -> {now:.2f}x {pair.what}"
         if pair.what.startswith("to ")
         else f"{was:.4g} -> {now:.4g} {pair.what}"
     )
-    return Change(_where(row), worse, f"CHANGED {_where(row)}: {times:.2f}x {word} ({low:.2f}..{high:.2f}): {figures}")
+    rounds = "" if best is None else f"best rounds {best[0]:.2f}x, "
+    text = f"CHANGED {_where(row)}: {max(worse, 1 / worse):.2f}x {word} ({low:.2f}..{high:.2f}): {rounds}{figures}"
+    return Change(_where(row), worse, text)
 
 
 def shift(old: Sequence[float], new: Sequence[float]) -> Shift:

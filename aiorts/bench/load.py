@@ -184,11 +184,15 @@ def figures(options: Options) -> tuple[Figure, ...]:
                 push_rate=policy.push_rate,
             )
             cases.append(case(f"{name} at {rate}/s", load, {"policy": name, "producer rate": str(rate)}))
+    scale = 0.4 if options.quick else 1.0
     short = Options(
-        options.quick, rounds=min(options.rounds, 3), scale=min(options.scale, 1.0), progress=options.progress
+        options.quick, rounds=min(options.rounds, 3), scale=min(options.scale, scale), progress=options.progress
     )
     loop = options.loops[-1]
-    note = f"{loop}; a reader of {CAPACITY:.0f} cycles a second that takes one message in each; length 8, new/new 1"
+    note = (
+        f"{loop}; a reader of {CAPACITY:.0f} cycles a second (dashed) that takes one message in each; length 8, new/new 1; "
+        "median of the rounds with its middle half"
+    )
     return curves(short.rows(tuple(cases), loop=loop), note, CAPACITY)
 
 
@@ -196,6 +200,7 @@ _CURVES: Final = (
     (LATENCY_TAILS[0], "Latency, write to read: median"),
     (LATENCY_TAILS[1], "Latency, write to read: 99th percentile"),
     (AGE[0], "Age of the newest value when the reader runs: median"),
+    (AGE[1], "Age of the newest value when the reader runs: 99th percentile"),
     (RATE, "Delivered"),
 )
 
@@ -226,7 +231,7 @@ def curves(rows: Iterable[Row], note: str = "", mark: float | None = None) -> tu
 
 def _points(line: list[tuple[float, Row]], measure: Measure) -> tuple[tuple[float, float, float, float], ...]:
     return tuple(
-        (rate, spread.median, spread.min, spread.max)
+        (rate, spread.median, spread.q1, spread.q3)
         for rate, row in sorted(line, key=lambda point: point[0])
         if (figured := row.figures.get(measure.name)) is not None
         for spread in (figured.spread,)
