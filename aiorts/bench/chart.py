@@ -1,4 +1,4 @@
-"""Charts as inline SVG: lines over two axes with the spread as a band, rows of medians with whiskers. Pure: text out."""
+"""Charts as inline SVG: lines over two axes with the spread as a band, rows of medians with whiskers. Pure."""
 
 from __future__ import annotations
 
@@ -120,7 +120,9 @@ def lines(figure: Figure) -> str:
     for number, (name, own) in enumerate(series):
         if own:
             drawn.append(_line(number, name, own, x, y, figure))
-    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(figure.title)}">{"".join(drawn)}</svg>'
+    return (
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{escape(figure.title)}">{"".join(drawn)}</svg>'
+    )
 
 
 def _grid(across: Axis, up: Axis, x: Callable[[float], float], y: Callable[[float], float]) -> str:
@@ -150,7 +152,9 @@ def _line(
     drawn = [f'<polygon class="band" points="{band}"/>', f'<polyline class="line" points="{path}"/>']
     for at, value, lo, hi in points:
         said = f"{name}: {value:.4g} {figure.y_unit} ({lo:.4g}..{hi:.4g}) at {at:g} {figure.x_unit}"
-        drawn.append(f'<g><title>{escape(said)}</title><path class="whisker" d="M{x(at):.1f} {y(lo):.1f}V{y(hi):.1f}"/>')
+        drawn.append(
+            f'<g><title>{escape(said)}</title><path class="whisker" d="M{x(at):.1f} {y(lo):.1f}V{y(hi):.1f}"/>'
+        )
         drawn.append(f"{marker(number, x(at), y(value))}</g>")
     return f'<g class="s{number % len(COLOURS)}">{"".join(drawn)}</g>'
 
@@ -168,7 +172,7 @@ def marker(number: int, x: float, y: float) -> str:
 
 
 def groups(found: Sequence[Row]) -> dict[tuple[str, str], list[Row]]:
-    """The rows that share an axis, by the name and the unit of what they compare; those that cannot be drawn left out."""
+    """The rows that share an axis, by the name and the unit of what they compare; only what can be drawn."""
     kinds: dict[tuple[str, str], list[Row]] = {}
     for row in found:
         if row.spread.min > 0:

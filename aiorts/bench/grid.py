@@ -168,7 +168,7 @@ def plan(given: Mapping[str, str]) -> Plan:
 
 
 def _sensible(asked: Load) -> tuple[Load | None, dict[str, str], dict[str, str]]:
-    """What a combination really is, the words of the axes that it does not ask, and why another like it is left out, by axis."""
+    """What a combination really is, the words of the axes it lacks, and by axis why others like it are left out."""
     kept, words, why = asked, {}, {}
     if asked.subscription == "periodic" and asked.push_rate is None:
         return None, {}, {"push-rate": "periodic without a push-rate is no connector"}

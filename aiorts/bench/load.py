@@ -201,8 +201,8 @@ def figures(options: Options) -> tuple[Figure, ...]:
     )
     loop = options.loops[-1]
     note = (
-        f"{loop}; a reader of {CAPACITY:.0f} cycles a second (dashed) that takes one message in each; length 8, new/new 1; "
-        "median of the rounds with its middle half"
+        f"{loop}; a reader of {CAPACITY:.0f} cycles a second (dashed) that takes one message in each; "
+        "length 8, new/new 1; median of the rounds with its middle half"
     )
     return curves(short.rows(tuple(cases), loop=loop), note, CAPACITY)
 

@@ -15,7 +15,8 @@ from aiorts.bench.report import Figure, Report
 
 __all__ = ("check", "html", "write")
 
-_STYLE: Final = """:root{color-scheme:light dark;--ink:#1d2530;--soft:#5b6673;--faint:#dfe3e8;--paper:#f6f7f9;--card:#fff}
+_STYLE: Final = """:root{color-scheme:light dark;--ink:#1d2530;--soft:#5b6673;--faint:#dfe3e8;--paper:#f6f7f9;
+--card:#fff}
 @media(prefers-color-scheme:dark){:root{--ink:#e6e9ee;--soft:#a3adba;--faint:#353c46;--paper:#14171b;--card:#1d2127}}
 *{box-sizing:border-box}
 body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper);margin:0 auto;max-width:1180px;
