@@ -223,7 +223,7 @@ BENCH: Final = Bench(
     "push",
     "Throughput and latency of the push policies: flush, new and periodic.\n\n"
     "Alone it gives the headline table. With any option that takes a list it measures every combination "
-    "of those lists (a list not given has its first value) and checks the ledger of each.",
+    "of those lists (one not given has its default) and checks the ledger of each.",
     report,
     options=grid.OPTIONS,
 )

@@ -80,6 +80,42 @@ def test_one_lucky_round_is_no_change() -> None:
     assert compare(old, new).changes == ()
 
 
+def with_rounds(report: Report, rounds: list[float]) -> dict[str, object]:
+    """The document whose row 3 took these costs, beside a baseline that took 100 in every round."""
+    plain = report.plain()
+    for row in plain["rows"]:
+        if row["case"] in ("base", "row 3"):
+            own = rounds if row["case"] == "row 3" else [100.0] * ROUNDS
+            row["measures"]["cost"]["rounds"] = own
+            for ratio in row["ratios"]:
+                ratio["rounds"] = [value / 100.0 for value in own]
+    return plain
+
+
+def test_best_alone_is_no_change_and_a_busy_machine_is_not_judged() -> None:
+    old = with_rounds(document(1), [200.0] * ROUNDS)
+    slower = compare(old, with_rounds(document(1), [260.0] * ROUNDS))
+    assert [change.row for change in slower.changes] == ["row 3 on asyncio"]
+    best = compare(old, with_rounds(document(1), [160.0, 199.0, 199.0, *[200.0] * 4]))
+    assert best.changes == ()
+    busy = compare(old, with_rounds(document(1), [300.0, 350.0, 450.0, *[500.0] * 4]))
+    assert busy.changes == ()
+    assert any(line.startswith("1 rows not judged: the machine was busy") for line in busy.lines)
+
+
+def test_percentiles_that_overlap_are_no_change() -> None:
+    old, new = latencies(1, 1).plain(), latencies(1, 1).plain()
+    for row, own in (
+        (old["rows"][1], [1.0, 1.5, 1.0, 1.0, 1.5, 1.0, 1.0]),
+        (new["rows"][1], [1.5, 1.0, 1.5] * 2 + [1.5]),
+    ):
+        row["ratios"][0]["rounds"] = own
+    found = shift(old["rows"][1]["ratios"][0]["rounds"], new["rows"][1]["ratios"][0]["rounds"])
+    assert found.p > comparing.ALPHA
+    assert compare(old, new).changes == ()
+    assert not shift([1.0] * 3 + [1.3], [1.3] * 3 + [1.31]).changed()
+
+
 def latencies(seed: int, factor: float) -> Report:
     source = random.Random(seed)
     own = [Reading(pools={"latency": [source.gauss(20_000, 500) * factor] * 5}) for _ in range(ROUNDS)]
