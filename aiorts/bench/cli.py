@@ -29,7 +29,7 @@ def _common(found: Bench) -> list[click.Parameter]:
         click.Option(["--quick"], is_flag=True, help="Below 30 seconds."),
         click.Option(["--json", "as_json"], is_flag=True, help="One JSON document."),
         click.Option(["--markdown", "as_markdown"], is_flag=True, help="The table as markdown."),
-        click.Option(["--plot"], type=_OUT, help="Draw it into one FILE.html that loads nothing."),
+        click.Option(["--plot"], type=_OUT, help="Draw it into FILE.html, which loads nothing, or FILE.png."),
         click.Option(
             ["--compare"],
             type=click.Path(exists=True, dir_okay=False, path_type=Path),

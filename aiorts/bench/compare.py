@@ -1,10 +1,13 @@
 """What changed between two runs of a bench, beyond their spread. Pure but for `read`: two documents in, lines out.
 
-Times of two runs differ with whatever else the machine did, so a row is judged by its ratio to the baseline of the same
-round; one without a baseline is divided by how the bare baselines of the run moved. A row changed when all three hold:
-the rank test of Mann and Whitney says so at 5 % over all rows together (Bonferroni), the shift of Hodges and Lehmann is
-at least `LEAST`, and it is `BEYOND` times as wide as the middle half of either run: rounds of one run share what
-disturbs that run, so the rank test alone would find a change in two equal runs.
+Times of two runs differ with whatever else the machine did, so a row is judged beside the baseline of its own run; one
+without a baseline is divided by how the bare baselines of the run moved. What disturbs a machine only makes it slower,
+and for longer than a round: the rounds of one run are not independent, and their medians move by half between two equal
+runs where the best rounds move by a tenth. A row whose figure is a cost or a rate changed when its best round, beside
+the best round of its baseline, moved by `LEAST` or more, its second best and all rounds together (Hodges and Lehmann)
+by `SECOND`, and the best by more than the best three rounds of either run differ; where those differ beyond `CALM` the
+row is not judged. A percentile of latencies or ages has no such floor: there the rank test of Mann and Whitney must
+say so at `ALPHA`, by at least `LEAST`, and by more than the middle half of either run is wide.
 """
 
 from __future__ import annotations
@@ -22,14 +25,17 @@ import click
 
 from aiorts.bench.report import SCHEMA
 
-__all__ = ("BEYOND", "LEAST", "Change", "Comparison", "Document", "Shift", "compare", "read", "shift")
+__all__ = ("LEAST", "Change", "Comparison", "Document", "Shift", "compare", "read", "shift")
 
 Document: TypeAlias = Mapping[str, Any]
 
-ALPHA: Final = 0.05
-LEAST: Final = 1.15
+ALPHA: Final = 0.01
+LEAST: Final = 1.2
 """A smaller factor is no change."""
-BEYOND: Final = 1.5
+SECOND: Final = 1.1
+"""The factor by which the second best round, and all rounds together, move at least."""
+CALM: Final = 1.3
+"""How far the best three rounds may lie apart; beyond, the machine was too busy to judge a row."""
 FEWEST: Final = 4
 """Rounds of each run below which no row is judged."""
 _MACHINE: Final = ("commit", "aiorts", "python", "cpu", "cores", "system", "packages")
@@ -54,10 +60,10 @@ class Shift:
     p: float
     spread: float
 
-    def changed(self, tests: int) -> bool:
-        """Whether it is a change, when it is one of so many rows that are judged."""
+    def changed(self) -> bool:
+        """Whether the samples differ by more than they are wide."""
         size = abs(math.log(self.factor))
-        return self.p <= ALPHA / tests and size >= math.log(LEAST) and size >= BEYOND * math.log(self.spread)
+        return self.p <= ALPHA and size >= math.log(LEAST) and size >= math.log(self.spread)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +116,7 @@ def compare(old: Document, new: Document) -> Comparison:
     common = [key for key in after if key in before]
     bare = [key for key in common if key in bases and not after[key]["ratios"]]
     drift = _drift(bare, before, after)
-    judged, few = [], 0
+    judged, few, busy = [], 0, 0
     for key in common:
         if key in bare or after[key].get("peer"):
             continue
@@ -118,10 +124,16 @@ def compare(old: Document, new: Document) -> Comparison:
         if min(len(pair.old), len(pair.new)) < FEWEST:
             few += 1
         elif min(*pair.old, *pair.new) > 0:
-            judged.append((after[key], pair, shift(pair.old, pair.new)))
+            best = _best(before[key], after[key], before, after, drift.get(key[0], 1.0))
+            if best is not None and best.calm > CALM:
+                busy += 1
+            else:
+                judged.append((after[key], pair, shift(pair.old, pair.new), best))
     if few:
         lines.append(f"{few} rows not judged: below {FEWEST} rounds")
-    changes = [_change(row, pair, found) for row, pair, found in judged if found.changed(len(judged))]
+    if busy:
+        lines.append(f"{busy} rows not judged: the machine was busy, their best rounds differ beyond {CALM:g}x")
+    changes = [_change(row, pair, found, best) for row, pair, found, best in judged if _changed(pair, found, best)]
     changes.sort(key=lambda change: -abs(math.log(change.worse)))
     lines += [change.text for change in changes]
     if judged and not changes:
@@ -135,6 +147,19 @@ class _Pair:
     new: Sequence[float]
     what: str
     more_is_worse: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Best:
+    """How many times as bad the best and the second best round became.
+
+    Attributes:
+        calm: how far the third best round of any of the four samples lies from its best: near 1 on a calm machine.
+    """
+
+    first: float
+    second: float
+    calm: float
 
 
 def _key(row: Mapping[str, Any]) -> tuple[str, str]:
@@ -188,20 +213,56 @@ def _samples(old: Mapping[str, Any], new: Mapping[str, Any], drift: float) -> _P
     return _Pair(was["rounds"], scaled, now["unit"], less)
 
 
-def _change(row: Mapping[str, Any], pair: _Pair, found: Shift) -> Change:
+def _best(
+    old: Mapping[str, Any], new: Mapping[str, Any], before: Mapping[Any, Any], after: Mapping[Any, Any], drift: float
+) -> _Best | None:
+    """None for what is no cost and no rate."""
+    figures = [_compared(old), _compared(new)]
+    wanted = next((ratio["baseline"] for ratio in new["ratios"] if ratio["baseline"]), None)
+    bases = [rows.get((new["loop"], wanted)) for rows in (before, after)]
+    figures += [_compared(row) for row in bases if row is not None and wanted is not None]
+    if any(figure["pooled"] is not None for figure in figures) or len({figure["unit"] for figure in figures}) > 1:
+        return None
+    bests = [_least_bad(figure) for figure in figures]
+    calm = max(third / first for first, _, third in bests)
+    was, now = bests[:2]
+    first, second = now[0] / was[0], now[1] / was[1]
+    if len(bests) == 4:
+        base_was, base_now = bests[2:]
+        return _Best(first / base_now[0] * base_was[0], second / base_now[1] * base_was[1], calm)
+    return _Best(first / drift, second / drift, calm)
+
+
+def _least_bad(figure: Mapping[str, Any]) -> tuple[float, float, float]:
+    ordered = sorted(value if figure["better"] == "less" else 1 / value for value in figure["rounds"])
+    return ordered[0], ordered[1], ordered[2]
+
+
+def _changed(pair: _Pair, found: Shift, best: _Best | None) -> bool:
+    if best is None:
+        return found.changed()
+    worse = found.factor if pair.more_is_worse else 1 / found.factor
+    first, second, together = (math.log(value) for value in (best.first, best.second, worse))
+    if first < 0:
+        first, second, together = -first, -second, -together
+    return first >= max(math.log(LEAST), math.log(best.calm)) and min(second, together) >= math.log(SECOND)
+
+
+def _change(row: Mapping[str, Any], pair: _Pair, found: Shift, best: _Best | None) -> Change:
     worse = found.factor if pair.more_is_worse else 1 / found.factor
     low, high = (found.low, found.high) if pair.more_is_worse else (1 / found.high, 1 / found.low)
     word = "worse" if worse > 1 else "better"
     if worse < 1:
         low, high = 1 / high, 1 / low
-    times = max(worse, 1 / worse)
     was, now = statistics.median(pair.old), statistics.median(pair.new)
     figures = (
         f"{was:.2f}x -> {now:.2f}x {pair.what}"
         if pair.what.startswith("to ")
         else f"{was:.4g} -> {now:.4g} {pair.what}"
     )
-    return Change(_where(row), worse, f"CHANGED {_where(row)}: {times:.2f}x {word} ({low:.2f}..{high:.2f}): {figures}")
+    rounds = "" if best is None else f"best rounds {best.first:.2f}x, "
+    text = f"CHANGED {_where(row)}: {max(worse, 1 / worse):.2f}x {word} ({low:.2f}..{high:.2f}): {rounds}{figures}"
+    return Change(_where(row), worse, text)
 
 
 def shift(old: Sequence[float], new: Sequence[float]) -> Shift:

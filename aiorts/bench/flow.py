@@ -18,7 +18,6 @@ from aiorts.types import TimedDouble, TimedDoubleSeq
 
 __all__ = (
     "BURST",
-    "CONTEXTS",
     "FAN_OUT",
     "PUSH_RATE",
     "Counting",
@@ -43,8 +42,6 @@ BURST: Final = 1000
 """Messages for each period of the periodic throughput."""
 FAN_OUT: Final = 100
 """Readers of one writer."""
-CONTEXTS: Final = 100
-"""Event contexts that a crowd of idle components shares."""
 Payload: TypeAlias = float | int
 """A float stands for itself, a whole number for an array of so many bytes."""
 
@@ -291,14 +288,14 @@ def bursts(payload: Payload = 1.0) -> Callable[[int], Any]:
 
 
 def crowd(count: int) -> Callable[[], Any]:
-    """So many idle components, active in `CONTEXTS` event contexts, for as long as it is open."""
+    """So many idle components, active in an event context each, for as long as it is open."""
 
     @asynccontextmanager
     async def beside() -> AsyncIterator[None]:
         async with Kernel(name="crowd") as kernel:
-            for first in range(CONTEXTS):
-                members = [await kernel.add(Idle(f"idle{number}")) for number in range(first, count, CONTEXTS)]
-                await kernel.start(EventContext(), *members, activate=True)
+            for number in range(count):
+                idle = await kernel.add(Idle(f"idle{number}"))
+                await kernel.start(EventContext(), idle, activate=True)
             yield
 
     return beside

@@ -135,7 +135,7 @@ class Plan:
     Attributes:
         loads: with the words of the axes that vary.
         fixed: the words of those that do not.
-        left_out: a line for each reason, with the number of combinations it took.
+        left_out: one line with how many and the reasons, where any was.
     """
 
     loads: tuple[tuple[dict[str, str], Load], ...]
@@ -147,40 +147,44 @@ def plan(given: Mapping[str, str]) -> Plan:
     """Every combination that says something of its own."""
     axes = parse(given)
     varying = [name for name, words in axes.items() if len(words) > 1]
-    reasons: dict[str, int] = {}
+    reasons: dict[str, None] = {}
+    asked_for = 0
     seen: dict[Load, dict[str, str]] = {}
     for combination in itertools.product(*axes.values()):
         words = {name: word for name, (word, _) in zip(axes, combination, strict=True)}
         asked = Load(**{axis.field: value for axis, (_, value) in zip(AXES, combination, strict=True)})
-        kept, changed, reason = _sensible(asked)
+        asked_for += 1
+        kept, changed, why = _sensible(asked)
         words.update(changed)
         if kept is None or kept in seen:
-            reasons[reason] = reasons.get(reason, 0) + 1
+            reasons.update(dict.fromkeys(text for axis, text in why.items() if kept is None or axis in varying))
         else:
             seen[kept] = words
     loads = tuple(({name: words[name] for name in varying}, one) for one, words in seen.items())
     fixed = {name: words[0][0] for name, words in axes.items() if len(words) == 1}
-    return Plan(loads, fixed, tuple(f"left out {count}: {reason}" for reason, count in reasons.items()))
+    left = asked_for - len(loads)
+    said = f"left out {left} of {asked_for} combinations that differ in nothing: {'; '.join(reasons)}"
+    return Plan(loads, fixed, (said,) if left else ())
 
 
-def _sensible(asked: Load) -> tuple[Load | None, dict[str, str], str]:
-    """What a combination really is, the words of the axes that it does not ask, and why another like it is left out."""
-    kept, words, reasons = asked, {}, []
+def _sensible(asked: Load) -> tuple[Load | None, dict[str, str], dict[str, str]]:
+    """What a combination really is, the words of the axes it lacks, and by axis why others like it are left out."""
+    kept, words, why = asked, {}, {}
     if asked.subscription == "periodic" and asked.push_rate is None:
-        return None, {}, "periodic needs a push-rate"
+        return None, {}, {"push-rate": "periodic without a push-rate is no connector"}
     if asked.subscription != "periodic":
         kept = replace(kept, push_rate=None)
         words["push-rate"] = "-"
-        reasons.append("only periodic has a push-rate")
+        why["push-rate"] = "only periodic has a push-rate"
     if asked.subscription == "flush":
         kept = replace(kept, push="all")
         words["push"] = "-"
-        reasons.append("flush sends everything, whatever its push policy")
+        why["push"] = "flush has no push policy"
     if asked.subscription == "new" and asked.push == "new":
         kept = replace(kept, full="overwrite", length=None)
         words.update({"full": "-", "length": "1"})
-        reasons.append("new/new replaces what is unread: no full policy, no length")
-    return kept, words, "; ".join(reasons) or "given twice"
+        why |= dict.fromkeys(("full", "length"), "new/new holds one value: no full policy, no length")
+    return kept, words, why
 
 
 def report(options: Options, given: Mapping[str, str]) -> Report:
@@ -205,7 +209,8 @@ def _how(rounds: int) -> str:
     return (
         f"{rounds} round{'s' if rounds > 1 else ''}, combinations interleaved. rate: messages read in a second, "
         "median of the rounds; offered: written. latency: write to read; age: of the newest value whenever the reader "
-        "runs; percentiles of all rounds together."
+        "runs; percentiles of all rounds together. Producers write on absolute deadlines by the kernel's timers, above "
+        f"{load.BURSTS:.0f} a second in bursts; cpu is that of the whole process, their own share included."
     )
 
 

@@ -1,118 +1,141 @@
-"""Draws a report into one HTML file with inline SVG that loads nothing: lines for figures, else the rows."""
+"""Draws a report into one file: HTML with inline SVG that loads nothing, or PNG where matplotlib is installed."""
 
 from __future__ import annotations
 
-import math
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
+from aiorts.bench import chart
 from aiorts.bench.machine import line
-from aiorts.bench.report import Figure, Report, Row
+from aiorts.bench.report import Figure, Report
 
 __all__ = ("check", "html", "write")
 
-_W, _H, _LEFT, _TOP = 640, 360, 70, 16
-_PLOT_W, _PLOT_H = 550, 290
-_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8c6bb1", "#7f7f7f")
-_STYLE: Final = """:root{color-scheme:light dark;--ink:#222;--faint:#ddd;--paper:#fff}
-@media(prefers-color-scheme:dark){:root{--ink:#ddd;--faint:#444;--paper:#181818}}
-body{font:14px system-ui,sans-serif;color:var(--ink);background:var(--paper);margin:2em auto;max-width:900px}
-svg{width:100%;height:auto}text{fill:var(--ink);font-size:11px}.grid{stroke:var(--faint)}.mark{stroke:var(--ink);
-stroke-dasharray:4 4}.line{fill:none;stroke-width:2}p{opacity:.8}"""
+_STYLE: Final = """:root{color-scheme:light dark;--ink:#1d2530;--soft:#5b6673;--faint:#dfe3e8;--paper:#f6f7f9;
+--card:#fff}
+@media(prefers-color-scheme:dark){:root{--ink:#e6e9ee;--soft:#a3adba;--faint:#353c46;--paper:#14171b;--card:#1d2127}}
+*{box-sizing:border-box}
+body{font:15px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper);margin:0 auto;max-width:1180px;
+padding:1.5rem 1rem}
+h1{font-size:1.5rem;margin:0 0 .3rem}h2{font-size:1.02rem;margin:0}
+p{color:var(--soft);margin:.2rem 0;overflow-wrap:anywhere}code{font-size:.9em}
+main{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,440px),1fr));gap:1rem;margin-top:1rem;
+align-items:start}
+section{background:var(--card);border:1px solid var(--faint);border-radius:10px;padding:.9rem 1rem}
+section p{font-size:.85rem}svg{display:block;width:100%;height:auto;margin:.4rem 0}
+ul{list-style:none;display:flex;flex-wrap:wrap;gap:.15rem 1rem;margin:.3rem 0 0;padding:0;font-size:.87rem}
+li{display:flex;align-items:center;gap:.4rem}li svg{width:14px;height:14px;margin:0;flex:none}
+text{fill:var(--ink);font-size:12.5px}text.axis{fill:var(--soft);font-size:13px}text.tick{fill:var(--soft)}
+.grid{stroke:var(--faint);fill:none}.mark{stroke:var(--soft);stroke-dasharray:5 4;fill:none}
+.line{fill:none;stroke:var(--c);stroke-width:2}.band{fill:var(--c);opacity:.16}.dot{fill:var(--c)}
+.whisker{stroke:var(--c);stroke-width:1.3;fill:none}.half{stroke:var(--c);stroke-width:5;opacity:.45;fill:none}
+.track{stroke:var(--faint);fill:none}
+"""
 
 
 def check(file: Path) -> None:
-    """Raises click.BadParameter when the name of the file does not end in .html."""
-    if file.suffix.lower() != ".html":
-        raise click.BadParameter(f"{file}: expected FILE.html", param_hint="--plot")
+    """Before anything is measured: whether the file can be drawn at all.
+
+    Raises:
+        click.BadParameter: its name ends neither in .html nor in .png, its folder is not there, or matplotlib is not.
+    """
+    if file.suffix.lower() not in (".html", ".png"):
+        raise click.BadParameter(f"{file}: expected FILE.html or FILE.png", param_hint="--plot")
+    if not file.absolute().parent.is_dir():
+        raise click.BadParameter(f"{file}: no such folder", param_hint="--plot")
+    if file.suffix.lower() == ".png" and find_spec("matplotlib") is None:
+        said = f"{file}: PNG needs matplotlib, which is not installed; FILE.html needs nothing"
+        raise click.BadParameter(said, param_hint="--plot")
 
 
 def write(file: Path, report: Report) -> None:
     """Write the drawing; raises click.ClickException when that fails."""
     try:
-        file.write_text(html(report), encoding="utf-8")
+        if file.suffix.lower() == ".png":
+            _png(file, report)
+        else:
+            file.write_text(html(report), encoding="utf-8")
     except OSError as error:
         raise click.ClickException(f"{file}: {error.strerror or error}") from error
 
 
 def html(report: Report) -> str:
     """The whole document; it parses as XML."""
-    parts = [_lines(figure) for figure in report.figures] or [_bars(report.rows)]
+    loops = list(dict.fromkeys(row.loop for row in report.rows))
+    parts = [_figure(figure) for figure in report.figures]
+    if not report.figures or any(not row.case.axes for row in report.rows):
+        for (name, unit), rows in chart.groups(report.rows).items():
+            legend = [] if loops == ["none"] else loops
+            note = "median, its middle half, least to most of the rounds; logarithmic"
+            parts.append(_section(f"{name} [{unit}]", note, chart.rows(rows, loops), legend))
     title = escape(f"aiorts bench {report.bench}")
-    head = f'<!DOCTYPE html>\n<html><head><meta charset="utf-8"/><title>{title}</title><style>{_STYLE}</style></head>'
-    command = f"<p>{escape(line(report.machine))}</p><p>{escape(report.command)}</p>"
-    return f"{head}<body><h1>{title}</h1>{command}{''.join(parts)}</body></html>\n"
+    head = (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"/>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1"/>'
+        f"<title>{title}</title><style>{_STYLE}{chart.STYLE}</style></head>"
+    )
+    faults = "".join(f"<p><b>Fault:</b> {escape(fault)}</p>" for fault in report.faults)
+    notes = "".join(f"<p>{escape(note)}</p>" for note in report.notes)
+    top = f"<h1>{title}</h1><p>{escape(line(report.machine))}</p><p><code>{escape(report.command)}</code></p>{faults}"
+    return f"{head}<body>{top}<main>{''.join(parts)}</main>{notes}</body></html>\n"
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    return [10.0**power for power in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
+def _figure(figure: Figure) -> str:
+    drawn = chart.lines(figure)
+    return _section(figure.title, figure.note, drawn, [one.name for one in figure.series]) if drawn else ""
 
 
-def _lines(figure: Figure) -> str:
-    """Lines over two logarithmic axes; a value that is not above 0 is left out."""
-    series = [(one.name, [point for point in one.points if min(point[:2]) > 0]) for one in figure.series]
-    points = [point for _, line_points in series for point in line_points]
-    if not points:
-        return ""
-    across = _ticks(min(point[0] for point in points), max(point[0] for point in points))
-    up = _ticks(min(point[1] for point in points), max(point[1] for point in points))
+def _section(title: str, note: str, svg: str, legend: list[str]) -> str:
+    told = f"<p>{escape(note)}</p>" if note else ""
+    names = "".join(
+        f'<li><svg class="s{number % len(chart.COLOURS)}" viewBox="0 0 12 12">{chart.marker(number, 6, 6)}</svg>'
+        f"{escape(name)}</li>"
+        for number, name in enumerate(legend)
+    )
+    return f"<section><h2>{escape(title)}</h2>{told}{svg}{f'<ul>{names}</ul>' if names else ''}</section>"
 
-    def x(value: float) -> float:
-        return _LEFT + _PLOT_W * math.log(value / across[0]) / (math.log(across[-1] / across[0]) or 1)
 
-    def y(value: float) -> float:
-        return _TOP + _PLOT_H - _PLOT_H * math.log(value / up[0]) / (math.log(up[-1] / up[0]) or 1)
+def _png(file: Path, report: Report) -> None:
+    """The same charts by matplotlib."""
+    from matplotlib.backends.backend_agg import (  # type: ignore[import-not-found, unused-ignore]
+        FigureCanvasAgg,
+    )
+    from matplotlib.figure import Figure as Sheet  # type: ignore[import-not-found, unused-ignore]
 
-    drawn = []
-    for tick in across:
-        drawn.append(f'<path class="grid" d="M{x(tick):.1f} {_TOP}v{_PLOT_H}"/>')
-        drawn.append(f'<text x="{x(tick):.1f}" y="{_TOP + _PLOT_H + 14}" text-anchor="middle">{tick:g}</text>')
-    for tick in up:
-        drawn.append(f'<path class="grid" d="M{_LEFT} {y(tick):.1f}h{_PLOT_W}"/>')
-        drawn.append(f'<text x="{_LEFT - 6}" y="{y(tick) + 4:.1f}" text-anchor="end">{tick:g}</text>')
+    kinds = [] if report.figures else list(chart.groups(report.rows).items())
+    count = max(1, len(report.figures) + len(kinds))
+    tall = [4.6] * len(report.figures) + [1.2 + 0.22 * len(rows) for _, rows in kinds] or [3.0]
+    sheet: Any = Sheet(figsize=(9, sum(tall)), layout="constrained")
+    FigureCanvasAgg(sheet)
+    sheet.suptitle(f"aiorts bench {report.bench}\n{line(report.machine)}", fontsize=9, wrap=True)
+    axes = [one[0] for one in sheet.subplots(count, 1, squeeze=False, height_ratios=tall)]
+    for figure, ax in zip(report.figures, axes, strict=False):
+        _png_lines(ax, figure)
+    for ((name, unit), rows), ax in zip(kinds, axes, strict=False):
+        spreads = [row.spread for row in rows]
+        beyond = [[one.median - one.q1 for one in spreads], [one.q3 - one.median for one in spreads]]
+        ax.errorbar([one.median for one in spreads], range(len(rows)), xerr=beyond, fmt="o", markersize=4)
+        ax.set_yticks(range(len(rows)), [f"{row.case.name}, {row.loop}" for row in rows], fontsize=7)
+        ax.invert_yaxis()
+        ax.set(xscale="log", xlabel=f"{name} [{unit}]: median and middle half of the rounds")
+    sheet.savefig(file, dpi=130)
+
+
+def _png_lines(ax: Any, figure: Figure) -> None:
+    for number, (name, points) in enumerate(chart.drawable(figure)):
+        if points:
+            xs, ys, lows, highs = zip(*points, strict=True)
+            colour = chart.COLOURS[number % len(chart.COLOURS)][0]
+            ax.plot(xs, ys, "osDv"[number % 4] + "-", color=colour, label=name, markersize=4)
+            ax.fill_between(xs, lows, highs, color=colour, alpha=0.16)
     if figure.mark is not None:
-        drawn.append(f'<path class="mark" d="M{x(figure.mark):.1f} {_TOP}v{_PLOT_H}"/>')
-    legend = []
-    for number, (name, line_points) in enumerate(series):
-        colour = _COLOURS[number % len(_COLOURS)]
-        places = " ".join(f"{x(point[0]):.1f},{y(point[1]):.1f}" for point in line_points)
-        drawn.append(f'<polyline class="line" stroke="{colour}" points="{places}"/>')
-        legend.append(f'<span style="color:{colour}">&#9632;</span> {escape(name)} &#160; ')
-    below = f"{figure.x} [{figure.x_unit}]"
-    drawn.append(f'<text x="{_LEFT + _PLOT_W / 2}" y="{_H - 16}" text-anchor="middle">{escape(below)}</text>')
-    title = escape(f"{figure.title} [{figure.y_unit}]")
-    svg = f'<svg viewBox="0 0 {_W} {_H}" role="img">{"".join(drawn)}</svg>'
-    return f"<h2>{title}</h2><p>{escape(figure.note)}</p>{svg}<p>{''.join(legend)}</p>"
-
-
-def _bars(rows: tuple[Row, ...]) -> str:
-    """For each unit a chart of medians with their extremes, on a logarithmic axis."""
-    parts = []
-    for unit in dict.fromkeys(row.case.measure.unit for row in rows):
-        same = [row for row in rows if row.case.measure.unit == unit and row.spread.min > 0]
-        if not same:
-            continue
-        ticks = _ticks(min(row.spread.min for row in same), max(row.spread.max for row in same))
-        width = math.log(ticks[-1] / ticks[0]) or 1.0
-        height = 20 * len(same)
-        drawn = []
-        for tick in ticks:
-            at = 300 + 330 * math.log(tick / ticks[0]) / width
-            drawn.append(f'<path class="grid" d="M{at:.1f} 0v{height}"/>')
-            drawn.append(f'<text x="{at:.1f}" y="{height + 14}" text-anchor="middle">{tick:g}</text>')
-        for number, row in enumerate(same):
-            low, middle, high = (
-                300 + 330 * math.log(value / ticks[0]) / width
-                for value in (row.spread.min, row.spread.median, row.spread.max)
-            )
-            name = row.case.name if row.loop == "none" else f"{row.case.name}, {row.loop}"
-            middle_y = 20 * number + 10
-            drawn.append(f'<text x="294" y="{middle_y + 4}" text-anchor="end">{escape(name)}</text>')
-            drawn.append(f'<path stroke="{_COLOURS[0]}" d="M{low:.1f} {middle_y}H{high:.1f}"/>')
-            drawn.append(f'<circle cx="{middle:.1f}" cy="{middle_y}" r="4" fill="{_COLOURS[0]}"/>')
-        svg = f'<svg viewBox="0 0 {_W} {height + 20}" role="img">{"".join(drawn)}</svg>'
-        parts.append(f"<h2>{escape(unit)}: median, least to most</h2>{svg}")
-    return "".join(parts)
+        ax.axvline(figure.mark, color="grey", linestyle="--")
+    ax.set_title(f"{figure.title}\n{figure.note}", fontsize=8, wrap=True)
+    ax.set(xlabel=f"{figure.x} [{figure.x_unit}]", ylabel=f"{figure.y} [{figure.y_unit}]")
+    ax.set(xscale="log" if "x" in figure.log else "linear", yscale="log" if "y" in figure.log else "linear")
+    ax.grid(alpha=0.3)
+    ax.legend(fontsize=7)

@@ -14,10 +14,12 @@ from aiorts.bench.report import Report
 __all__ = ("BENCH", "CASES", "CROWD", "CROWD_CASES")
 
 CROWD: Final = 10_000
+WAKES: Final = 20
+"""Of one round: at 200 Hz a tenth of a second."""
 _AGE: Final = Measure("age p50", "us", digits=1, pool="age")
 _PERIOD_US: Final = 1e6 / PRODUCER_RATE
 _COSTS: Final = (RATE,)
-_WAKES: Final = (*tails("latency", label=""), CPU)
+_TAILS: Final = (*tails("latency", label=""), CPU)
 _AGES: Final = (*tails("age", label=""), CPU, GROWTH)
 _FLAT: Final = Aim("", factor=64, measure=GROWTH)
 _ARRAYS: Final = {"1 kB": 1_000, "1 MB": 1_000_000, "100 MB": 100_000_000}
@@ -29,11 +31,11 @@ def _queue(factor: float | None = None) -> Aim:
 
 def _wake(name: str, what: str, subscription: str, base: str) -> Case:
     run = flow.idle_to_run(subscription)
-    return Case(name, what, LATENCY, run, 40, (Aim(base, factor=1.5),), lossless=True, columns=_WAKES)
+    return Case(name, what, LATENCY, run, WAKES, (Aim(base, factor=1.5),), lossless=True, columns=_TAILS)
 
 
 def _age(name: str, what: str, aim: Aim, subscription: str, *, event: bool, busy: bool = False) -> Case:
-    return Case(name, what, _AGE, ageing.age(subscription, event=event, busy=busy), 20, (aim, _FLAT), columns=_AGES)
+    return Case(name, what, _AGE, ageing.age(subscription, event=event, busy=busy), 12, (aim, _FLAT), columns=_AGES)
 
 
 def _arrays(base: str, messages: int) -> tuple[Case, ...]:
@@ -61,7 +63,7 @@ _BARE: Final = (
     Case("asyncio.Queue pair", "put_nowait + get_nowait, one task", COST, bare.queue_pair, 50_000, columns=_COSTS),
     Case("asyncio.Queue(1000)", "producer and consumer task", COST, bare.queue_tasks, 30_000, columns=_COSTS),
     Case("anyio stream(1000)", "producer and consumer task", COST, bare.anyio_stream, 3_000, columns=_COSTS),
-    Case("bare future", "wake-up of a task, 200 Hz", LATENCY, bare.future_wake, 40, columns=_WAKES),
+    Case("bare future", "wake-up of a task, 200 Hz", LATENCY, bare.future_wake, WAKES, columns=_TAILS),
 )
 
 CASES: Final[tuple[Case, ...]] = (
@@ -178,16 +180,16 @@ CASES: Final[tuple[Case, ...]] = (
 
 _BESIDE: Final = f"beside {CROWD:,} idle"
 CROWD_CASES: Final[tuple[Case, ...]] = (
-    Case(f"bare future, {_BESIDE}", "wake-up of a task, 200 Hz", LATENCY, bare.future_wake, 40, columns=_WAKES),
+    Case(f"bare future, {_BESIDE}", "wake-up of a task, 200 Hz", LATENCY, bare.future_wake, WAKES, columns=_TAILS),
     _wake(
         f"flush, idle to run, {_BESIDE}",
-        f"the same beside {CROWD:,} idle components in {flow.CONTEXTS} event contexts",
+        f"the same beside {CROWD:,} idle components, an event context each",
         "flush",
         f"bare future, {_BESIDE}",
     ),
     _wake(
         f"new, idle to run, {_BESIDE}",
-        f"the same beside {CROWD:,} idle components in {flow.CONTEXTS} event contexts",
+        f"the same beside {CROWD:,} idle components, an event context each",
         "new",
         f"bare future, {_BESIDE}",
     ),
@@ -221,7 +223,7 @@ BENCH: Final = Bench(
     "push",
     "Throughput and latency of the push policies: flush, new and periodic.\n\n"
     "Alone it gives the headline table. With any option that takes a list it measures every combination "
-    "of those lists (a list not given has its first value) and checks the ledger of each.",
+    "of those lists (one not given has its default) and checks the ledger of each.",
     report,
     options=grid.OPTIONS,
 )

@@ -61,12 +61,17 @@ def measure(
             for case in cases:
                 if case.warm:
                     await _once(case, scale / 20)  # caches, specialised bytecode, lazy imports
-            for number in range(rounds):
-                if progress is not None:
-                    progress(loop, number)
-                start = number % len(cases)
-                for case in (*cases[start:], *cases[:start]):
-                    readings[case.name].append(await _once(case, scale))
+            gc.collect()
+            gc.freeze()  # collecting before each case then costs what the case itself left, not what stands beside it
+            try:
+                for number in range(rounds):
+                    if progress is not None:
+                        progress(loop, number)
+                    start = number % len(cases)
+                    for case in (*cases[start:], *cases[:start]):
+                        readings[case.name].append(await _once(case, scale))
+            finally:
+                gc.unfreeze()
 
     if loop == "none":
         _step(take_rounds())

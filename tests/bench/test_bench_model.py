@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import xml.etree.ElementTree as ElementTree
 
 import click
@@ -10,7 +9,7 @@ import pytest
 
 from aiorts.bench import grid, plot, push
 from aiorts.bench.case import COST, Aim, Case, Ledger, Reading, Sense
-from aiorts.bench.compare import compare, shift
+from aiorts.bench.compare import compare
 from aiorts.bench.report import Report, Spread, row_of
 
 MACHINE = {"aiorts": "0", "commit": None, "python": "P", "cpu": None, "cores": 2, "system": "S", "load": None}
@@ -48,16 +47,6 @@ def test_broken_ledger_is_a_fault() -> None:
     assert "does not balance" in report(costs(1, ledger=torn), costs(1)).faults[0]
 
 
-def test_shift_finds_a_slow_down_and_nothing_in_equal_samples() -> None:
-    source = random.Random(1)
-
-    def sample(factor: float) -> list[float]:
-        return [factor * source.lognormvariate(0, 0.05) for _ in range(9)]
-
-    assert sum(shift(sample(1), sample(1)).changed(1) for _ in range(500)) <= 5
-    assert all(shift(sample(1), sample(1.3)).changed(40) for _ in range(50))
-
-
 def test_comparison_names_the_row_that_changed_and_another_schema() -> None:
     base = costs(*(100 + number for number in range(9)))
     old = report(costs(*(200 + number for number in range(9))), base).plain()
@@ -65,15 +54,6 @@ def test_comparison_names_the_row_that_changed_and_another_schema() -> None:
     assert [change.row for change in compare(old, new).changes] == ["mine on l"]
     assert compare(old, old).changes == ()
     assert "schema 1" in compare({**old, "schema": 1}, new).lines[0]
-
-
-def test_grid_leaves_out_what_says_nothing_of_its_own() -> None:
-    planned = grid.plan({"subscription": "flush,new,periodic", "push": "all,new"})
-    assert len(planned.loads) == 5
-    assert planned.left_out == (
-        "left out 1: only periodic has a push-rate; flush sends everything, whatever its push policy",
-    )
-    assert grid.plan({"subscription": "periodic", "push-rate": "none"}).loads == ()
 
 
 @pytest.mark.parametrize(
