@@ -159,7 +159,10 @@ class TaskDriver(DriverState):
                 hook = first_pass(member)
                 if hook:
                     self._member = None
-                    await self._run_and_record(member, hook)
+                    if hook == "on_execute" and member.gate.shared and member.gate.open:
+                        await self._run_shared(member)
+                    else:
+                        await self._run_and_record(member, hook)
                     if self._careful:
                         break
                     begun_ns = now_ns() if timing else 0
@@ -208,6 +211,31 @@ class TaskDriver(DriverState):
             await self._end_oddly(member, error, result, begun_ns)
             return
         self._member = None
+        if timing:
+            member.timed("on_execute").add(self.context._now_ns() - begun_ns)
+
+    async def _run_shared(self, member: Member) -> None:
+        """`_run_one` for a member of a component that is in several contexts and has nobody inside."""
+        kind, function = member.hooks.get("on_execute") or member.hook_of("on_execute")
+        if kind == _ABSENT:
+            return
+        timing, task, gate = self.context.timing, self.task, member.gate
+        begun_ns = self.context._now_ns() if timing else 0
+        error: BaseException | None = None
+        self._member = gate.inside = member
+        self.hooks_run += 1
+        try:
+            result = await function() if kind == _ASYNC else function()
+        except BaseException as raised:  # noqa: BLE001 - the border round a hook
+            error = result = raised
+        if result is not None or self._careful:
+            if self.task is not task:
+                raise _LeftBehind
+            await self._end_oddly(member, error, result, begun_ns)
+            return
+        self._member = gate.inside = None
+        if gate.waiting:
+            gate.pass_on()
         if timing:
             member.timed("on_execute").add(self.context._now_ns() - begun_ns)
 

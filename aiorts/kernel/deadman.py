@@ -209,7 +209,7 @@ class Watch:
 
     def _fresh_entries(self, late_ns: int) -> list[Entry]:
         """The books of hooks that have run since they were last asked for."""
-        fresh = []
+        fresh: list[Entry] = []
         findings, now = self._findings, time.monotonic_ns()
         # With thousands of contexts the books are long; they are not gone through for each that is late.
         few = self._context.exclusive or len(self._kernel._contexts) < _MANY
