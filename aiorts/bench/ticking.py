@@ -71,7 +71,7 @@ class Stamper:
             return
         context: Any = component.context
         self.ran[number] = now
-        self.due[number] = context._schedule.due_ns if due_ns is None else due_ns
+        self.due[number] = context.due_ns if due_ns is None else due_ns
         if number == 0:
             self.before = (context.statistics, process_time_ns())
         if number == self.count - 1:
@@ -142,7 +142,7 @@ class Pacer(Component):
 
     def on_execute(self) -> None:
         context: Any = self.context
-        self.out.write_nowait(TimedLongLong(0, context._schedule.due_ns))
+        self.out.write_nowait(TimedLongLong(0, context.due_ns))
 
 
 class Paced(Component):

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
@@ -152,6 +151,8 @@ class Catalogue:
 
 
 def _installed() -> Iterator[Extension]:
+    from importlib.metadata import entry_points  # late: 10 ms, and most programs ask for no extension
+
     for kind in KINDS:
         for entry in entry_points(group=f"aiorts.{kind}"):
             source = "unknown package" if entry.dist is None else f"package {entry.dist.name} {entry.dist.version}"
