@@ -90,8 +90,9 @@ class Options:
 
 def with_aims(cases: tuple[Case, ...]) -> tuple[Case, ...]:
     """The cases that have an aim, and the baselines of those."""
-    chosen = [case for case in cases if any(aim.factor is not None for aim in case.aims)]
-    needed = {case.name for case in chosen} | {aim.baseline for case in chosen for aim in case.aims}
+    needed = {case.name for case in cases if any(aim.factor is not None for aim in case.aims)}
+    while more := {aim.baseline for case in cases if case.name in needed for aim in case.aims} - needed - {""}:
+        needed |= more  # baselines of baselines: the ratios that are only shown are taken, too
     return tuple(case for case in cases if case.name in needed)
 
 
