@@ -50,13 +50,13 @@ class Part:
 
 
 PARTS: Final = (
-    Part("push", rounds=11),
+    Part("push", rounds=9),
     Part("context"),
     Part("context", rounds=7, scale=3.0, extra={"paper": True}),
     Part("codec"),
     Part("record"),
     Part("scale"),
-    Part("startup"),
+    Part("startup", rounds=15),
 )
 
 
