@@ -144,8 +144,10 @@ class Ticker(Component):
         self.late: list[int] = []
 
     async def on_execute(self) -> None:
-        schedule = self.context._schedule  # type: ignore[attr-defined] # nobody else knows when this tick was due
-        self.late.append(self.clock.monotonic_ns() - schedule.due_ns)
+        context = self.context
+        assert isinstance(context, PeriodicContext)
+        assert context.due_ns is not None
+        self.late.append(self.clock.monotonic_ns() - context.due_ns)
 
 
 async def periodic(count: int, rate: float, seconds: float) -> dict[str, float]:

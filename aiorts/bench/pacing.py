@@ -2,6 +2,11 @@
 
 A tick is the pair (when it was due, when its code ran). Everything a table says of a clock or a context is computed
 here from such pairs, the same way for aiorts, for the bare loops in Python and for the one in C.
+
+What "(ticks run + skipped) / elapsed is the rate" means here: every tick that was due from the first to the last that
+ran either ran or was counted as skipped (`complete`, exact), and the moments at which ticks number n ran lie on a line
+whose slope is the nominal period (`rate_error`). Dividing by the time between two single ticks would measure how late
+those two were; and moments that a context calls due are checked against the first tick that ran, not believed.
 """
 
 from __future__ import annotations
@@ -57,6 +62,11 @@ class Ticks:
         ]
 
     @property
+    def intervals_ns(self) -> list[int]:
+        """From each tick to the next that ran, whatever was left out between them."""
+        return [later - earlier for earlier, later in zip(self.ran_ns, self.ran_ns[1:], strict=False)]
+
+    @property
     def numbers(self) -> list[int]:
         """The number of each tick, counted from the first, those left out included."""
         start = self.due_ns[0]
@@ -105,13 +115,24 @@ class Timing:
     overruns: int
     cpu_share: float
     """Processor time as a share of the time that passed."""
+    executed: float
+    """Ticks that ran in a second."""
 
     @classmethod
     def of(cls, ticks: Ticks) -> Timing:
-        """The figures of one series of at least three ticks."""
+        """The figures of one series.
+
+        Where ticks are left out all the time there are no two whole periods: then all intervals count, and deviate
+        from the nominal period.
+
+        Raises:
+            ValueError: fewer than three ticks.
+        """
         late, periods = sorted(ticks.lateness_ns), ticks.periods_ns
-        if len(late) < 3 or len(periods) < 2:
-            raise ValueError(f"{len(late)} ticks with {len(periods)} whole periods: at least 3 and 2 are needed")
+        if len(late) < 3:
+            raise ValueError(f"{len(late)} ticks: at least 3 are needed")
+        around = None if len(periods) >= 2 else float(ticks.period_ns)
+        periods = periods if around is None else ticks.intervals_ns
         elapsed = ticks.ran_ns[-1] - ticks.ran_ns[0]
         return cls(
             len(late),
@@ -121,16 +142,22 @@ class Timing:
             float(min(periods)),
             statistics.fmean(periods),
             float(max(periods)),
-            statistics.pstdev(periods),
-            best_deviation(periods, ticks.period_ns),
+            statistics.pstdev(periods, around),
+            best_deviation(periods, ticks.period_ns, around=around),
             ticks.rate_error,
             ticks.skipped,
             ticks.overruns,
             ticks.cpu_ns / elapsed,
+            (len(late) - 1) * 1e9 / elapsed,
         )
 
 
-def best_deviation(periods_ns: Sequence[int], nominal_ns: int, share: float = BEST) -> float:
-    """Standard deviation of the `share` of the periods that is nearest to the nominal one, at least two of them."""
+def best_deviation(
+    periods_ns: Sequence[int], nominal_ns: int, share: float = BEST, *, around: float | None = None
+) -> float:
+    """Standard deviation of the `share` of the periods that is nearest to the nominal one, at least two of them.
+
+    It is taken from their mean, or from `around`.
+    """
     nearest = sorted(periods_ns, key=lambda period: abs(period - nominal_ns))
-    return statistics.pstdev(nearest[: max(2, math.floor(len(nearest) * share))])
+    return statistics.pstdev(nearest[: max(2, math.floor(len(nearest) * share))], around)

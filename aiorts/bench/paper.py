@@ -32,7 +32,12 @@ _MAX: Final = Measure("period max", "ms", "less", 3, "period", 100)
 _DEVIATION: Final = Measure("deviation", "us", digits=2)
 _RATE_ERROR: Final = Measure("rate error", "ppm", digits=1)
 _LATENESS: Final = Measure("lateness p50", "us", digits=1, pool="lateness", percent=50)
-_COLUMNS: Final = (_MIN, _MEAN, _MAX, DEVIATION_BEST, _LATENESS, *tails("lateness", 99, 100), _RATE_ERROR)
+_EXECUTED: Final = Measure("executed", "Hz", "more", digits=2)
+_INTERVAL: Final = Measure("interval p99", "ms", digits=3, pool="interval", percent=99)
+_COLUMNS: Final = (
+    *(_MIN, _MEAN, _MAX, DEVIATION_BEST, _LATENESS, *tails("lateness", 99, 100)),
+    *(_EXECUTED, _INTERVAL, _RATE_ERROR),
+)
 
 _HOW: Final = (
     "The paper's four components, really computing, in one context of 2 ms; every round ends with the arm at rest "

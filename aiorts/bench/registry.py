@@ -17,7 +17,7 @@ from aiorts.bench.runner import Beside, choose_loops, measure
 from aiorts.errors import PluginError
 from aiorts.kernel.plugins import extensions, load_extension
 
-__all__ = ("OWN", "Bench", "Options", "load", "names")
+__all__ = ("OWN", "Bench", "Options", "load", "names", "with_aims")
 
 OWN: Final = {
     "push": ("aiorts.bench.push", "Throughput and latency of the push policies: flush, new, periodic."),
@@ -45,6 +45,7 @@ class Options:
         say: tells the user one line, such as how long it will take.
         command: the command line that repeats it.
         given: names of the options that the user gave himself.
+        aimed: only cases that have an aim, and the baselines of those.
     """
 
     quick: bool = False
@@ -58,6 +59,7 @@ class Options:
     say: Callable[[str], None] | None = None
     command: str = ""
     given: frozenset[str] = frozenset()
+    aimed: bool = False
 
     @property
     def loops(self) -> tuple[str, ...]:
@@ -66,6 +68,8 @@ class Options:
 
     def rows(self, cases: tuple[Case, ...], *, beside: Beside | None = None, loop: str = "") -> tuple[Row, ...]:
         """Measure `cases` as asked, on every loop asked for, or on `loop` alone."""
+        if self.aimed and not (cases := with_aims(cases)):
+            return ()
         return tuple(
             row
             for name in ((loop,) if loop else self.loops)
@@ -82,6 +86,14 @@ class Options:
         """All there is to do for a bench that is one table of cases."""
         described = machine.describe()
         return self.report(bench, self.rows(cases), described, **more)
+
+
+def with_aims(cases: tuple[Case, ...]) -> tuple[Case, ...]:
+    """The cases that have an aim, and the baselines of those."""
+    needed = {case.name for case in cases if any(aim.factor is not None for aim in case.aims)}
+    while more := {aim.baseline for case in cases if case.name in needed for aim in case.aims} - needed - {""}:
+        needed |= more  # baselines of baselines: the ratios that are only shown are taken, too
+    return tuple(case for case in cases if case.name in needed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,28 +1,144 @@
-"""`python -m aiorts.bench.results [FILE]` runs the benches and writes RESULTS.md; `--check` only judges their aims."""
+"""`python -m aiorts.bench.results [FILE]` runs the benches and writes RESULTS.md; `--check` only judges their aims.
+
+The file consists of marked parts, one for each bench and one for each list of sentences beside OpenRTM-aist-Python; a
+run replaces the parts it has measured and keeps the others.
+"""
 
 from __future__ import annotations
 
+import re
 import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
-from aiorts.bench import printer, registry
+from aiorts.bench import openrtm, printer, registry
+from aiorts.bench.report import Report
 from aiorts.errors import PluginError
 
-__all__ = ("SLACK", "main")
+__all__ = ("PARTS", "SLACK", "Part", "compose", "main", "measured", "missed", "parts_of")
 
 _FILE: Final = Path(__file__).resolve().parent / "RESULTS.md"
 SLACK: Final = 0.1
 """By how much an automated check lets an aim be missed."""
+_MARK: Final = re.compile(r"^<!-- part: (.+) -->\n", re.MULTILINE)
+_BESIDE: Final = "beside "
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One run of a bench.
+
+    Attributes:
+        rounds, scale: of the full run, so that all parts together take ten minutes; 0 takes the bench's own.
+        extra: the bench's own options.
+    """
+
+    bench: str
+    rounds: int = 0
+    scale: float = 0.0
+    extra: Mapping[str, Any] | None = None
+
+    @property
+    def name(self) -> str:
+        """What `--only` calls it, and the mark in the file."""
+        return " ".join((self.bench, *(f"--{name}" for name in self.extra or ())))
+
+
+PARTS: Final = (
+    Part("push", rounds=9),
+    Part("context"),
+    Part("context", rounds=7, scale=3.0, extra={"paper": True}),
+    Part("codec"),
+    Part("record"),
+    Part("scale"),
+    Part("startup", rounds=15),
+)
+
+
+def measured(part: Part, *, quick: bool = False, aimed: bool = False, **changed: Any) -> Report:
+    """Run it. `changed` are further options that are not None.
+
+    Raises:
+        PluginError: the bench cannot be loaded.
+    """
+    bench = registry.load(part.bench)
+    given = {name: value for name, value in changed.items() if value is not None}
+    if not quick:
+        given = {
+            **({"rounds": part.rounds} if part.rounds else {}),
+            **({"scale": part.scale} if part.scale else {}),
+        } | given
+    if not bench.loops:
+        given.pop("loop", None)
+    words = [f"aiorts bench {part.name}", *(["--quick"] if quick else [])]
+    words += [f"--{name} {value}" for name, value in given.items()]
+    extra = dict(part.extra or {})
+    return bench.report(bench.asked(quick=quick, command=" ".join(words), aimed=aimed, extra=extra, **given))
+
+
+def missed(part: str, report: Report) -> list[str]:
+    """One line for each aim of `report` that is missed by more than `SLACK`."""
+    return [
+        f"{part}: {row.case.name}{'' if row.loop == 'none' else f' on {row.loop}'}: {ratio.measure.name} "
+        f"{ratio.measured.median:.3g}, aim {ratio.aim.sense.value} {ratio.aim.factor:g}, "
+        f"{ratio.aim.compared_with(ratio.measure.unit)}"
+        for row, ratio in report.missed(SLACK)
+    ]
+
+
+def parts_of(text: str) -> dict[str, str]:
+    """The marked parts of such a file, by name."""
+    _, *found = _MARK.split(text)
+    return {name: body.strip("\n") for name, body in zip(found[::2], found[1::2], strict=True)}
+
+
+def compose(parts: Mapping[str, str]) -> str:
+    """The file from its parts: a head, the benches, and what stands beside OpenRTM-aist-Python."""
+    names = [part.name for part in PARTS]
+    names += [name for name in parts if name not in names and not name.startswith(_BESIDE)]
+
+    def marked(names: list[str]) -> str:
+        return "\n\n".join(f"<!-- part: {name} -->\n{parts[name]}" for name in names if parts.get(name))
+
+    beside = marked([_BESIDE + name for name in names])
+    head = (
+        "# Results\n\nWritten by `python -m aiorts.bench.results`; each section names its machine and its command. "
+        "`on course` is about the median of the rounds. Nothing here is edited by hand."
+    )
+    sections = [head, marked(names)]
+    if beside:
+        # A part of its own, so that it does not belong to the bench above it; it is made anew each time.
+        sections.append(f"<!-- part: {_BESIDE}head -->\n## Beside OpenRTM-aist-Python\n\n{openrtm.HEAD}\n\n{beside}")
+    return "\n\n".join(sections) + "\n"
+
+
+def _chosen(only: str | None) -> tuple[Part, ...]:
+    if only is None:
+        return PARTS
+    wanted = [name.strip() for name in only.split(",") if name.strip()]
+    names = [part.name for part in PARTS]
+    unknown = [name for name in wanted if name not in names]
+    if unknown or not wanted:
+        raise click.UsageError(f"--only {only!r}: expected some of {', '.join(names)}")
+    return tuple(part for part in PARTS if part.name in wanted)
+
+
+def _progress(part: str) -> Callable[[str, int], None] | None:
+    if not sys.stderr.isatty():
+        return None
+    return lambda loop, number: click.echo(f"\r\x1b[K{part}: {loop} round {number + 1} ", nl=False, err=True)
 
 
 @click.command()
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path), default=_FILE)
 @click.option("--quick", is_flag=True, help="Fewer and smaller rounds.")
 @click.option("--check", is_flag=True, help="Write nothing; exit status 1 when an aim is missed by more than 10 %.")
-@click.option("--bench", "chosen", multiple=True, help="Only this bench; may be given several times. Default all.")
+@click.option("--only", help="Only these parts, such as push,context; the others in FILE are kept.")
 @click.option("--loop", type=click.Choice(["auto", "both", "asyncio", "uvloop"]))
 @click.option("--rounds", type=click.IntRange(min=1))
 @click.option("--scale", type=click.FloatRange(min=0, min_open=True))
@@ -30,35 +146,39 @@ def main(
     file: Path,
     quick: bool,
     check: bool,
-    chosen: tuple[str, ...],
+    only: str | None,
     loop: str | None,
     rounds: int | None,
     scale: float | None,
 ) -> None:
-    """Write the figures of this machine to FILE."""
-    sections, missed = [], []
-    for name in chosen or tuple(registry.OWN):
+    """Write the figures of this machine to FILE: ten minutes on a quiet machine, less with --quick or --only."""
+    chosen = _chosen(only)
+    parts = {} if check or not file.exists() else parts_of(file.read_text(encoding="utf-8"))
+    told, faults = [], []
+    for part in chosen:
+        began = time.monotonic()
         try:
-            bench = registry.load(name)
-        except PluginError as error:
+            report = measured(
+                part, quick=quick, aimed=check, loop=loop, rounds=rounds, scale=scale, progress=_progress(part.name)
+            )
+        except (PluginError, ImportError) as error:
             raise click.ClickException(str(error)) from error
-        words = [f"aiorts bench {name}", *(["--quick"] if quick else [])]
-        given = {"loop": loop if bench.loops else None, "rounds": rounds, "scale": scale}
-        words += [f"--{key} {value}" for key, value in given.items() if value is not None]
-        report = bench.report(bench.asked(quick=quick, command=" ".join(words), **given))
-        for fault in report.faults:
-            raise click.ClickException(f"{fault}; {file} was not written")
-        sections.append(printer.markdown(report, level=2))
-        missed += [
-            f"{name}: {row.case.name} on {row.loop}: {ratio.measured.median:.3g}, aim {ratio.aim.sense.value} "
-            f"{ratio.aim.factor:g} {ratio.aim.compared_with(ratio.measure.unit)}"
-            for row, ratio in report.missed(SLACK)
-        ]
-    if check:
-        click.echo("\n".join(missed) or "every aim is met, or weaker by no more than 10 %")
-        sys.exit(1 if missed else 0)
-    file.write_text("# Results\n\n" + "\n\n".join(sections) + "\n", encoding="utf-8")
-    click.echo(f"{file} written")
+        click.echo(f"{part.name}: {time.monotonic() - began:.0f} s", err=True)
+        faults += [f"{part.name}: {fault}" for fault in report.faults]
+        told += missed(part.name, report)
+        # Written with its faults: a table without them would say that all was well.
+        parts[part.name] = printer.markdown(report, level=2)
+        beside = openrtm.sentences(part.name, report)
+        parts[_BESIDE + part.name] = "\n".join(f"- {sentence}" for sentence in beside)
+        if not check:
+            file.write_text(compose(parts), encoding="utf-8")  # at once: a part that fails takes nothing along
+    for line in (*faults, *told):
+        click.echo(line)
+    if not told:
+        click.echo("every aim is met, or weaker by no more than 10 %")
+    if not check:
+        click.echo(f"{file} written")
+    sys.exit(1 if faults or (check and told) else 0)
 
 
 if __name__ == "__main__":

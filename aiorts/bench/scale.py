@@ -25,6 +25,9 @@ TRACED: Final = Measure("traced each", "B")
 RESIDENT: Final = Measure("resident each", "B")
 """The same as growth of the resident set."""
 MESSAGE: Final = Measure("message", "ns")
+"""Among a hundred components, while all the others are idle."""
+EVERY: Final = Measure("message, all", "ns")
+"""Among all of them in turn: what one needs has left the processor's cache when it comes round again."""
 _STEPS: Final = tuple(Measure(step, "ms", digits=1) for step in ("create", "connect", "start", "stop"))
 _AIMS: Final = {
     10_000: (Aim("", factor=5000.0), Aim("", factor=6144.0, measure=TRACED)),
@@ -37,10 +40,12 @@ def _measured(size: int, count: int) -> Reading:
         plain: dict[str, Any] = json.loads(_child(size, count))
         traced: dict[str, Any] = json.loads(_child(size, 1, "--trace"))
     except OSError as error:
-        values = {TOTAL.name: _TIMEOUT_S * 1e3, TRACED.name: 0.0, RESIDENT.name: 0.0, MESSAGE.name: 0.0}
+        values = dict.fromkeys((TRACED.name, RESIDENT.name, MESSAGE.name, EVERY.name), 0.0)
+        values[TOTAL.name] = _TIMEOUT_S * 1e3
         return Reading(values, faults=(str(error),))
     values = {step.name: plain[step.name] * 1e3 for step in (*_STEPS, TOTAL)}
-    values |= {RESIDENT.name: plain["memory"], TRACED.name: traced["memory"], MESSAGE.name: plain["message"]}
+    values |= {RESIDENT.name: plain["memory"], TRACED.name: traced["memory"]}
+    values |= {measure.name: plain[measure.name] for measure in (MESSAGE, EVERY)}
     return Reading(values, size, faults=tuple(plain["faults"] + traced["faults"]))
 
 
@@ -50,7 +55,7 @@ def _child(size: int, messages: int, *words: str) -> str:
 
 def cases(sizes: tuple[int, ...] = SIZES) -> tuple[Case, ...]:
     """One for each size; the cost of a message beside that with one component."""
-    columns = (*_STEPS, TRACED, RESIDENT, MESSAGE)
+    columns = (*_STEPS, TRACED, RESIDENT, MESSAGE, EVERY)
     return tuple(
         Case(
             f"{size:,}",
@@ -74,21 +79,25 @@ def report(options: Options) -> Report:
     """The bench."""
     described = machine.describe()
     sizes = QUICK_SIZES if options.quick else SIZES
-    if not options.quick and options.say is not None:
-        options.say("10,000 components for each round: this takes minutes")
     rows = options.rows(cases(sizes))
     notes = ("--quick stops at 1,000 components",) if options.quick else ()
     how = (
         "Each size in a fresh process. Total is created + connected + started + stopped. Memory is what one component "
         "takes beyond an object of the user with as many attributes: as tracemalloc counts it (traced), and as the "
-        "resident set grows (pages, so coarse for few). A message wakes an idle event context and is read there."
+        "resident set grows (pages, so coarse for few). A message wakes an idle event context and is read there: "
+        "one among at most a hundred components while the others are idle, or among all of them in turn."
     )
     return options.report("scale", rows, described, notes=notes, figures=_figures(rows), how=how)
 
 
 def _figures(rows: tuple[Row, ...]) -> tuple[Figure, ...]:
     """Lines over the number of components."""
-    shown = (("Created, connected, started, stopped", TOTAL), ("One message", MESSAGE), ("Memory each", TRACED))
+    shown = (
+        ("Created, connected, started, stopped", TOTAL),
+        ("One message", MESSAGE),
+        ("One message, each component in turn", EVERY),
+        ("Memory each", TRACED),
+    )
     return tuple(
         Figure(title, "components", "", measure.name, measure.unit, (Series("aiorts", _points(rows, measure)),))
         for title, measure in shown

@@ -71,7 +71,7 @@ class Stamper:
             return
         context: Any = component.context
         self.ran[number] = now
-        self.due[number] = context._schedule.due_ns if due_ns is None else due_ns
+        self.due[number] = context.due_ns if due_ns is None else due_ns
         if number == 0:
             self.before = (context.statistics, process_time_ns())
         if number == self.count - 1:
@@ -142,7 +142,7 @@ class Pacer(Component):
 
     def on_execute(self) -> None:
         context: Any = self.context
-        self.out.write_nowait(TimedLongLong(0, context._schedule.due_ns))
+        self.out.write_nowait(TimedLongLong(0, context.due_ns))
 
 
 class Paced(Component):
@@ -188,8 +188,10 @@ def reading_of(ticks: Ticks, ledger: Ledger | None = None, faults: Iterable[str]
         "skipped": float(timing.skipped),
         "overruns": float(timing.overruns),
         "cpu": timing.cpu_share * 100,
+        "executed": timing.executed,
     }
-    pools = {"lateness": ticks.lateness_ns, "period": ticks.periods_ns}
+    pools = {"lateness": ticks.lateness_ns, "period": ticks.periods_ns or ticks.intervals_ns}
+    pools["interval"] = ticks.intervals_ns
     return Reading(values, len(ticks.due_ns), pools, ledger, tuple(told))
 
 
@@ -197,7 +199,9 @@ DEVIATION_BEST: Final = Measure("deviation 99 %", "us", digits=1)
 """Standard deviation of the 99 % of the periods that are nearest to the nominal one."""
 
 
-async def in_context(make: MakeContext, others: int, count: int, *, plain: bool = False) -> Reading:
+async def in_context(
+    make: MakeContext, others: int, count: int, *, plain: bool = False, period_ns: int = PERIOD_NS
+) -> Reading:
     """One member that notes when it runs, and `others` empty ones behind it, their hooks plain `def` or coroutines."""
     kind = Plain if plain else Empty
     count = max(FEWEST, count)
@@ -205,8 +209,8 @@ async def in_context(make: MakeContext, others: int, count: int, *, plain: bool 
     async with Kernel() as kernel:
         members: list[Component] = [await kernel.add(Stamped("stamped", stamper))]
         members += [await kernel.add(kind(f"empty{n}")) for n in range(others)]
-        await kernel.start(make(1e9 / PERIOD_NS), *members, activate=True)
-        return reading_of(await stamper.ticks(PERIOD_NS))
+        await kernel.start(make(1e9 / period_ns), *members, activate=True)
+        return reading_of(await stamper.ticks(period_ns))
 
 
 async def manipulator(make: MakeContext, count: int) -> Reading:

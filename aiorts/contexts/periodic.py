@@ -61,6 +61,14 @@ class PeriodicContext(Context):
         return None if self._schedule is None else self._schedule.rate
 
     @property
+    def due_ns(self) -> int | None:
+        """When the tick that runs now was due, on the kernel's clock; between two cycles when the next one is.
+
+        None before the first cycle, and where there is no rate. `clock.monotonic_ns() - due_ns` is how late a hook is.
+        """
+        return None if self._schedule is None or self._fresh else self._schedule.due_ns
+
+    @property
     def statistics(self) -> ContextStatistics:
         plan = self._schedule
         if plan is None:

@@ -13,7 +13,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
+<<<<<<< HEAD
 from importlib.metadata import distributions
+=======
+>>>>>>> x-benchB
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -192,5 +195,17 @@ class Catalogue:
             return ""
 
 
+<<<<<<< HEAD
+=======
+def _installed() -> Iterator[Extension]:
+    from importlib.metadata import entry_points  # late: 10 ms, and most programs ask for no extension
+
+    for kind in KINDS:
+        for entry in entry_points(group=f"aiorts.{kind}"):
+            source = "unknown package" if entry.dist is None else f"package {entry.dist.name} {entry.dist.version}"
+            yield Extension(kind, entry.name, entry.value, source)
+
+
+>>>>>>> x-benchB
 def _says_component(base: ast.expr) -> bool:
     return (base.attr if isinstance(base, ast.Attribute) else getattr(base, "id", "")) == "Component"
