@@ -13,10 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
-<<<<<<< HEAD
-from importlib.metadata import distributions
-=======
->>>>>>> x-benchB
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -115,6 +111,8 @@ class Catalogue:
 
     def _installed(self) -> Iterator[Extension]:
         """What packages offer; one whose metadata is broken is a problem and hides nothing."""
+        from importlib.metadata import distributions  # late: 10 ms, and most programs ask for no extension
+
         seen = set()
         for distribution in distributions():
             try:
@@ -195,17 +193,5 @@ class Catalogue:
             return ""
 
 
-<<<<<<< HEAD
-=======
-def _installed() -> Iterator[Extension]:
-    from importlib.metadata import entry_points  # late: 10 ms, and most programs ask for no extension
-
-    for kind in KINDS:
-        for entry in entry_points(group=f"aiorts.{kind}"):
-            source = "unknown package" if entry.dist is None else f"package {entry.dist.name} {entry.dist.version}"
-            yield Extension(kind, entry.name, entry.value, source)
-
-
->>>>>>> x-benchB
 def _says_component(base: ast.expr) -> bool:
     return (base.attr if isinstance(base, ast.Attribute) else getattr(base, "id", "")) == "Component"
