@@ -40,8 +40,9 @@ _FAST_NS: Final = 2_000_000
 _LAZY_NS: Final = 1_000_000
 """A context with a shorter period than the first re-arms its timer once in the second; it is looked at later by it."""
 _MANY: Final = 50
+_SHORT_NS: Final = 200_000
 _REST: Final = 20
-"""Times the last walk through the books before the next."""
+"""A walk through the books that was longer than the first is followed by a rest of so many times its length."""
 _SOON_NS: Final = 1_000_000_000
 """With so many contexts all books are gone through once in a second at the most."""
 _MOST_TIMERS: Final = 64
@@ -214,7 +215,8 @@ class Watch:
         # With thousands of contexts the books are long; they are not gone through for each that is late.
         few = self._context.exclusive or len(self._kernel._contexts) < _MANY
         # Long books are not gone through all the time: that would make the next cycle late.
-        whole = not self._real or now - findings.walked_ns > (_REST * findings.walk_ns if few else _SOON_NS)
+        rest_ns = _SOON_NS if not few else _REST * findings.walk_ns if findings.walk_ns > _SHORT_NS else 0
+        whole = not self._real or now - findings.walked_ns >= rest_ns
         known = (self._seen or {}) if few else findings.seen
         seen_now = {} if whole else known  # who has left is forgotten
         if not whole and len(self._context._members) > _MANY:
