@@ -130,20 +130,14 @@ def thread_cases(c_loop: CLoop | None, *, long: bool = True) -> tuple[Case, ...]
     nanosleep = partial(bare, partial(bare_clock.clock_nanosleep, priority=PRIORITY))
     cases = [_case("time.sleep", "bare: time.sleep in a thread", partial(bare, bare_clock.time_sleep))]
     if bare_clock.has_clock_nanosleep():
+        # None beside a busy loop: with the interpreter's own switch interval it takes seconds for a few ticks.
         cases += [
-            _case("clock_nanosleep", "bare: the system call by ctypes in a thread, SCHED_FIFO if granted", nanosleep),
-            _case(
-                "clock_nanosleep, busy",
-                "the same beside a loop held for 5 ms at a time",
-                partial(busy, nanosleep),
-                messages=TICKS // 4,  # it gets the interpreter lock every few milliseconds
-            ),
+            _case("clock_nanosleep", "bare: the system call by ctypes in a thread, SCHED_FIFO if granted", nanosleep)
         ]
     if c_loop is not None:
         in_c = partial(bare, partial(c_loop.run, priority=PRIORITY))
         cases += [
             _case("C", "bare: the system call in C, a process of its own, SCHED_FIFO if granted", in_c),
-            _case("C, busy", "the same beside a loop held for 5 ms at a time", partial(busy, in_c)),
         ]
     in_thread = partial(ticking.in_context, ThreadContext)
     cases += [
