@@ -175,3 +175,21 @@ def test_an_extension_that_is_no_component_is_refused(tmp_path: Path) -> None:
                 await kernel.create("Odd")
 
     asyncio.run(main())
+
+
+def test_two_components_of_one_file_created_together_find_it_whole(tmp_path: Path) -> None:
+    text = "import time\nfrom aiorts import Component\nclass Aa(Component): pass\n"
+    (tmp_path / "plug_two.py").write_text(f"{text}time.sleep(0.2)\nclass Bb(Component): pass\n")
+
+    async def main() -> list[str]:
+        async with Kernel(plugins=Catalogue([tmp_path])) as kernel:
+            return [component.name for component in await asyncio.gather(kernel.create("Aa"), kernel.create("Bb"))]
+
+    assert sorted(asyncio.run(main())) == ["aa0", "bb0"]
+
+
+def test_an_error_without_a_text_of_its_own_is_told_at_once(tmp_path: Path) -> None:
+    text = "class Odd(Exception):\n    def __str__(self): raise ValueError\nraise Odd\n"
+    plugin(tmp_path, "plug_mute", text, 'Mute = "plug_mute:Good"\n')
+    with pytest.raises(PluginError, match=r"Odd: \(its text cannot be had\)"):
+        load(Catalogue([tmp_path]).find("components", "Mute"))

@@ -133,3 +133,9 @@ def test_any_text_is_a_sample_or_an_error_of_one_kind(cls: type, line: str) -> N
 
 def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
+
+
+def test_a_line_with_very_many_keys_is_refused_in_no_time() -> None:
+    keys = ", ".join(f'"k{number}": 1' for number in range(50_000))
+    with pytest.raises(RecordError, match="'k1' stands there twice"):
+        NUMBER.sample(f'{{{keys}, "k1": 2}}', NOW)  # one look at each: with one at each pair this takes minutes
