@@ -23,7 +23,7 @@ BROKEN_PIPE: Final = 141
 _COMMANDS: Final = {
     "run": ("aiorts.cli.run:run", "Run a system file."),
     "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
-    "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies beside bare queues."),
+    "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
 }
 
 

@@ -17,7 +17,7 @@ from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycle
 from aiorts.cli.report import report, report_error
 from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
-from aiorts.errors import AiortsError, ConfigurationError, PluginError
+from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.system import StandardInput, StandardOutput
 from aiorts.types import type_name
 
@@ -34,10 +34,7 @@ _OURS: Final = (
 
 def load_component(name: str) -> type[Component]:
     """The class that is installed under this name. PluginError when it cannot be had."""
-    found = Catalogue().load("components", name)
-    if not (isinstance(found, type) and issubclass(found, Component)):
-        raise PluginError(f"component {name!r}: {found!r:.80} is no class derived from Component")
-    return found
+    return Catalogue().find("components", name).load_class(Component)
 
 
 def command_of(name: str, cls: type[Component]) -> click.Command:
@@ -115,31 +112,16 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
             click.echo(getattr(cls, option.action)(**params))
         if actions:
             return 0
-        draft = cls("draft")
-        draft.params.check(params)
+        cls("draft").params.check(params)
     except AiortsError as error:
-        return _refused(error)
+        report_error(error, verbose=False)
+        return 2
     filter_ = _Filter(cls, params, common.get("count"))
-    options = checked(
-        Options(
-            loop=common["loop"],
-            simulate=False,
-            speed=None,
-            strict=False,
-            duration=common.get("duration"),
-            verbose=common["debug"],
-            debug=common["debug"],
-        )
-    )
+    debug = common["debug"]
+    options = checked(Options(common["loop"], common.get("duration"), verbose=debug, debug=debug))
     stopper = Stopper()
     with stopper.signals():
-        return execute(filter_.make, 3, options, stopper) or filter_.status
-
-
-def _refused(error: AiortsError) -> int:
-    """What was typed is wrong: said in one line, and two that show where where that is known."""
-    report_error(error, verbose=False)
-    return 2
+        return execute(filter_.make, 1, options, stopper) or filter_.status
 
 
 def _import_types(modules: str) -> None:

@@ -52,12 +52,12 @@ class Options:
     """How a system is run."""
 
     loop: str
-    simulate: bool
-    speed: float | None
-    strict: bool
     duration: float | None
     verbose: bool
     debug: bool
+    simulate: bool = False
+    speed: float | None = None
+    strict: bool = False
 
 
 def checked(options: Options) -> Options:

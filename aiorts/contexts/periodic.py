@@ -16,7 +16,7 @@ from aiorts.model.blame import MissedDeadlines
 from aiorts.model.profile import ContextStatistics
 
 if TYPE_CHECKING:
-    from aiorts.kernel.deadman import Watch
+    from aiorts.kernel.deadman import DeadlineWatch
     from aiorts.kernel.member import Member
 
 __all__ = ("PeriodicContext",)
@@ -53,7 +53,7 @@ class PeriodicContext(Context):
         self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
         self._fresh = True
         self._missed: MissedDeadlines | None = None
-        self._watch: Watch | None = None
+        self._watch: DeadlineWatch | None = None
 
     @property
     def rate(self) -> float | None:

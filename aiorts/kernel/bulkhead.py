@@ -13,19 +13,17 @@ import asyncio
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from aiorts.kernel.bus import Bus, HookAfter, HookBefore
+from aiorts.kernel.bus import HookAfter, HookBefore
 from aiorts.kernel.driver_state import DriverState
 from aiorts.kernel.driver_task import DriverTask, wait_for_turn
 from aiorts.kernel.hooks import HookKind, bad_return
-from aiorts.kernel.life import Batch, Call, Steps, Wait, first_pass
+from aiorts.kernel.life import Batch, Call, Wait, first_pass
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import leave_behind
 from aiorts.kernel.verdict import judged, left_behind
 from aiorts.kernel.watch import Watch
 
 if TYPE_CHECKING:
-    from aiorts.kernel.context import Context
-    from aiorts.kernel.host import Cancellable
     from aiorts.kernel.member import Member
 
 __all__ = ("TaskDriver",)
@@ -44,17 +42,8 @@ class TaskDriver(DriverState):
 
     __slots__ = ()
 
-    def __init__(
-        self,
-        context: Context,
-        steps: Steps,
-        loop: asyncio.AbstractEventLoop,
-        call_at: Callable[[int, Callable[[], None]], Cancellable],
-        call_later: Callable[[float, Callable[[], None]], Cancellable],
-        bus: Bus,
-    ) -> None:
-        super().__init__(context, steps, loop, call_at, call_later, bus)
-        self.task = DriverTask(self, self._drive(None))
+    def _begin(self) -> DriverTask:
+        return DriverTask(self, self._drive(None))
 
     # -- the task --------------------------------------------------------------------------------------------------
 
@@ -87,10 +76,10 @@ class TaskDriver(DriverState):
                         alone = self.context._alone()
                         if alone is not None:
                             self._batch = _NOTHING_LEFT  # for who takes over
-                            if self._careful:
+                            if self._careful or alone.execute is None:
                                 await self._run_and_record(alone, "on_execute")
                             else:
-                                await self._run_one(alone)
+                                await self._run_one(alone, alone.execute)
                             self._batch = None
                             self.context._end_cycle((alone,))
                             if self._kicked:  # work is left, or somebody wants something
@@ -160,7 +149,9 @@ class TaskDriver(DriverState):
                 if hook:
                     self._member = None
                     if hook == "on_execute" and member.gate.shared and member.gate.open:
-                        await self._run_shared(member)
+                        kind, execute = member.hook_of(hook)
+                        if kind != _ABSENT:
+                            await self._run_one(member, execute)
                     else:
                         await self._run_and_record(member, hook)
                     if self._careful:
@@ -195,14 +186,19 @@ class TaskDriver(DriverState):
                     times.max_ns = elapsed_ns
         self._member = None
 
-    async def _run_one(self, member: Member) -> None:
-        """`_run_quickly` for one member that has an `execute`: this stands between a sample and the hook it is for."""
-        timing, task = self.context.timing, self.task
+    async def _run_one(self, member: Member, execute: Callable[[], Any]) -> None:
+        """`_run_quickly` for one member: this stands between a sample and the hook it is for.
+
+        A component that is in several contexts has nobody inside.
+        """
+        timing, task, gate = self.context.timing, self.task, member.gate
         begun_ns = self.context._now_ns() if timing else 0
         error: BaseException | None = None
         self._member = member
+        if gate.shared:
+            gate.inside = member
         try:
-            result = await member.execute() if member.awaits else member.execute()  # type: ignore[misc] # it has one
+            result = await execute() if member.awaits else execute()
         except BaseException as raised:  # noqa: BLE001 - the border round a hook
             error = result = raised
         if result is not None or self._careful:
@@ -211,31 +207,10 @@ class TaskDriver(DriverState):
             await self._end_oddly(member, error, result, begun_ns)
             return
         self._member = None
-        if timing:
-            member.timed("on_execute").add(self.context._now_ns() - begun_ns)
-
-    async def _run_shared(self, member: Member) -> None:
-        """`_run_one` for a member of a component that is in several contexts and has nobody inside."""
-        kind, function = member.hooks.get("on_execute") or member.hook_of("on_execute")
-        if kind == _ABSENT:
-            return
-        timing, task, gate = self.context.timing, self.task, member.gate
-        begun_ns = self.context._now_ns() if timing else 0
-        error: BaseException | None = None
-        self._member = gate.inside = member
-        self.hooks_run += 1
-        try:
-            result = await function() if kind == _ASYNC else function()
-        except BaseException as raised:  # noqa: BLE001 - the border round a hook
-            error = result = raised
-        if result is not None or self._careful:
-            if self.task is not task:
-                raise _LeftBehind
-            await self._end_oddly(member, error, result, begun_ns)
-            return
-        self._member = gate.inside = None
-        if gate.waiting:
-            gate.pass_on()
+        if gate.shared:
+            gate.inside = None
+            if gate.waiting:
+                gate.pass_on()
         if timing:
             member.timed("on_execute").add(self.context._now_ns() - begun_ns)
 

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, TypeVar
 
 from aiorts.errors import PluginError
 
 __all__ = ("KINDS", "Catalogue", "Extension", "Problem")
 
+T = TypeVar("T")
 KINDS: Final = ("components", "contexts", "codecs", "transports", "commands", "benches", "types")
 """What a plugin can offer."""
 _LARGEST: Final = 1 << 20
@@ -45,6 +46,12 @@ class Extension:
         from aiorts.kernel.plugins import load
 
         return load(self)
+
+    def load_class(self, base: type[T]) -> type[T]:
+        """The object itself, which is a class derived from `base`; else PluginError."""
+        from aiorts.kernel.plugins import class_of
+
+        return class_of(self, self.load(), base)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +111,6 @@ class Catalogue:
             sources = " and ".join(f"{one.target} ({one.source})" for one in found)
             raise PluginError(f"{word} {name!r} is offered twice, by {sources}; remove one")
         return found[0]
-
-    def load(self, kind: str, name: str) -> Any:
-        """The object itself, imported. PluginError as `find`, and when it cannot be imported."""
-        return self.find(kind, name).load()
 
     def _installed(self) -> Iterator[Extension]:
         """What packages offer; one whose metadata is broken is a problem and hides nothing."""

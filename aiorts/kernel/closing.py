@@ -32,7 +32,7 @@ async def close(kernel: Kernel) -> None:
             kernel._summary.cancel()
         kernel._log_budget.summarize()
         kernel._timers.release()
-        kernel._deadman.close()
+        kernel._pool.close()
         embedding.leave(kernel, kernel.loop)
         if kernel._remove_probe is not None:
             kernel._remove_probe()

@@ -20,7 +20,6 @@ from aiorts.clock import SimulatedClock, SystemClock
 from aiorts.kernel import timers, watcher
 from aiorts.kernel.blame import Entry, Glance, judge
 from aiorts.kernel.pauses import Pauses
-from aiorts.kernel.pool import PoolWatch
 from aiorts.kernel.witness import books, depth_beneath_task, look
 from aiorts.model.blame import Blame, GcPauses
 
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.timers import _Timerfd as Timerfd
 
-__all__ = ("Deadman", "Watch")
+__all__ = ("Deadman", "DeadlineWatch")
 
 _LOG = logging.getLogger("aiorts.kernel")
 _NEVER: Final = 2**62
@@ -59,10 +58,26 @@ class _Findings:
         self.seen: dict[tuple[int, str], Entry] = {}
         self.last: tuple[int, Blame] | None = None
         self.walked_ns = -_SOON_NS
+        """When all books were gone through last."""
         self.walk_ns = 0
+        """How long that took."""
+
+    def may_walk(self, now_ns: int, *, few: bool) -> bool:
+        """Whether all books may be gone through again: if that took long it would make the next cycle late."""
+        rest_ns = (_REST * self.walk_ns if self.walk_ns > _SHORT_NS else 0) if few else _SOON_NS
+        return now_ns - self.walked_ns >= rest_ns
 
 
-class Watch:
+def _that_matters(entry: Entry, before: Entry | None, longest_ns: int) -> int | None:
+    """How long the run of a hook took that may have held somebody up; None: it has not run, or began too early."""
+    if before is not None and before.runs == entry.runs:
+        return None
+    # The longest run there ever was may have been the one that did it, though it was not the last.
+    longest = entry.last_ns if before is None or before.max_ns == entry.max_ns else entry.max_ns
+    return next((took for took in (longest, entry.last_ns) if took <= longest_ns), None)
+
+
+class DeadlineWatch:
     """The deadman of one context; `arm`, `disarm` and `blame` are for the thread that runs it, and take no lock."""
 
     __slots__ = (
@@ -210,37 +225,28 @@ class Watch:
 
     def _fresh_entries(self, late_ns: int) -> list[Entry]:
         """The books of hooks that have run since they were last asked for."""
-        fresh: list[Entry] = []
         findings, now = self._findings, time.monotonic_ns()
-        # With thousands of contexts the books are long; they are not gone through for each that is late.
         few = self._context.exclusive or len(self._kernel._contexts) < _MANY
-        # Long books are not gone through all the time: that would make the next cycle late.
-        rest_ns = _SOON_NS if not few else _REST * findings.walk_ns if findings.walk_ns > _SHORT_NS else 0
-        whole = not self._real or now - findings.walked_ns >= rest_ns
-        known = (self._seen or {}) if few else findings.seen
-        seen_now = {} if whole else known  # who has left is forgotten
+        whole = not self._real or findings.may_walk(now, few=few)
         if not whole and len(self._context._members) > _MANY:
-            return fresh
+            return []
+        # With few contexts each has read the books for itself; with many, what one has read is old news to all.
+        known = (self._seen or {}) if few else findings.seen
+        now_known = {} if whole else known  # who has left is forgotten
+        fresh = []
         for member, entry in books(self._kernel, self._context, whole=whole):
             key = id(member), entry.blame.hook
-            seen = known.get(key)
-            seen_now[key] = entry
-            if seen is None or seen.runs != entry.runs:
-                # The longest run there ever was may have been the one that did it, though it was not the last.
-                longest = entry.last_ns if seen is None or seen.max_ns == entry.max_ns else entry.max_ns
-                # One that began before the last cycle did has not kept this one.
-                for took in (longest, entry.last_ns):
-                    if took <= late_ns + self._period_ns:
-                        fresh.append(entry._replace(last_ns=took))
-                        break
-        if whole:
-            findings.walk_ns = time.monotonic_ns() - now
+            before = known.get(key)
+            now_known[key] = entry
+            took = _that_matters(entry, before, late_ns + self._period_ns)
+            if took is not None:
+                fresh.append(entry._replace(last_ns=took))
         if few:
-            self._seen = seen_now
-        elif whole:
-            findings.seen = seen_now
+            self._seen = now_known
+        else:
+            findings.seen = now_known
         if whole:
-            findings.walked_ns = now
+            findings.walked_ns, findings.walk_ns = now, time.monotonic_ns() - now
         return fresh
 
     def close(self) -> None:
@@ -287,7 +293,6 @@ class Deadman:
     """What a kernel has to watch its contexts with."""
 
     def __init__(self, kernel: Kernel) -> None:
-        self.pool = PoolWatch(kernel)
         self._pauses = Pauses()
         # For a kernel that nobody closed.
         weakref.finalize(kernel, self._pauses.stop).atexit = False
@@ -299,21 +304,17 @@ class Deadman:
         """Garbage collections by generation, while a context was watched."""
         return self._pauses.statistics
 
-    def close(self) -> None:
-        """The kernel has closed, its contexts have stopped."""
-        self.pool.close()
-
-    def watch(self, context: Context, thread_id: int) -> Watch:
+    def watch(self, context: Context, thread_id: int) -> DeadlineWatch:
         """Watch a context that is run by this thread; called there. Ends with `unwatch`, which any thread may call."""
         findings = _Findings() if context.exclusive else self._findings
-        watch = Watch(context._require_kernel(), context, thread_id, self._pauses, findings)
+        watch = DeadlineWatch(context._require_kernel(), context, thread_id, self._pauses, findings)
         if watch._real:
             with watcher.lock():
                 self._watching += 1
                 self._pauses.listen()
         return watch
 
-    def unwatch(self, watch: Watch) -> None:
+    def unwatch(self, watch: DeadlineWatch) -> None:
         """The context has stopped."""
         watch.close()
         with watcher.lock():

@@ -80,7 +80,6 @@ class DriverState:
         self._bus = bus
         self._call_at = call_at
         self._steps = steps
-        self.task: DriverTask
         self._batch: Batch | None = None
         self._member: Member | None = None
         self._watch: Watch | None = None
@@ -90,6 +89,11 @@ class DriverState:
         self._over = False
         self._ended: asyncio.Future[None] | None = None
         self.beware()
+        self.task = self._begin()
+
+    def _begin(self) -> DriverTask:
+        """The task that carries out the steps, from now on."""
+        raise NotImplementedError
 
     @property
     def ended(self) -> asyncio.Future[None]:

@@ -50,7 +50,7 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
 
 async def start(kernel: Kernel, context: Context, components: Sequence[Component], *, activate: bool) -> None:
     """Start a context that was checked; when the caller is cancelled, or it cannot begin, nothing of it stays."""
-    kernel._deadman.pool.look_out()
+    kernel._pool.look_out()
     starting = kernel_task(
         kernel.loop, context._start(kernel, components, activate=activate), f"aiorts start {context.name}"
     )

@@ -25,6 +25,7 @@ from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.deadman import Deadman
 from aiorts.kernel.log import SharedBudget
+from aiorts.kernel.pool import PoolWatch
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.roster import Roster
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
@@ -82,6 +83,7 @@ class Kernel:
         self._summary: Cancellable | None = None
         self._timers: Any = None
         self._deadman = Deadman(self)
+        self._pool = PoolWatch(self)
         self._clock_ns: Callable[[], int]
         self._call_at: Callable[[int, Callable[[], None]], Cancellable]
         self._call_later: Callable[[float, Callable[[], None]], Cancellable]

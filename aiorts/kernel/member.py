@@ -79,7 +79,7 @@ class Member:
         self._failure: BaseException | None = None
         self._abandoned = self._left = False
         self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {}
-        """Kind and method of the hooks that have run; `hook_of` for any."""
+        """What `hook_of` has found already."""
         self.awaits = component._rt_hook_kinds["on_execute"] == HookKind.ASYNC
         self.execute: Callable[..., Any] | None = None
         """`on_execute` where nothing is unusual: it is there, the member active and the component in no other context.
@@ -144,7 +144,7 @@ class Member:
         """Lay out anew what a cycle looks at."""
         self.execute = None
         if self.active and not self._left and not self.gate.shared:
-            kind, function = self.hooks.get("on_execute") or self.hook_of("on_execute")
+            kind, function = self.hook_of("on_execute")
             if kind != HookKind.ABSENT:
                 self.execute = function
 
@@ -157,6 +157,8 @@ class Member:
 
     def hook_of(self, hook: str) -> tuple[int, Callable[..., Any]]:
         """Kind and method of a hook, bound when it first runs: most components have two or three of the twelve."""
+        if hook in self.hooks:
+            return self.hooks[hook]
         kind = self.component._rt_hook_kinds[hook]
         if kind == HookKind.ABSENT:
             return _ABSENT

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-__all__ = ("API", "extensions", "load", "load_aside", "load_extension", "load_file")
+__all__ = ("API", "class_of", "extensions", "load", "load_aside", "load_extension", "load_file")
 
 API: Final = 1
 """What aiorts offers to plugins; a module of one that sets `AIORTS_API` says which it was written for."""
@@ -110,6 +110,11 @@ async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: f
         alarm.cancel()
         if held is not None:
             held.release()
+    return class_of(extension, found, base)
+
+
+def class_of(extension: Extension, found: Any, base: type[T]) -> type[T]:
+    """What was loaded, which has to be a class derived from `base`; else PluginError."""
     if not (isinstance(found, type) and issubclass(found, base)):
         kind = getattr(found, "__qualname__", None) or f"an object of {type(found).__qualname__}"
         raise PluginError(f"{_named(extension)}: {kind} is no class derived from {base.__name__}")

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.kernel import timers
 
 if TYPE_CHECKING:
-    from aiorts.kernel.deadman import Watch
+    from aiorts.kernel.deadman import DeadlineWatch
     from aiorts.kernel.timers import _Timerfd as Timerfd
 
 __all__ = ("join", "leave", "lock", "watched")
@@ -29,7 +29,7 @@ class _Watcher:
     """The thread that waits on the timers of all watches of the process."""
 
     def __init__(self) -> None:
-        self.watches: dict[int, weakref.ref[Watch]] = {}
+        self.watches: dict[int, weakref.ref[DeadlineWatch]] = {}
         self.ending = False
         self._epoll = select.epoll()
         try:
@@ -41,7 +41,7 @@ class _Watcher:
         self.thread = threading.Thread(target=self._run, name="aiorts deadman", daemon=True)
         self.thread.start()
 
-    def add(self, fd: int, watch: Watch) -> None:
+    def add(self, fd: int, watch: DeadlineWatch) -> None:
         # Edge-triggered: set anew, a timer rings anew, without anybody reading it.
         self._epoll.register(fd, select.EPOLLIN | select.EPOLLET)
         self.watches[fd] = weakref.ref(watch)
@@ -84,7 +84,7 @@ class _Watcher:
         os.close(self._bell)
 
 
-def _ring(watch: Watch, timer: Timerfd) -> None:
+def _ring(watch: DeadlineWatch, timer: Timerfd) -> None:
     try:
         watch.ring(timer)
     except Exception:  # noqa: BLE001 - what it looks at changes under it; a diagnosis may fail, its thread may not
@@ -106,7 +106,7 @@ def watched() -> int:
     return len(_WATCHER[0].watches) if _WATCHER else 0
 
 
-def join(watch: Watch) -> None:
+def join(watch: DeadlineWatch) -> None:
     """Have the thread wait on the timer of this watch, too. OSError, RuntimeError when that cannot be."""
     with _LOCK:
         if not _WATCHER:

@@ -42,7 +42,7 @@ def look(kernel: Kernel, context: Context, thread_id: int, base: int, at_ns: int
     driver = getattr(task, "_aiorts_driver", None)
     if driver is not None:
         member = driver.current
-        if member is None or not member.hook:
+        if member is None:
             return Glance(at_ns, None, waits)
         kind = "hook" if member.context is context else "loop"
         took = _entry(member, member.hook, own=kind == "hook")
@@ -96,8 +96,7 @@ def _line(frame: FrameType) -> Line:
 def _current(context: Context) -> Member | None:
     """The member whose hook runs or waits now."""
     driver = context._driver
-    member = None if driver is None else driver.current
-    return member if member is not None and member.hook else None
+    return None if driver is None else driver.current
 
 
 def _waiting(context: Context) -> Blame | None:

@@ -42,7 +42,6 @@ BROAD_EXCEPT = {
     # `_run` written out for the hooks of a cycle, and for the one that a sample woke.
     "aiorts/kernel/bulkhead.py:_run_one",
     "aiorts/kernel/bulkhead.py:_run_quickly",
-    "aiorts/kernel/bulkhead.py:_run_shared",
     "aiorts/kernel/bus.py:publish",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
     "aiorts/kernel/watcher.py:_ring",

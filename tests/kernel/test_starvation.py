@@ -216,7 +216,7 @@ async def test_a_second_time_that_calls_wait_is_told_again_and_no_look_is_left_b
     async with Kernel() as kernel:
         kernel.bus.subscribe(ThreadsExhausted, told.append)
         await kernel.start(PeriodicContext(10.0), await kernel.add(Ticker("ticker")), activate=True)
-        pool = kernel._deadman.pool
+        pool = kernel._pool
         for _ in range(2):
             async with anyio.create_task_group() as group:
                 for _ in range(41):
