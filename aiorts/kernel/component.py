@@ -353,6 +353,9 @@ class Component:
 
     # -- called by the kernel --------------------------------------------------------------------------------------
 
+    def _rt_move(self, threaded: bool) -> None:
+        """It is about to join a thread context, or has left one."""
+
     def _rt_rename(self, name: str) -> None:
         self._rt_host.name = name
         self._rt_params._rename(name)
