@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 from aiorts.errors import DeclarationError, StateError, WiringError
 from aiorts.kernel.gate import Gate
-from aiorts.kernel.hooks import hook_kinds
+from aiorts.kernel.hooks import check_spelling, hook_kinds
 from aiorts.kernel.host import PortHost
 from aiorts.kernel.joint import between_cycles
 from aiorts.kernel.log import ComponentLog, LogFields
@@ -59,6 +59,8 @@ class Component:
     _rt_failed_in: tuple[Member, str] | None = None
     """The hook whose failure is being logged."""
     _rt_log: ComponentLog | None = None
+    _rt_retired = False
+    """Whether it was in a context and left its last one: then nobody reads its in-ports until it is active again."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -74,6 +76,7 @@ class Component:
                 check_name(value.name or attribute, "port")
             elif isinstance(value, Declared):
                 cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
+        check_spelling(cls)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
 
     def __init__(self, name: str = "") -> None:

@@ -61,6 +61,7 @@ class Members:
             else:
                 self._members.remove(member)
             self._updating -= member.updates
+        component._rt_retired = True
         for port in component.ports.values():
             self._port_removed(member, port)
         self._set_ports_open(member)
@@ -79,7 +80,7 @@ class Members:
             member.in_ports.remove(port)
 
     def _set_ports_open(self, member: Member) -> None:
-        """In-ports take samples while the component is active somewhere, or is in no context at all."""
+        """In-ports take samples while the component is active somewhere, or was never yet in a context."""
         takes = is_open(member.component)
         for port in member.component.ports.values():
             if isinstance(port, InPort) and port._open is not takes:
