@@ -52,8 +52,8 @@ def check_spelling(cls: type[Any]) -> None:
             wanted, got = (text.replace("_", "").lower() for text in (hook, name))
             if wanted == got or (_one_slip(wanted, got) and _callable_as(hook, value)):
                 raise DeclarationError(
-                    f"{cls.__qualname__}.{name}: there is no such hook; did you mean {hook}? A method of your own needs "
-                    "another name"
+                    f"{cls.__qualname__}.{name}: there is no such hook; did you mean {hook}? "
+                    "A method of your own needs another name"
                 )
 
 
