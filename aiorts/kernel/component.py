@@ -59,8 +59,6 @@ class Component:
     _rt_failed_in: tuple[Member, str] | None = None
     """The hook whose failure is being logged."""
     _rt_log: ComponentLog | None = None
-    _rt_retired = False
-    """Whether it was in a context and left its last one: then nobody reads its in-ports until it is active again."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -195,14 +195,11 @@ class Member:
 
 
 def is_open(component: Component) -> bool:
-    """Whether a component's in-ports take samples: it is active somewhere, or was never yet in a context.
+    """Whether a component's in-ports take samples: it is active somewhere, or in no context at all.
 
-    The second is for plain application code that reads itself. It does not count once the component has left its last
-    context or its kernel closes: nobody would read, and writers with full = block would wait for ever.
+    Once its kernel closes the second does not count: nobody would read, and writers with full = block would wait.
     """
     members = component._rt_members
     if not members:
-        if component._rt_retired:
-            return False
         return component._rt_kernel is None or not component._rt_kernel._closed
     return any(member.state is _ACTIVE for member in members)

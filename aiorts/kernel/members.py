@@ -43,6 +43,7 @@ class Members:
         component = member.component
         self._members.append(member)
         component._rt_members.append(member)
+        component._rt_host.retired = False
         if len(component._rt_members) > 1:
             component._rt_gate.share(component._rt_members)
         self._updating += member.updates
@@ -61,7 +62,7 @@ class Members:
             else:
                 self._members.remove(member)
             self._updating -= member.updates
-        component._rt_retired = True
+        component._rt_host.retired = not component._rt_members
         for port in component.ports.values():
             self._port_removed(member, port)
         self._set_ports_open(member)
@@ -80,7 +81,7 @@ class Members:
             member.in_ports.remove(port)
 
     def _set_ports_open(self, member: Member) -> None:
-        """In-ports take samples while the component is active somewhere, or was never yet in a context."""
+        """In-ports take samples while the component is active somewhere, or is in no context at all."""
         takes = is_open(member.component)
         for port in member.component.ports.values():
             if isinstance(port, InPort) and port._open is not takes:

@@ -25,9 +25,12 @@ def code_cells(notebook: Path) -> list[str]:
 async def run_cell(source: str, name: str, namespace: dict[str, Any]) -> Any:
     """Run one cell as Jupyter does, `await` and all; its value is that of the expression it ends with, or None."""
     tree = ast.parse(source, name)
-    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    last = tree.body[-1] if tree.body else None
+    if not isinstance(last, ast.Expr):
+        return await _run(tree, name, namespace, "exec")
+    del tree.body[-1]
     await _run(tree, name, namespace, "exec")
-    return None if last is None else await _run(ast.Expression(last.value), name, namespace, "eval")
+    return await _run(ast.Expression(last.value), name, namespace, "eval")
 
 
 async def _run(tree: Any, name: str, namespace: dict[str, Any], mode: str) -> Any:

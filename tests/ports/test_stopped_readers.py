@@ -1,7 +1,8 @@
-"""A writer with full = block never waits for a reader that nobody runs any more; what it writes then is counted."""
+"""A writer with full = block never waits for a reader that has left its last context; what has no room is counted."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import Component, Context, EventContext, Kernel, PeriodicContext, ThreadContext
+from aiorts import Component, Context, EventContext, Kernel, PeriodicContext, ThreadContext, WouldBlock
 from aiorts.testing import simulate
 from campaign import cases
 from ports.parts import Sink, Source, long
@@ -30,7 +31,9 @@ class Idle(Sink):
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("kind", [EventContext, lambda: PeriodicContext(rate=10.0), lambda: ThreadContext(rate=10.0)])
+@pytest.mark.parametrize(
+    "kind", [EventContext, functools.partial(PeriodicContext, 10.0), functools.partial(ThreadContext, 10.0)]
+)
 @pytest.mark.parametrize("subscription", ["flush", "new"])
 def test_a_blocked_writer_goes_on_when_its_reader_leaves(way: str, kind: Callable[[], Any], subscription: str) -> None:
     async def main(_clock: object) -> None:
@@ -58,13 +61,19 @@ def test_a_blocked_writer_goes_on_when_its_reader_leaves(way: str, kind: Callabl
             if way == "component":
                 assert set(ledger.dropped) <= {"disconnected", "inactive"}
             else:
-                assert ledger.dropped == {"inactive": 10}
-                assert (ledger.written, ledger.delivered, ledger.buffered) == (10, 0, 0)
-                restarted = EventContext()
+                # In no context at all it is open to application code again, as far as there is room.
+                kept = 0 if way == "deactivate" else 2
+                assert ledger.dropped == {"inactive": 10 - kept}
+                assert (ledger.written, ledger.delivered, ledger.buffered) == (10, 0, kept)
+                assert out.write_nowait(long(10))
+                assert len(sink.inp.drain()) == kept
                 if way == "stop":
-                    await kernel.start(restarted, sink, activate=True)
-                    assert out.write_nowait(long(10))
+                    await kernel.start(EventContext(), sink, activate=True)
+                    assert out.write_nowait(long(11))
                     assert connector.unread == 1
+                    out.write_nowait(long(12))
+                    with pytest.raises(WouldBlock):
+                        out.write_nowait(long(13))
 
     simulate(main)
 
@@ -83,6 +92,7 @@ def test_a_reader_in_two_contexts_is_read_until_the_last_one_stops() -> None:
             assert connector.unread == 2
             await second.stop()
             assert connector.statistics.dropped == {"inactive": 2}
+            assert connector.unread == 0
 
     simulate(main)
 
