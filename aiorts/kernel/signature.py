@@ -137,6 +137,9 @@ def read_signature(
             inlets.append(_inlet(f"{where}: parameter {parameter.name}", parameter, hint))
     streams, awaits, result = _result(where, plain, known.get("return", _EMPTY))
     outlets, several = _outlets(where, result, output)
+    for name in ("function", "max_instance"):
+        if any(one.name == name for one in (*inlets, *outlets)) or name in params:
+            raise DeclarationError(f"{where}: a component has a {name} of its own; choose another name")
     for name in {one.name for one in outlets} & ({one.name for one in inlets} | params.keys()):
         raise DeclarationError(
             f'{where}: {name} is a parameter and an out-port; name the out-port: component(..., output="result")'
