@@ -64,6 +64,8 @@ class FunctionComponent(Component, metaclass=FunctionType):
         self._rt_ins: tuple[InPort[Any], ...] = tuple(ports[one.name] for one in plan.inlets)
         self._rt_outs: tuple[OutPort[Any], ...] = tuple(ports[one.name] for one in plan.outlets)
         self._rt_parts = tuple(zip(self._rt_ins, plan.inlets, range(len(self._rt_ins)), strict=True))
+        sole = len(plan.outlets) == 1 and not plan.several
+        self._rt_sole: tuple[Any, Any] = (self._rt_outs[0], plan.outlets[0]) if sole else (None, None)
         self._rt_last: list[Any] = [NOTHING] * len(plan.inlets)
         self._rt_stream: Any = None
 
@@ -125,11 +127,12 @@ class FunctionComponent(Component, metaclass=FunctionType):
                 raise PortTypeError(f"{self.name}: {self._rt_plan.label} returned {result!r:.60}; expected {expected}")
         for port, one, item in zip(self._rt_outs, outlets, items, strict=True):
             if item is not None:
-                yield port, item if one.record is None else self._rt_record(one, tm, item)
+                yield port, self._rt_record(one, tm, item)
 
     def _rt_record(self, one: Outlet, tm: Any, item: Any) -> Any:
+        """The sample for one result."""
         try:
-            return one.record(tm, item)  # type: ignore[misc] # asked before
+            return item if one.record is None else one.record(tm, item)
         except RecordError as error:
             raise PortTypeError(
                 f"{self.name}.{one.name}: {self._rt_plan.label} returned {item!r:.60}: {error}; nothing was sent"
@@ -198,9 +201,8 @@ class FunctionComponent(Component, metaclass=FunctionType):
 
 async def _execute(self: FunctionComponent) -> None:
     """Call the function for what has arrived."""
-    plan, settings, sole = self._rt_plan, self._rt_settings(), None
-    if len(plan.outlets) == 1 and not plan.several:
-        (sole,), (outlet,) = self._rt_outs, plan.outlets
+    plan, settings = self._rt_plan, self._rt_settings()
+    sole, outlet = self._rt_sole
     for arguments, tm in self._rt_calls():
         result = plan.function(*arguments, **settings)
         if plan.awaits:
@@ -209,7 +211,7 @@ async def _execute(self: FunctionComponent) -> None:
             for port, sample in self._rt_samples(result, tm):
                 await port.write(sample)
         elif result is not None:
-            await sole.write(result if outlet.record is None else self._rt_record(outlet, tm, result))
+            await sole.write(self._rt_record(outlet, tm, result))
 
 
 async def _execute_one(self: FunctionComponent) -> None:

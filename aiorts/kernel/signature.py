@@ -137,13 +137,7 @@ def read_signature(
             inlets.append(_inlet(f"{where}: parameter {parameter.name}", parameter, hint))
     streams, awaits, result = _result(where, plain, known.get("return", _EMPTY))
     outlets, several = _outlets(where, result, output)
-    for name in ("function", "max_instance"):
-        if any(one.name == name for one in (*inlets, *outlets)) or name in params:
-            raise DeclarationError(f"{where}: a component has a {name} of its own; choose another name")
-    for name in {one.name for one in outlets} & ({one.name for one in inlets} | params.keys()):
-        raise DeclarationError(
-            f'{where}: {name} is a parameter and an out-port; name the out-port: component(..., output="result")'
-        )
+    _check_taken(where, {one.name for one in inlets} | params.keys(), {one.name for one in outlets})
     return Plan(_callable(function, params), label, tuple(inlets), tuple(outlets), params, several, streams, awaits)
 
 
@@ -168,6 +162,15 @@ def _check_names(where: str, hints: Mapping[str, Any] | None, parameters: abc.It
     for name in hints or ():
         if name not in names:
             raise DeclarationError(f"{where}: hints[{name!r}]: no such parameter; there are {', '.join(names)}")
+
+
+def _check_taken(where: str, ins: set[str], outs: set[str]) -> None:
+    for name in sorted((ins | outs) & {"function", "max_instance"}):
+        raise DeclarationError(f"{where}: a component has a {name} of its own; choose another name")
+    for name in sorted(ins & outs):
+        raise DeclarationError(
+            f'{where}: {name} is a parameter and an out-port; name the out-port: component(..., output="result")'
+        )
 
 
 def _is_variable(parameter: inspect.Parameter) -> bool:
