@@ -51,7 +51,6 @@ def test_it_is_a_notebook_of_format_4_without_stored_outputs() -> None:
     assert all(set(cell) >= {"id", "metadata", "source"} for cell in cells)
 
 
-@pytest.mark.row(6)
 def test_its_cells_build_run_and_change_a_system(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     values = [repr(value) for value in run_changed(monkeypatch, tmp_path) if value is not None]
     assert values[0] == "(1216, 15)"
