@@ -70,9 +70,8 @@ class FunctionComponent(Component, metaclass=FunctionType):
         self._rt_stream: Any = None
 
     def on_activated(self) -> None:
-        """Begin anew: no sample is known, a source starts from its beginning."""
+        """Begin anew: no sample is known; a source, which was closed, starts from its beginning."""
         self._rt_last = [NOTHING] * len(self._rt_plan.inlets)
-        self._rt_stream = None
         if self._rt_plan.streams and not self._rt_ins:
             # In an event context nobody gives a source its cause to run; the first comes once it is active.
             self._rt_go_on()

@@ -70,6 +70,7 @@ def test_hook_of_a_wrong_kind_or_signature_is_refused_when_the_class_is_made(
     [
         ("on_excute", "on_execute"),
         ("on_exceute", "on_execute"),
+        ("on_exxecute", "on_execute"),
         ("on_executed", "on_execute"),
         ("on_activate", "on_activated"),
         ("on_deactivate", "on_deactivated"),

@@ -83,13 +83,15 @@ def test_a_reader_in_two_contexts_is_read_until_the_last_one_stops() -> None:
         async with Kernel() as kernel:
             out = (await kernel.create(Source)).out
             sink = await kernel.create(Idle)
-            connector = await kernel.connect(out, sink.inp, length=4, full="block")
+            connector = await kernel.connect(out, sink.inp, length=2, full="block")
             first = await kernel.start(EventContext(), sink, activate=True)
             second = await kernel.start(EventContext(), sink, activate=True)
             out.write_nowait(long(1))
             await first.stop()
             out.write_nowait(long(2))
             assert connector.unread == 2
+            with pytest.raises(WouldBlock):
+                out.write_nowait(long(3))
             await second.stop()
             assert connector.statistics.dropped == {"inactive": 2}
             assert connector.unread == 0
