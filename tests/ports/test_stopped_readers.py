@@ -86,8 +86,10 @@ def test_a_reader_in_two_contexts_is_read_until_the_last_one_stops() -> None:
             connector = await kernel.connect(out, sink.inp, length=2, full="block")
             first = await kernel.start(EventContext(), sink, activate=True)
             second = await kernel.start(EventContext(), sink, activate=True)
-            out.write_nowait(long(1))
             await first.stop()
+            await second.deactivate()
+            await second.activate()
+            out.write_nowait(long(1))
             out.write_nowait(long(2))
             assert connector.unread == 2
             with pytest.raises(WouldBlock):
