@@ -19,8 +19,8 @@ from aiorts.kernel.signature import Outlet, Plan
 
 __all__ = ("FunctionComponent", "FunctionType", "hooks_of")
 
-_MOST: Final = 1024
-"""Calls in one cycle; what is unread then is left for the next, so that nobody else has to wait for ever."""
+_FEW: Final = 64
+"""Calls in one cycle where the connectors do not say how much is unread: pull, and those of a real-time thread."""
 _PAUSE: Final = 0.001
 """Seconds that one with several in-ports lets its thread rest when there is nothing to do and no rate says when."""
 _EMPTY: Final = inspect.Parameter.empty
@@ -82,6 +82,14 @@ class FunctionComponent(Component, metaclass=FunctionType):
         """The parameters in force, which change between cycles only."""
         return {name: getattr(self, name) for name in self._rt_plan.params}
 
+    def _rt_unread(self) -> int:
+        """The calls that a cycle has room for: what arrives meanwhile is for the next, so that every cycle ends."""
+        count = 0
+        for port in self._rt_ins:
+            for connector in port.connectors:
+                count += connector.unread
+        return count or _FEW
+
     def _rt_calls(self) -> Iterator[tuple[list[Any], Any]]:
         """The calls of this cycle: arguments, and the time stamp of their newest sample.
 
@@ -90,7 +98,7 @@ class FunctionComponent(Component, metaclass=FunctionType):
         parts, last = self._rt_parts, self._rt_last
         cycle, pairs = self._rt_when == "cycle" or not parts, self._rt_when == "all"
         latest = self._rt_latest or cycle
-        for _ in range(1 if latest else _MOST):
+        for _ in range(1 if latest else self._rt_unread()):
             due = cycle
             for port, one, number in parts:
                 if port.is_new:
@@ -178,6 +186,8 @@ class FunctionComponent(Component, metaclass=FunctionType):
             result = function(*arguments, **settings)
             for item in result if self._rt_plan.streams else (result,):
                 self._rt_send_blocking(item, tm)
+            if self._rt_host.stopping:
+                break
         if idle and getattr(self.context, "rate", None) is None:
             self._rt_rest()
 
@@ -218,7 +228,7 @@ async def _execute_one(self: FunctionComponent) -> None:
     plan, settings = self._rt_plan, self._rt_settings()
     (port,), (inlet,), (out,), (outlet,) = self._rt_ins, plan.inlets, self._rt_outs, plan.outlets
     function, unwrap, record, stamped = plan.function, inlet.unwrap, outlet.record, inlet.stamped
-    left, plain = _MOST, inlet.plain
+    left, plain = self._rt_unread(), inlet.plain
     while left and port.is_new:
         left -= 1
         sample = port.read_nowait()
