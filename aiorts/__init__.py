@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.function import component
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.running import run
@@ -87,6 +88,7 @@ __all__ = (
     "ThreadContext",
     "ThreadsExhausted",
     "WouldBlock",
+    "component",
     "run",
 )
 
@@ -97,6 +99,7 @@ _HOMES = {
     "aiorts.errors": ("AiortsError",),
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
+    "aiorts.kernel.function": ("component",),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),

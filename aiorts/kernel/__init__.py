@@ -7,8 +7,9 @@ from aiorts.kernel.bus import Bus
 from aiorts.kernel.component import Component
 from aiorts.kernel.connector import Connector
 from aiorts.kernel.context import Context
+from aiorts.kernel.function import component
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.parameters import Param
 from aiorts.kernel.ports import InPort, OutPort
 
-__all__ = ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param")
+__all__ = ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param", "component")

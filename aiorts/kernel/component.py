@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 from aiorts.errors import DeclarationError, StateError, WiringError
 from aiorts.kernel.gate import Gate
-from aiorts.kernel.hooks import hook_kinds
+from aiorts.kernel.hooks import check_spelling, hook_kinds
 from aiorts.kernel.host import PortHost
 from aiorts.kernel.joint import between_cycles
 from aiorts.kernel.log import ComponentLog, LogFields
@@ -74,6 +74,7 @@ class Component:
                 check_name(value.name or attribute, "port")
             elif isinstance(value, Declared):
                 cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
+        check_spelling(cls)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
 
     def __init__(self, name: str = "") -> None:
@@ -352,6 +353,9 @@ class Component:
         return _nothing()
 
     # -- called by the kernel --------------------------------------------------------------------------------------
+
+    def _rt_move(self, threaded: bool) -> None:
+        """It is about to join a thread context, or has left one."""
 
     def _rt_rename(self, name: str) -> None:
         self._rt_host.name = name
