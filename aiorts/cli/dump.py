@@ -102,9 +102,13 @@ def _threads() -> Iterable[str]:
 def _tasks(loop: asyncio.AbstractEventLoop) -> Iterable[str]:
     try:
         tasks = asyncio.all_tasks(loop)
+        running = asyncio.current_task(loop)
     except RuntimeError:  # they change too fast
         return
     for task in sorted(tasks, key=lambda task: task.get_name()):
+        if task is running:
+            yield f"task {task.get_name()}: runs now, in the main thread"
+            continue
         text = io.StringIO()
         task.print_stack(file=text, limit=5)
         lines = [line.strip() for line in text.getvalue().splitlines()[1:]]

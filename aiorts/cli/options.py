@@ -33,7 +33,7 @@ class Options:
     verbose: bool = False
     """Short for the log level info."""
     debug: bool = False
-    """Tracebacks, the post-mortem on a terminal, and a kernel that checks threads and copies samples."""
+    """Tracebacks, and a kernel that checks threads and copies samples."""
     simulate: bool = False
     speed: float | None = None
     strict: bool = False
@@ -42,6 +42,8 @@ class Options:
     log_file: Path | None = None
     log_format: str = "text"
     """"text" or "json"."""
+    post_mortem: bool = False
+    """With `debug`: a debugger where a component failed, where a person sits at a terminal."""
     status: bool = False
     """Show what the system does in one line, where standard error is a terminal."""
 

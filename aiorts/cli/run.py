@@ -57,7 +57,7 @@ def run(
     """
     if given["duration"] is None:
         given["duration"] = duration_once
-    options = checked(Options(**given, status=not no_status))
+    options = checked(Options(**given, status=not no_status, post_mortem=True))
     stopper = Stopper()
     with stopper.signals(), log_of(options, stopper) as log:
         try:

@@ -22,6 +22,7 @@ from aiorts.cli.log import Log
 from aiorts.cli.options import Options, checked
 from aiorts.cli.report import cause_of
 from aiorts.cli.stopping import Stopper
+from aiorts.cli.terminal import on_terminal
 from aiorts.errors import (
     ConfigurationError,
     DeclarationError,
@@ -116,12 +117,16 @@ async def _session(run: _Run) -> int:
 
     kernel.bus.subscribe(HookFailed, note)
     _freeze_when_made(kernel, run.components)
-    async with kernel:
+    async with contextlib.AsyncExitStack() as stack:
+        await stack.enter_async_context(kernel)
+        debugger = stack.enter_context(on_terminal(kernel, options, stopper))
         stopper.attach(kernel)
         run.log.attach(kernel)
         built, error = await _unless_stopped(kernel, run.construct(kernel))
         if error is not None:
             run.log.failed(error)
+            if debugger is not None:
+                debugger.look("", error)
             status = 2 if isinstance(error, _FAULTS_OF_THE_FILE) else 1
         elif built:
             gc.freeze()  # what activation made; without a collection, since contexts run by now
