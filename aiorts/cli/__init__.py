@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import os
 import signal
 import sys
-from typing import Any
+
+TYPE_CHECKING = False  # without `typing`: until the first line of `main` Ctrl-C shows a traceback
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
 
 __all__ = ("main",)
 
@@ -47,10 +50,13 @@ def _interrupts_end_it() -> None:
     _on_interrupt(lambda number, frame: os._exit(130))
 
 
-def _on_interrupt(handler: Any) -> None:
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as in the background of a shell script
-        with contextlib.suppress(ValueError):  # not the main thread, which has the signals
-            signal.signal(signal.SIGINT, handler)
+def _on_interrupt(handler: Callable[[int, Any], object] | signal.Handlers) -> None:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell script
+        return
+    try:
+        signal.signal(signal.SIGINT, handler)
+    except ValueError:  # not the main thread, which has the signals
+        return
 
 
 def _import_command(names: list[str]) -> None:
