@@ -42,12 +42,12 @@ class LogFile:
             self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)
             os.set_blocking(self._descriptor, True)
             self._take()
-        except (OSError, ValueError) as error:
-            self.close()
-            raise ConfigurationError(f"--log-file {path}: {_why(path, error)}") from None
         except ConfigurationError:
             self.close()
             raise
+        except (OSError, ValueError) as error:
+            self.close()
+            raise ConfigurationError(f"--log-file {path}: {_why(path, error)}") from None
 
     def _take(self) -> None:
         """Only a file is taken: anybody may write to a terminal, to a pipe or to nowhere."""
