@@ -57,6 +57,7 @@ class BlockedInC(Component):
         import ctypes
         print("ready", flush=True)
         ctypes.PyDLL(None).sleep(3)
+        self.finish()
         self.kernel.request_stop()
 
 class Slow(Component):

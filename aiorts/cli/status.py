@@ -53,7 +53,7 @@ def is_wanted() -> bool:
         shown = sys.stderr is not None and os.isatty(sys.stderr.fileno())
     except (OSError, ValueError, AttributeError):
         return False
-    return shown and os.environ.get("TERM", "dumb") not in ("dumb", "unknown")
+    return shown and os.environ.get("TERM", "") not in ("", "dumb", "unknown")
 
 
 def text_of(elapsed_s: float, now: Figures, rate: float | None, held_s: float = 0.0) -> list[str]:

@@ -15,7 +15,11 @@ import signal
 import sys
 import threading
 import time
+
+# Not of `threading`: its locks may be held by whoever a signal's handler has interrupted.
+from _thread import LockType, allocate_lock, start_new_thread
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.cli.dump import dump, dumping_stacks, where_now
@@ -45,6 +49,7 @@ class Stopper:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._watched = False
         self._outcome = 1
+        self._signals = count()
 
     def attach(self, kernel: Kernel) -> None:
         """From now on it is this kernel that is asked."""
@@ -69,25 +74,35 @@ class Stopper:
         self._outcome = status
         if not self._watched:
             self._watched = True
-            threading.Thread(target=self._end_late, name="aiorts stop", daemon=True).start()
+            start_new_thread(self._end_late, ())
 
     def _end_late(self) -> None:
         time.sleep(LONGEST_STOP)
-        for word in self.last_words:
-            word()
-        with contextlib.suppress(OSError, ValueError):
-            if sys.stderr is not None:
-                what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
-                sys.stderr.write(f"aiorts: E-STOP: {what}\n")
-        _flush_briefly()
-        os._exit(self._outcome if self.status is None else self.status)
+        what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
+        self.end_now(self._outcome if self.status is None else self.status, f"aiorts: E-STOP: {what}\n")
 
-    def end_now(self, status: int) -> None:
-        """End the process here, without waiting for anything: what is left would keep the interpreter from its end."""
+    def end_now(self, status: int, text: str = "") -> None:
+        """End the process here, without waiting for anything: what is left would keep the interpreter from its end.
+
+        Args:
+            text: said on standard error, if that takes it.
+        """
+        told = allocate_lock()
+        told.acquire()
+        # In a thread: nobody may read, and who was interrupted in the middle of a write holds the stream.
+        start_new_thread(self._say_last, (text, told))
+        told.acquire(timeout=0.2)
+        os._exit(status)
+
+    def _say_last(self, text: str, told: LockType) -> None:
         for word in self.last_words:
             word()
-        _flush_briefly()
-        os._exit(status)
+        for stream, last in ((sys.stdout, ""), (sys.stderr, text)):
+            with contextlib.suppress(OSError, ValueError, RuntimeError):
+                if stream is not None:
+                    stream.write(last)
+                    stream.flush()
+        told.release()
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
@@ -110,24 +125,10 @@ class Stopper:
                 signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def _handle(self, number: int, frame: object) -> None:
-        if self.status is not None or self._kernel is None:
+        # Counted in one step: the second signal may come in the middle of the first one's handler.
+        if next(self._signals) or self.status is not None or self._kernel is None:
             self.end_now(128 + number)
         self.request(128 + number)
 
     def _tell(self, number: int, frame: object) -> None:
         dump(self._kernel, self._loop)
-
-
-def _flush_briefly() -> None:
-    """Give the standard streams what they hold, as far as they take it at once."""
-
-    def flush() -> None:
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError, RuntimeError):
-                if stream is not None:
-                    stream.flush()
-
-    # In a thread: nobody may read, and who was interrupted in the middle of a write holds the stream.
-    flushing = threading.Thread(target=flush, name="aiorts flush", daemon=True)
-    flushing.start()
-    flushing.join(0.2)

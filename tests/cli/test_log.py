@@ -1,4 +1,4 @@
-"""The log of a run: levels for each component, a file that one process has, lines for programs, and a disk that is full."""
+"""The log of a run: levels by component, a file that one process has, lines for programs, a disk that is full."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import Any
 
 import click
 import pytest
-from run_parts import aiorts, begun, folder_of, started
 
 from aiorts.cli.logfile import LogFile
 from aiorts.cli.options import Options, levels_of
+from run_parts import aiorts, begun, folder_of, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX locks and devices")
 SIMULATED = ("system.toml", "--simulate", "--for", "0.3")

@@ -1,13 +1,13 @@
-"""`aiorts run MODULE:COMPONENT`: one component, alone, in a context that fits it; and what is said when there is none."""
+"""`aiorts run MODULE:COMPONENT`: one component, alone, in a context that fits it; and what is said of mistakes."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from run_parts import aiorts, folder_of
 
 from aiorts.cli.app import run_command
+from run_parts import aiorts, folder_of
 
 
 @pytest.fixture
@@ -40,7 +40,8 @@ def test_a_file_elsewhere_is_named_by_its_path(folder: Path, tmp_path_factory: p
 
 def test_one_that_cannot_be_made_is_named(folder: Path) -> None:
     (folder / "unmade.py").write_text(
-        "from aiorts import Component\nclass Unmade(Component):\n    def on_initialize(self):\n        raise OSError('no')\n"
+        "from aiorts import Component\nclass Unmade(Component):\n"
+        "    def on_initialize(self):\n        raise OSError('no')\n"
     )
     done = aiorts(folder, "run", "unmade.py:Unmade")
     assert done.returncode == 1

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+
 from campaign import CAMPAIGN
 from run_parts import begun, folder_of, started
 
