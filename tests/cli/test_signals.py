@@ -21,8 +21,8 @@ ORDERLY = 5.0
 AT_ONCE = 0.5
 SLACK = 1.0 if CAMPAIGN else 3.0
 """Seconds that a loaded machine may need on top of what is promised."""
-START = 0.08
-"""Seconds in which the interpreter itself starts and may show a traceback: no line of aiorts has run by then."""
+START = 0.25
+"""Seconds in which the interpreter itself starts, at the longest, and may show a traceback of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -181,15 +181,20 @@ def test_an_interrupt_at_any_moment_ends_it_without_a_traceback(folder: Path, ti
     promised = ORDERLY if times == 1 else AT_ONCE
     with ThreadPoolExecutor(4) as together:
         ends = list(together.map(lambda seconds: interrupted(folder, seconds, times), moments()))
-    for seconds, (status, errors, took) in zip(moments(), ends, strict=True):
-        where = f"{seconds:.2f} s: {status} {errors}"
-        assert took < promised + SLACK, where
-        if seconds < START and "aiorts/cli/app.py" not in errors:
-            continue
-        assert errors == "", where
-        assert status in (130, 0), where
-        if seconds < 0.5:
-            assert status == 130, where
+    faults = [
+        f"{seconds:.2f} s: {status} after {took:.1f} s: {errors}"
+        for seconds, (status, errors, took) in zip(moments(), ends, strict=True)
+        if took > promised + SLACK
+        or not (is_starting(seconds, status, errors) or (errors == "" and status in (0, 130)))
+    ]
+    assert faults == []
+    early = [status for seconds, (status, _, _) in zip(moments(), ends, strict=True) if 0.3 < seconds < 0.6]
+    assert set(early) == {130}
+
+
+def is_starting(seconds: float, status: int, errors: str) -> bool:
+    """Whether the interpreter itself was still starting, and not one line of `main` had run."""
+    return seconds < START and status in (1, -signal.SIGINT) and ", in main\n" not in errors
 
 
 @pytest.mark.fault("F09")
