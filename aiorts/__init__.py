@@ -6,8 +6,8 @@ pay for the kernel.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
+TYPE_CHECKING = False
+"""What `typing` calls so; importing that would take as long as all else until the command line can take Ctrl-C."""
 
 if TYPE_CHECKING:
     from anyio import WouldBlock
@@ -113,6 +113,8 @@ _MODULES = frozenset(("clock", "contexts", "errors", "kernel", "model", "system"
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
+        from importlib import import_module
+
         if name in _MODULES:
             return import_module(f"{__name__}.{name}")
         if name not in _HOME:
