@@ -33,8 +33,8 @@ _OURS: Final = (
 
 
 def load_component(name: str) -> type[Component]:
-    """The class that is installed under this name. PluginError when it cannot be had."""
-    return Catalogue().find("components", name).load_class(Component)
+    """The class that is offered under this name. PluginError when it cannot be had."""
+    return Catalogue.default().find("components", name).load_class(Component)
 
 
 def command_of(name: str, cls: type[Component]) -> click.Command:

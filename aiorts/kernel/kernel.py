@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
+import aiorts.kernel.offers  # noqa: F401 - types and codecs of plugins are found by name from now on
 from aiorts.clock import Clock, SystemClock, current_clock
 from aiorts.errors import ClosedError, StateError, ThreadError
 from aiorts.kernel import embedding, joint
@@ -70,7 +71,7 @@ class Kernel:
         self.bus = Bus(self._hooks_wanted_changed)
         self.exit_status = 0
         """What `request_stop` said."""
-        self.plugins = Catalogue() if plugins is None else plugins
+        self.plugins = Catalogue.default() if plugins is None else plugins
         self._clock = clock
         self._contain_interrupts = contain_interrupts
         self._loop: asyncio.AbstractEventLoop | None = None

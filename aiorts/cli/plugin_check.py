@@ -1,0 +1,87 @@
+"""Imports extensions each in a process of its own, within a time limit: whatever it does there, it is only reported.
+
+What a child has to say comes in a file, not a pipe: a process that the import has started may hold a pipe for ever.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from aiorts import Extension
+from aiorts.cli.plugin_child import ANSWER
+
+__all__ = ("verdicts",)
+
+_AT_ONCE: Final = 4
+
+
+def verdicts(extensions: Iterable[Extension], limit: float) -> list[str]:
+    """For each "ok", or what is wrong with it.
+
+    Args:
+        limit: seconds that each import may take.
+    """
+    running: set[subprocess.Popen[bytes]] = set()
+    with tempfile.TemporaryDirectory(prefix="aiorts-") as folder, ThreadPoolExecutor(_AT_ONCE) as pool:
+        try:
+            asked = [
+                pool.submit(_verdict, one, limit, Path(folder) / str(number), running)
+                for number, one in enumerate(extensions)
+            ]
+            return [one.result() for one in asked]
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in tuple(running):  # interrupted: nobody waits for these any more
+                _end(child)
+
+
+def _verdict(extension: Extension, limit: float, folder: Path, running: set[subprocess.Popen[bytes]]) -> str:
+    folder.mkdir()
+    asked = [extension.kind, extension.name, extension.target, extension.source, str(extension.folder or "")]
+    child = subprocess.Popen(  # noqa: S603 - this interpreter; what it imports is the user's own wish
+        [sys.executable, "-m", "aiorts.cli.plugin_child", json.dumps(asked), str(folder)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=os.name == "posix",  # a group of its own, which is ended with it
+    )
+    running.add(child)
+    try:
+        status = child.wait(limit)
+    except subprocess.TimeoutExpired:
+        return f"still being imported after {limit:g} s"
+    finally:
+        _end(child)
+        running.discard(child)
+    return _told(folder / ANSWER, status)
+
+
+def _end(child: subprocess.Popen[bytes]) -> None:
+    """End the child and all that it has started."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        if os.name == "posix":
+            os.killpg(child.pid, signal.SIGKILL)
+        else:
+            child.kill()
+    child.wait()
+
+
+def _told(answer: Path, status: int) -> str:
+    try:
+        faults = list(json.loads(answer.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        if status >= 0:
+            return f"ended the interpreter with status {status}"
+        names = {number.value: number.name for number in signal.Signals}
+        return f"ended the interpreter by {names.get(-status, f'signal {-status}')}"
+    return "; ".join(map(str, faults)) or "ok"
