@@ -80,9 +80,10 @@ def _can_be_typed(name: str) -> bool:
 
 
 def _only(name: str, several: tuple[Extension, ...]) -> Extension:
-    if len(several) > 1:
+    first, *others = several
+    if others:
         raise _twice(name, several)
-    return several[0]
+    return first
 
 
 def _twice(name: str, several: tuple[Extension, ...]) -> PluginError:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
-import aiorts.kernel.offers  # noqa: F401 - types and codecs of plugins are found by name from now on
 from aiorts.clock import Clock, SystemClock, current_clock
 from aiorts.errors import ClosedError, StateError, ThreadError
 from aiorts.kernel import embedding, joint

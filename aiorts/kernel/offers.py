@@ -8,6 +8,8 @@ that nothing else has. What could not be imported is not tried again.
 from __future__ import annotations
 
 import dataclasses
+import os
+import sys
 import threading
 from collections.abc import Iterable
 from enum import Enum
@@ -17,15 +19,16 @@ from typing import Any, Final
 from aiorts.errors import DeclarationError, PluginError, UnknownTypeError
 from aiorts.kernel.catalogue import Catalogue, Extension
 from aiorts.kernel.plugins import load, load_in_time
-from aiorts.model.elsewhere import look_in
 from aiorts.types import registry
 from aiorts.types.samples import check_port_type
 
-__all__ = ("load_type", "offer_from")
+__all__ = ("FINDERS", "load_type", "offer_from")
 
 _LIMIT: Final = 5.0
 """Seconds that the import of a type may take: whoever asked waits for it."""
 _catalogue: Catalogue | None = None
+_installed: tuple[tuple[tuple[str, int], ...], Catalogue] | None = None
+_done: set[Extension] = set()
 _broken: dict[Extension, str] = {}
 _local = threading.local()
 
@@ -77,7 +80,7 @@ def _register(cls: type) -> bool:
 
 def _find_type(name: str) -> Iterable[str]:
     """Import what offers the type `name`; gives all names that are offered."""
-    catalogue = Catalogue.default() if _catalogue is None else _catalogue
+    catalogue = _used()
     offers = catalogue.extensions("types")
     short = name.rpartition(".")[2]
     faults = []
@@ -107,16 +110,40 @@ def _may_define(extension: Extension, name: str) -> bool:
 def _load_once(extension: Extension) -> None:
     if extension in _broken:
         raise PluginError(_broken[extension])
+    if extension in _done:
+        return
     try:
         load_type(extension)
+        _done.add(extension)
     except PluginError as error:
         _broken[extension] = str(error)
         raise
 
 
 def _find_codec(name: str) -> Any:
-    return load((Catalogue.default() if _catalogue is None else _catalogue).find("codecs", name))
+    return load(_used().find("codecs", name))
 
 
-look_in("types", _find_type)
-look_in("codecs", _find_codec)
+def _used() -> Catalogue:
+    """The catalogue that was told, or what is installed at present: listed again when a folder of the path changed."""
+    global _installed
+    if _catalogue is not None:
+        return _catalogue
+    default = Catalogue.default()
+    if default.folders:
+        return default
+    path = tuple((place, _changed_ns(place)) for place in sys.path)
+    if _installed is None or _installed[0] != path:
+        _installed = path, default
+    return _installed[1]
+
+
+def _changed_ns(place: str) -> int:
+    try:
+        return os.stat(place or ".").st_mtime_ns
+    except (OSError, ValueError):
+        return 0
+
+
+FINDERS: Final = {"types": _find_type, "codecs": _find_codec}
+"""What `aiorts.model.elsewhere` gives to the layers below."""

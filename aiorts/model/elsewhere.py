@@ -1,20 +1,19 @@
-"""Where a lower layer asks for what it does not know by name: the layer that loads plugins has put its answer here."""
+"""Where a lower layer asks for what it does not know by name: the layer that loads plugins, which is not imported
+before somebody asks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from importlib import import_module
+from typing import Any, Final
 
-__all__ = ("finder", "look_in")
+__all__ = ("finder",)
 
-_finders: dict[str, Callable[[str], Any]] = {}
-
-
-def look_in(kind: str, found_by: Callable[[str], Any]) -> None:
-    """Have `found_by` asked for names of this kind ("types", "codecs") that nobody knows; the last one counts."""
-    _finders[kind] = found_by
+_HOME: Final = "aiorts.kernel.offers"
+"""Has a function for each kind, in a table `FINDERS`."""
 
 
-def finder(kind: str) -> Callable[[str], Any] | None:
-    """What to ask, or None when nothing that loads plugins is there."""
-    return _finders.get(kind)
+def finder(kind: str) -> Callable[[str], Any]:
+    """Whom to ask for a name of this kind ("types", "codecs") that nobody knows."""
+    found: Callable[[str], Any] = import_module(_HOME).FINDERS[kind]
+    return found

@@ -60,9 +60,8 @@ def find_type(name: str) -> type:
     if found is not None:
         return found
     offered: Iterable[str] = ()
-    look = finder("types") if isinstance(name, str) else None
-    if look is not None:  # imports what offers the type, if anything does, and gives the names that are offered
-        offered = look(name)
+    if isinstance(name, str):  # imports what offers the type, if anything does, and gives the names that are offered
+        offered = finder("types")(name)
         found = _known(name)
         if found is not None:
             return found

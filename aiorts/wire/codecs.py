@@ -21,10 +21,7 @@ def find_codec(name: str) -> Codec:
     """
     if name == _OWN:
         return MsgpackCodec()
-    look = finder("codecs")
-    if look is not None:
-        return codec_of(name, look(name))
-    raise PluginError(f"no codec named {name[:100]!r}; there is {_OWN}")
+    return codec_of(name, finder("codecs")(name))
 
 
 def codec_of(name: str, offered: Any) -> Codec:
