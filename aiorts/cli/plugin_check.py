@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import Final
 
 from aiorts import Extension
-from aiorts.cli.plugin_child import ANSWER
+from aiorts.cli.plugin_child import ANSWER, END, HOME
 
 __all__ = ("verdicts",)
 
 _AT_ONCE: Final = 4
 
 
-def verdicts(extensions: Iterable[Extension], limit: float) -> list[str]:
-    """For each "ok", or what is wrong with it.
+def verdicts(extensions: Iterable[Extension], limit: float) -> list[tuple[str, str]]:
+    """For each "ok", or what is wrong with it, and the file that was imported, "" when there is none.
 
     Args:
         limit: seconds that each import may take.
@@ -45,7 +45,9 @@ def verdicts(extensions: Iterable[Extension], limit: float) -> list[str]:
                 _end(child)
 
 
-def _verdict(extension: Extension, limit: float, folder: Path, running: set[subprocess.Popen[bytes]]) -> str:
+def _verdict(
+    extension: Extension, limit: float, folder: Path, running: set[subprocess.Popen[bytes]]
+) -> tuple[str, str]:
     folder.mkdir()
     asked = [extension.kind, extension.name, extension.target, extension.source, str(extension.folder or "")]
     child = subprocess.Popen(  # noqa: S603 - this interpreter; what it imports is the user's own wish
@@ -59,11 +61,17 @@ def _verdict(extension: Extension, limit: float, folder: Path, running: set[subp
     try:
         status = child.wait(limit)
     except subprocess.TimeoutExpired:
-        return f"still being imported after {limit:g} s"
+        return f"still being imported after {limit:g} s", _read(folder / HOME)
     finally:
         _end(child)
         running.discard(child)
-    return _told(folder / ANSWER, status)
+    return _told(folder / ANSWER, status), _read(folder / HOME)
+
+
+def _read(file: Path) -> str:
+    with contextlib.suppress(OSError, ValueError):
+        return file.read_text(encoding="utf-8")
+    return ""
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
@@ -77,11 +85,10 @@ def _end(child: subprocess.Popen[bytes]) -> None:
 
 
 def _told(answer: Path, status: int) -> str:
-    try:
-        faults = list(json.loads(answer.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        if status >= 0:
-            return f"ended the interpreter with status {status}"
-        names = {number.value: number.name for number in signal.Signals}
-        return f"ended the interpreter by {names.get(-status, f'signal {-status}')}"
-    return "; ".join(map(str, faults)) or "ok"
+    *faults, end = _read(answer).split("\0")
+    if end == END:
+        return "; ".join(faults) or "ok"
+    if status >= 0:
+        return f"ended the interpreter with status {status}"
+    names = {number.value: number.name for number in signal.Signals}
+    return f"ended the interpreter by {names.get(-status, f'signal {-status}')}"

@@ -1,4 +1,4 @@
-"""Imports one extension and says what is wrong with it, as a JSON list in a file: a child of `aiorts plugins --check`.
+"""Imports one extension and says what is wrong with it, in a file: a child of `aiorts plugins --check`.
 
 A process of its own: an import may hang, end the interpreter, write to any stream, or change what others rely on.
 """
@@ -13,17 +13,21 @@ import signal
 import sys
 import tempfile
 import time
+from importlib.machinery import PathFinder
 from pathlib import Path
-from types import FunctionType
 from typing import Any, Final
 
 import aiorts
 from aiorts.errors import PluginError
+from aiorts.kernel.plugins import cause_of
 
-__all__ = ("ANSWER", "main")
+__all__ = ("ANSWER", "END", "HOME", "main")
 
 ANSWER: Final = "answer"
-"""The file in the folder that was named; it is there when the import has come to an end."""
+"""The file in the folder that was named: the faults and `END`, with a NUL between them."""
+END: Final = "."
+HOME: Final = "home"
+"""The file that says which file is imported; there before that begins."""
 _VALUES: Final = (
     (sys, ("stdout", "stderr", "stdin", "excepthook", "displayhook", "argv", "modules")),
     (asyncio, ("sleep", "run", "create_task")),
@@ -38,6 +42,9 @@ def main(asked: str, folder: str) -> None:
     kind, name, target, source, home = json.loads(asked)
     extension = aiorts.Extension(kind, name, target, source, Path(home) if home else None)
     _ = (aiorts.Component, aiorts.Kernel, aiorts.EventContext)  # loaded before, so that a change of them is seen
+    Path(folder, HOME).write_text(_home(extension), encoding="utf-8", errors="backslashreplace")
+    answer = os.open(Path(folder, ANSWER), os.O_WRONLY | os.O_CREAT)
+    write, leave = os.write, os._exit  # as they are now: the import may put anything in their place
     faults: list[str] = []
     with tempfile.TemporaryFile(dir=folder) as said:
         os.dup2(said.fileno(), 1)
@@ -46,7 +53,7 @@ def main(asked: str, folder: str) -> None:
         try:
             found = extension.load()
         except PluginError as error:
-            faults.append(str(error) if error.__cause__ is None else _cause(error.__cause__))
+            faults.append(str(error) if error.__cause__ is None else cause_of(error.__cause__))
         else:
             faults += _unfit(extension, found)
         faults += [f"changes {what}" for what in _changed(before)[:3]]
@@ -61,16 +68,26 @@ def main(asked: str, folder: str) -> None:
                 stream.flush()
         if os.fstat(said.fileno()).st_size:
             faults.append("writes to standard output or error while it is imported")
-    part = Path(folder, f"{ANSWER}.part")
-    part.write_text(json.dumps(faults), encoding="utf-8")
-    part.rename(Path(folder, ANSWER))
-    os._exit(0)  # threads that the import has left must not keep us
+    write(answer, "\0".join((*faults, END)).encode("utf-8", "backslashreplace"))
+    leave(0)  # threads that the import has left must not keep us
 
 
-def _cause(error: BaseException) -> str:
-    where = f" ({error.filename}, line {error.lineno})" if isinstance(error, SyntaxError) and error.filename else ""
-    text = error.msg if where and isinstance(error, SyntaxError) else str(error)
-    return f"{type(error).__name__}: {text}{where}"
+def _home(extension: aiorts.Extension) -> str:
+    """The file that will be imported, as far as that is known without importing anything; "" when it is not."""
+    module = extension.target.partition(":")[0].strip()
+    if extension.folder is not None and module.endswith(".py"):
+        return str(extension.folder / module)
+    top, *below = module.split(".")
+    folders = [] if extension.folder is None else [str(extension.folder / "src"), str(extension.folder)]
+    try:
+        spec = PathFinder.find_spec(top, [*folders, *sys.path])
+        origin = Path(spec.origin) if spec is not None and spec.origin else None
+    except (ImportError, ValueError, OSError):
+        return ""
+    if origin is None or not below:
+        return str(origin or "")
+    place = origin.parent.joinpath(*below)
+    return next((str(file) for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()), str(origin))
 
 
 def _unfit(extension: aiorts.Extension, found: Any) -> list[str]:
@@ -79,6 +96,9 @@ def _unfit(extension: aiorts.Extension, found: Any) -> list[str]:
 
     fault = fault_of(extension, found)
     return [fault] if fault else []
+
+
+_METHODS: Final = (property, classmethod, staticmethod)
 
 
 def _callables() -> dict[str, object]:
@@ -94,14 +114,15 @@ def _callables() -> dict[str, object]:
                 continue
             found[f"{module_name}.{name}"] = value
             if isinstance(value, type) and value.__module__ == module_name and module_name.startswith("aiorts."):
-                methods = [(key, one) for key, one in vars(value).items() if isinstance(one, FunctionType)]
+                methods = [(key, one) for key, one in vars(value).items() if callable(one) or isinstance(one, _METHODS)]
                 found.update({f"{module_name}.{name}.{key}": method for key, method in methods})
     return found
 
 
 def _changed(before: dict[str, object]) -> list[str]:
     after = _callables()
-    return [what for what, value in before.items() if what in after and after[what] is not value]
+    changed = [what for what, value in before.items() if what in after and after[what] is not value]
+    return changed + [what for what in after.keys() - before.keys() if what.rpartition(".")[0] in before]
 
 
 def _handlers() -> list[object]:

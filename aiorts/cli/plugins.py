@@ -30,6 +30,8 @@ class _Finding:
     target: str
     source: str
     verdict: str = ""
+    file: str = ""
+    """The file of the module, when it was tried."""
 
 
 @click.command(short_help="List what plugins offer.")
@@ -46,17 +48,17 @@ def plugins(check: bool, folders: tuple[Path, ...], limit: float, as_json: bool)
     offers = [
         (one, several) for kind in Catalogue.KINDS for several in catalogue.extensions(kind).values() for one in several
     ]
-    told = [""] * len(offers)
+    told = [("", "")] * len(offers)
     if check:
         from aiorts.cli.plugin_check import verdicts
 
         told = [
-            _with_rivals(verdict, *offer)
-            for verdict, offer in zip(verdicts([one for one, _ in offers], limit), offers, strict=True)
+            (_with_rivals(verdict, *offer), file)
+            for (verdict, file), offer in zip(verdicts([one for one, _ in offers], limit), offers, strict=True)
         ]
     findings = [
-        _Finding(one.kind, one.name, one.target, one.source, verdict)
-        for (one, _), verdict in zip(offers, told, strict=True)
+        _Finding(one.kind, one.name, one.target, one.source, verdict, file)
+        for (one, _), (verdict, file) in zip(offers, told, strict=True)
     ]
     problems = list(_problems(catalogue))
     broken = bool(problems) or any(finding.verdict not in ("", "ok") for finding in findings)
@@ -91,12 +93,18 @@ def _problems(catalogue: Catalogue) -> Iterator[tuple[str, str]]:
             yield several[0].source, f"bench {name!r}: aiorts has a bench of that name, which comes first; rename yours"
 
 
+def _told(one: _Finding) -> tuple[str, ...]:
+    if one.verdict in ("", "ok"):
+        return (one.verdict,) if one.verdict else ()
+    return (f"{one.verdict} [{one.file}]" if one.file and one.file not in one.verdict else one.verdict,)
+
+
 def _table(findings: Iterable[_Finding]) -> str:
     rows = [
         tuple(
             map(
                 printed,
-                (_WORDS.get(one.kind, one.kind[:-1]), one.name, one.target, one.source, *filter(None, (one.verdict,))),
+                (_WORDS.get(one.kind, one.kind[:-1]), one.name, one.target, one.source, *_told(one)),
             )
         )
         for one in findings

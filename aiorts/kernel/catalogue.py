@@ -29,6 +29,8 @@ KINDS: Final = ("components", "contexts", "codecs", "transports", "commands", "b
 _LARGEST: Final = 1 << 20
 """Bytes of a file that is looked into."""
 _MOST_FILES: Final = 1000
+_SHOWN: Final = 20
+"""Names in a message."""
 
 
 def singular(kind: str) -> str:
@@ -130,7 +132,7 @@ class Catalogue:
         word = singular(kind)
         if not found:
             near = get_close_matches(name[:100], offers, n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(sorted(offers)) or 'none'}"
+            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {_some(offers)}"
             broken = f" ({len(self.problems)} could not be read: see `aiorts plugins`)" if self.problems else ""
             raise PluginError(f"no {word} named {name[:100]!r}; {hint}{broken}")
         if len(found) > 1:
@@ -248,6 +250,12 @@ class Catalogue:
             self._problem(f"file {path}", error.strerror or str(error))
             return b""
         return data
+
+
+def _some(names: Iterable[str]) -> str:
+    ordered = sorted(names)
+    more = f" and {len(ordered) - _SHOWN} more" if len(ordered) > _SHOWN else ""
+    return f"{', '.join(ordered[:_SHOWN]) or 'none'}{more}"
 
 
 def _project(name: str) -> str:

@@ -26,7 +26,17 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-__all__ = ("API", "class_of", "extensions", "load", "load_aside", "load_extension", "load_file", "load_in_time")
+__all__ = (
+    "API",
+    "cause_of",
+    "class_of",
+    "extensions",
+    "load",
+    "load_aside",
+    "load_extension",
+    "load_file",
+    "load_in_time",
+)
 
 API: Final = 1
 """What aiorts offers to plugins; a module of one that sets `AIORTS_API` says which it was written for."""
@@ -58,8 +68,24 @@ def load(extension: Extension) -> Any:
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(f"{where} cannot be loaded: {type(error).__name__}: {_text(error)}") from error
+        raise PluginError(f"{where} cannot be loaded: {cause_of(error)}") from error
     return found
+
+
+def cause_of(error: BaseException) -> str:
+    """What an import raised, with the file and line that it came from."""
+    if isinstance(error, SyntaxError):
+        text, file, line = error.msg, error.filename, error.lineno
+    else:
+        text, file, line = _text(error), None, None
+    trace = error.__traceback__
+    while trace is not None and not isinstance(error, SyntaxError):
+        name = trace.tb_frame.f_code.co_filename
+        if not name.startswith("<") and name != __file__:
+            file, line = name, trace.tb_lineno
+        trace = trace.tb_next
+    where = "" if file is None else f" ({file}, line {line})"
+    return f"{type(error).__name__}: {text}{where}"
 
 
 def _text(thing: object) -> str:
