@@ -166,7 +166,7 @@ class _Filter:
             await kernel.start(EventContext(), part, activate=True)
 
     def _watch(self, kernel: Kernel, event: StateChanged, name: str) -> None:
-        if event.component == name and event.new is LifeCycleState.ERROR:
+        if event.component in (name, "stdin", "stdout") and event.new is LifeCycleState.ERROR:
             self._failed = True
             kernel.request_stop()
 

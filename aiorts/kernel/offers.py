@@ -42,15 +42,18 @@ def offer_from(catalogue: Catalogue | None) -> None:
     _catalogue = catalogue
 
 
-def load_type(extension: Extension, limit: float = _LIMIT) -> None:
+def load_type(extension: Extension, limit: float | None = None) -> None:
     """Import a record type, or a module with record types, and make all that it defines known by name.
 
+    Args:
+        limit: seconds that the import may take; a few by default.
+
     Raises:
-        PluginError: it cannot be imported within `limit` seconds, or what it names is no record type.
+        PluginError: it cannot be imported within that time, or what it names is no record type.
     """
     # One that is asked for by another while that is imported: the thread of that one is the one to go on.
     nested = getattr(_local, "importing", False)
-    found = load(extension) if nested else load_in_time(extension, limit, _said_importing)
+    found = load(extension) if nested else load_in_time(extension, limit or _LIMIT, _said_importing)
     if isinstance(found, ModuleType):
         for cls in vars(found).values():
             if getattr(cls, "__module__", "") == found.__name__ and _is_type(cls):

@@ -165,6 +165,7 @@ async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: f
     threading.Thread(target=work, name=f"aiorts import {extension.name}", daemon=True).start()
     alarm = threading.Timer(limit, lambda: tell_from_afar(_too_slow(extension, limit), None))
     alarm.daemon = True
+    alarm.name = f"aiorts alarm {extension.name}"
     alarm.start()
     try:
         found = await done
