@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -23,6 +24,9 @@ from aiorts.cli.plugin_child import ANSWER, END, HOME
 __all__ = ("verdicts",)
 
 _AT_ONCE: Final = 4
+_LONGEST_START: Final = 30.0
+"""Seconds until the interpreter of a child must be there; they are no fault of the plugin."""
+_LOOKS: Final = 0.02
 
 
 def verdicts(extensions: Iterable[Extension], limit: float) -> list[tuple[str, str]]:
@@ -59,13 +63,23 @@ def _verdict(
     )
     running.add(child)
     try:
-        status = child.wait(limit)
-    except subprocess.TimeoutExpired:
-        return f"still being imported after {limit:g} s", _read(folder / HOME)
+        status = _awaited(child, limit, folder / HOME)
     finally:
         _end(child)
         running.discard(child)
-    return _told(folder / ANSWER, status), _read(folder / HOME)
+    late = f"still being imported after {limit:g} s"
+    return late if status is None else _told(folder / ANSWER, status), _read(folder / HOME)
+
+
+def _awaited(child: subprocess.Popen[bytes], limit: float, begins: Path) -> int | None:
+    """The exit status; None when the import, which begins with that file, has not come to an end in time."""
+    until = time.monotonic() + _LONGEST_START + limit
+    begun = False
+    while (status := child.poll()) is None and time.monotonic() < until:
+        if not begun and begins.exists():
+            begun, until = True, time.monotonic() + limit
+        time.sleep(_LOOKS)
+    return status
 
 
 def _read(file: Path) -> str:

@@ -90,7 +90,10 @@ class Catalogue:
         return Catalogue() if Catalogue._default is None else Catalogue._default
 
     def make_default(self) -> None:
-        """Have it used in this process where nobody names a catalogue; for main programs, as `aiorts --plugins` is."""
+        """Have it used in this process where nobody names a catalogue; for main programs, as `aiorts --plugins` is.
+
+        Record types and codecs of plugins, which belong to a process and not to a kernel, are looked for here.
+        """
         Catalogue._default = self
 
     def __init__(self, folders: Iterable[Path] = ()) -> None:

@@ -83,16 +83,19 @@ def test_the_list_and_the_table_need_no_import(site: Path) -> None:
 
 
 def test_help_is_fast_beside_all_of_them(site: Path) -> None:
-    took = []
-    for _ in range(5):
-        began = time.perf_counter()
+    for _ in range(3):
+        began = _seconds_of_children()
         done = aiorts(site, "--help")
-        took.append(time.perf_counter() - began)
+        # Of the processor, 0.1 s: what the clock says, the long version promises.
+        assert _seconds_of_children() - began <= 0.5
         assert (done.returncode, done.stderr) == (0, "")
         assert "fine" in done.stdout
         assert "bad-exits" in done.stdout
-    # 0.1 s on an idle machine; the promise of 0.5 s is that of the long version.
-    assert sorted(took)[len(took) // 2] < 2.0
+
+
+def _seconds_of_children() -> float:
+    times = os.times()
+    return times.children_user + times.children_system
 
 
 @pytest.mark.campaign

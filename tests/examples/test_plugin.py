@@ -33,7 +33,7 @@ def run(*command: str | Path, stdin: str = "", cwd: Path = ROOT) -> str:
 
 
 def in_use(*aiorts: str | Path, cwd: Path) -> None:
-    """The component, the type, the command and the codec, from a command line."""
+    """The component, the type and the command, from a command line."""
     states = run(*aiorts, "batterywatch", "--cells", "3", stdin='{"tm": 1, "data": 12.6}\n', cwd=cwd)
     state = {"voltage": 12.6, "charge": 1.0, "low": False}
     assert json.loads(states)["type"] == "BatteryState"
@@ -42,11 +42,6 @@ def in_use(*aiorts: str | Path, cwd: Path) -> None:
     assert "BatteryState 0.000000001: " in shown
     assert "1.0" in shown
     assert run(*aiorts, "battery-life", "--capacity", "5", "--current", "2.5", cwd=cwd) == "2 h 00 min\n"
-    frames = ["flexiconst", "-p", "TimedLong", "-c", "7", "--count", "2", "-r", "100", "--codec", "deflate"]
-    dump = ["flexidump", "-p", "TimedLong", "--format", "values", "--codec", "deflate"]
-    made = subprocess.run([*aiorts, *frames], capture_output=True, timeout=60, cwd=cwd)
-    dumped = subprocess.run([*aiorts, *dump], input=made.stdout, capture_output=True, timeout=60, cwd=cwd)
-    assert (dumped.returncode, dumped.stdout.split(), dumped.stderr) == (0, [b"7", b"7"], b"")
     listed = json.loads(run(*aiorts, "plugins", "--json", cwd=cwd))
     offered = {one["kind"]: one["name"] for one in listed["extensions"] if "aiorts_battery" in one["target"]}
     assert offered == {
@@ -57,13 +52,21 @@ def in_use(*aiorts: str | Path, cwd: Path) -> None:
     }
 
 
-@pytest.mark.row(54)
 @pytest.mark.row(64)
 def test_as_it_lies_there(tmp_path: Path) -> None:
     in_use(sys.executable, "-m", "aiorts", "--plugins", PLUGIN, cwd=tmp_path)
 
 
 @pytest.mark.row(54)
+def test_its_codec_stands_between_two_filters(tmp_path: Path) -> None:
+    aiorts = (sys.executable, "-m", "aiorts", "--plugins", PLUGIN)
+    frames = ["flexiconst", "-p", "TimedLong", "-c", "7", "--count", "2", "-r", "100", "--codec", "deflate"]
+    dump = ["flexidump", "-p", "TimedLong", "--format", "values", "--codec", "deflate"]
+    made = subprocess.run([*aiorts, *frames], capture_output=True, timeout=60, cwd=tmp_path)
+    dumped = subprocess.run([*aiorts, *dump], input=made.stdout, capture_output=True, timeout=60, cwd=tmp_path)
+    assert (dumped.returncode, dumped.stdout.split(), dumped.stderr) == (0, [b"7", b"7"], b"")
+
+
 @pytest.mark.row(64)
 @pytest.mark.skipif(importlib.util.find_spec("hatchling") is None, reason="hatchling is not installed")
 def test_built_and_installed_in_a_new_environment(tmp_path: Path) -> None:

@@ -142,6 +142,18 @@ def test_a_type_that_asks_for_another_while_it_is_imported_gets_it(tmp_path: Pat
     assert "plug_i.DepthI" in all_types()
 
 
+@pytest.mark.fault("F05")
+def test_two_types_that_ask_for_each_other_are_refused_without_waiting(tmp_path: Path) -> None:
+    asking = "from aiorts.types import find_type\nOther = find_type('{0}')\n"
+    modules = {"plug_j": asking.format("DepthK"), "plug_k": asking.format("DepthJ")}
+    project(tmp_path, "plug-j", modules, {"types/DepthJ": "plug_j:DepthJ", "types/DepthK": "plug_k:DepthK"})
+    offers.offer_from(Catalogue([tmp_path]))
+    began = time.monotonic()
+    with pytest.raises(UnknownTypeError, match="unknown type 'DepthJ'"):
+        find_type("DepthJ")
+    assert time.monotonic() - began < 4.0  # what waits for itself waits for 5
+
+
 def test_unknown_names_are_cheap(tmp_path: Path) -> None:
     """The packages are listed once, not for each name that somebody mistypes."""
     began = time.perf_counter()
