@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
+from aiorts.wire.codecs import find_codec
 from aiorts.wire.limits import CONTROL, DATA, Limits
 from aiorts.wire.lines import LineReader, json_text, line_of, split_sample
 
@@ -14,6 +15,7 @@ __all__ = (
     "Limits",
     "LineReader",
     "MsgpackCodec",
+    "find_codec",
     "json_text",
     "line_of",
     "split_sample",
