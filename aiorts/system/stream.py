@@ -55,13 +55,17 @@ def _parts(lines: Iterable[str], encoding: str) -> Iterator[str]:
     """The lines joined to parts of at most `_SURE` bytes each, a longer line alone; what the encoding lacks escaped."""
     part: list[str] = []
     size = 0
+    narrow = len("\n".encode(encoding)) == 1
     for line in lines:
-        data = f"{line}\n".encode(encoding, "backslashreplace")
-        if part and size + len(data) > _SURE:
+        text, length = f"{line}\n", len(line) + 1
+        if not (narrow and text.isascii()):
+            data = text.encode(encoding, "backslashreplace")
+            text, length = data.decode(encoding), len(data)
+        if part and size + length > _SURE:
             yield "".join(part)
             part, size = [], 0
-        part.append(data.decode(encoding))
-        size += len(data)
+        part.append(text)
+        size += length
     if part:
         yield "".join(part)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from aiorts import Component, InPort, Param
 from aiorts.types import find_type
 from aiorts.wire import json_text, split_sample
@@ -15,7 +17,7 @@ class Expect(Component):
     what = Param("result", doc="what is expected, for people")
 
     def on_initialize(self) -> None:
-        self.inp = self.add_port("inp", InPort(find_type(self.type)))
+        self.inp: InPort[Any] = self.add_port("inp", InPort(find_type(self.type)))
         self.count = 0
         self.got = "nothing"
 
