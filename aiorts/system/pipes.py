@@ -26,6 +26,8 @@ __all__ = ("StandardInput", "StandardOutput")
 _CHUNK: Final = 1 << 16
 _LONGEST: Final = 64 << 20
 """Bytes of a line."""
+_MARK: Final = b"\xef\xbb\xbf"
+"""A byte order mark, with which some editors begin a file of UTF-8."""
 _GONE: Final = (errno.EIO, errno.EBADF)
 """A terminal that was hung up; a descriptor that somebody has closed."""
 
@@ -89,7 +91,8 @@ class StandardInput(Component):
         try:
             if line is None:
                 raise RecordError(f"longer than {_LONGEST} bytes")
-            port, sample = self._reader.sample(line.decode(), self.clock.time_ns())
+            text = (line.removeprefix(_MARK) if number == 1 else line).decode()
+            port, sample = self._reader.sample(text, self.clock.time_ns())
         except UnicodeDecodeError as error:
             self._complain(number, f"no UTF-8: {error.reason} at byte {error.start}")
         except RecordError as error:

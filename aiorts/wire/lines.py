@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import reprlib
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, Final, NoReturn
@@ -187,6 +188,12 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
+_brief: Final = reprlib.Repr()
+_brief.maxstring = _brief.maxother = _brief.maxlong = _LONGEST
+_brief.maxlevel = 3
+
+
 def _shown(value: Any) -> str:
-    text = repr(value)
+    """A few characters of a value, in a time that does not grow with it: a line may be long, and nest deep."""
+    text = _brief.repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
