@@ -67,7 +67,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
             [*option.flags, f"option{number}"],
             # None, not False: with False click takes a value that begins with "-" for the next option.
             is_flag=True if option.kind == "flag" else None,
-            multiple=option.kind == "repeat",
+            multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
             required=option.required,
             help=option.help,
             metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
@@ -91,6 +91,10 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
         value = given[f"option{number}"]
         if value in (None, False, ()):
             continue
+        if option.kind not in ("flag", "repeat"):
+            if len(value) > 1:
+                raise ConfigurationError(f"{option.flags[-1]}: given {len(value)} times; give it once")
+            value = value[0]
         if option.action:
             actions.append(option)
         elif option.param:
@@ -109,8 +113,8 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
 
 
 def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], common: Mapping[str, Any]) -> int:
-    params, actions, modules = _chosen(table, given)
     try:
+        params, actions, modules = _chosen(table, given)
         import_types(modules)
         _check(cls, table, params)
         for option in actions:

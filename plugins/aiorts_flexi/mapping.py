@@ -32,7 +32,8 @@ _TEXT: Final = ("str", "char", "wchar")
 class Rules:
     """How values are made.
 
-    rounding: "nearest", "truncate" or "floor", from a fraction to an integer.
+    rounding: from a fraction to an integer: "nearest" (halves to the even neighbour: 0.5 is 0, 1.5 and 2.5 are 2),
+        "truncate" (toward zero) or "floor".
     overflow: "error", "saturate" or "wrap".
     reset: what pins without new data are set to; "" keeps them.
     zero_old: set pins without new data to 0, False or no text; `reset` says to what else.

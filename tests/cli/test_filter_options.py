@@ -107,6 +107,17 @@ def test_a_value_that_is_refused_is_named_with_its_option(
     assert "draft" not in line
 
 
+@pytest.mark.fault("F17")
+@pytest.mark.parametrize(
+    "options", [["-p", "TimedLong:2", "-p", "TimedLong:3"], ["-p", "TimedLong:2", "-v", "1", "-v", "2"]]
+)
+def test_an_option_given_twice_is_refused_and_none_of_it_forgotten(
+    options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["flexiadd", *options]) == 2
+    assert f"--{'port' if options[2] == '-p' else 'verbosity'}: given 2 times; give it once" in capsys.readouterr().err
+
+
 @pytest.mark.row(64)
 @pytest.mark.parametrize(("where", "flag"), [("path", "--type-mod"), ("here", "-m")])
 def test_types_of_a_module_of_the_user_can_be_used(tmp_path: Path, where: str, flag: str) -> None:
