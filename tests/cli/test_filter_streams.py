@@ -196,17 +196,19 @@ def test_who_reads_a_dump_and_stalls_delays_no_other_component(way: str, tmp_pat
     with subprocess.Popen(
         [sys.executable, "-m", "aiorts", "run", str(tmp_path / "system.toml")],
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
     ) as process:
         assert process.stdout is not None
+        assert process.stderr is not None
         first = os.read(process.stdout.fileno(), 1)
         time.sleep(2.0)
         process.send_signal(signal.SIGINT)
         began = time.monotonic()
         process.wait(30)
         took = time.monotonic() - began
-        shown = first + process.stdout.read()
+        shown, said = first + process.stdout.read(), process.stderr.read()
     assert process.returncode == 130
+    assert b"E-STOP" not in said  # nothing is left behind that has to be ended by force
     assert took < 10.0  # 2 s: a hook that waits is cancelled when its grace is over
     assert 30_000 < len(shown) < 200_000  # a pipe full, and not what 2 s bring
     count, late = (tmp_path / "report").read_text().split()
