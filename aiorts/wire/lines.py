@@ -158,7 +158,7 @@ class _Form:
 
     def sample(self, data: Any, tm: Any) -> Any:
         """The sample with this data."""
-        if self._number and type(tm) is int and (type(data) is int or type(data) is float):
+        if self._number and (type(data) is int or type(data) is float):
             return self._cls(tm, data)  # what `from_plain` comes to, for a number alone
         if self._bare:
             return from_plain(self._cls, data)

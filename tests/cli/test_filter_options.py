@@ -181,7 +181,7 @@ def test_a_type_module_that_cannot_be_had_is_one_line(tmp_path: Path, text: str 
 
 
 def test_a_module_of_the_current_folder_takes_no_place_of_pythons_own(tmp_path: Path) -> None:
-    (tmp_path / "json.py").write_text("raise RuntimeError('not this one')")
-    (tmp_path / "mytypes.py").write_text(TYPES)
+    (tmp_path / "wave.py").write_text("raise RuntimeError('not this one')")
+    (tmp_path / "mytypes.py").write_text(f"import wave\n{TYPES}")  # which nobody has imported before
     done = aiorts("flexidump", "-p", "Battery", "--type-mod", "mytypes", cwd=tmp_path, stdin="1.5")
     assert (done.returncode, done.stderr) == (0, "")

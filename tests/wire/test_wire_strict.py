@@ -28,7 +28,7 @@ from aiorts.types import (
     TimedString,
     TimedULongLong,
 )
-from aiorts.wire.lines import LineReader, LineWriter, line_of
+from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of
 from campaign import cases
 
 RECORDS = list(record_types())
@@ -115,6 +115,12 @@ def test_enumerations_are_names_and_a_record_without_data_is_an_object_of_its_ot
     assert line["tm"] == 5
     assert line["data"]["ranges"] == [1.0, "Infinity"]
     assert sorted(line["data"]) == sorted(set(scan.__dataclass_fields__) - {"tm"})  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("value", [math.nan, [math.inf], {"x": -math.inf}])
+def test_nothing_writes_what_is_no_json(value: Any) -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        json_text(value)
 
 
 @pytest.mark.parametrize("depth", [10, 100, 300, 900, 990, 5_000, 100_000])
