@@ -32,7 +32,7 @@ from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of
 from campaign import cases
 
 RECORDS = list(record_types())
-pytestmark = pytest.mark.row(54)
+pytestmark = pytest.mark.row(123)
 
 
 def test_all_records_are_played_here() -> None:
