@@ -16,6 +16,7 @@ from typing import Any, Final, NoReturn
 
 from aiorts.errors import RecordError
 from aiorts.types import describe, fields_of, from_plain, has_tm, to_plain, type_name
+from aiorts.types.samples import original
 
 __all__ = ("LineReader", "LineWriter", "json_text", "line_of", "split_sample")
 
@@ -40,6 +41,9 @@ def line_of(port: str, sample: Any) -> str:
 
 def split_sample(sample: Any) -> tuple[int | None, Any]:
     """Time (None for a type without `tm`) and plain data of a sample."""
+    exact = _number_of(type(sample))
+    if exact is not None and type(sample.data) is exact and (exact is int or math.isfinite(sample.data)):
+        return sample.tm, sample.data
     plain = to_plain(sample)
     if not isinstance(plain, dict) or not hasattr(type(sample), "__dataclass_fields__"):
         return None, plain
@@ -62,7 +66,7 @@ class LineWriter:
     def __init__(self, port: str, cls: type[Any]) -> None:
         self._port = port
         self._cls = cls
-        self._exact: Any = _number_of(cls)
+        self._exact = _number_of(cls)
         self._head = json_text({"port": port, "type": type_name(cls)})[:-1]
 
     def line(self, sample: Any) -> str:
@@ -74,10 +78,19 @@ class LineWriter:
         return line_of(self._port, sample)
 
 
-def _number_of(cls: type) -> type | None:
+def _number_of(cls: type) -> Any:
     """int or float, where records of `cls` are nothing but a time in ns and one number, checked when they are made."""
-    if not hasattr(cls, "__dataclass_fields__"):
-        return None
+    if cls not in _numbers:
+        _numbers[cls] = _found_number_of(cls)
+    return _numbers[cls]
+
+
+_numbers: dict[type, type | None] = {}
+
+
+def _found_number_of(cls: type) -> type | None:
+    if not hasattr(cls, "__dataclass_fields__") or original(cls) is not cls:
+        return None  # the class of a snapshot is nobody's type
     structure = describe(cls)
     if not structure.checked or [field.name for field in structure.fields] != ["tm", "data"]:
         return None
