@@ -19,7 +19,7 @@ from aiorts.cli.report import report, report_error
 from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.type_modules import import_types
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.system import FrameInput, StandardInput
 from aiorts.types import type_name
 
@@ -67,8 +67,9 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
     return [
         click.Option(
             [*option.flags, f"option{number}"],
-            is_flag=option.kind == "flag",
-            multiple=option.kind == "repeat",
+            # None, not False: with False click takes a value that begins with "-" for the next option.
+            is_flag=True if option.kind == "flag" else None,
+            multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
             required=option.required,
             help=option.help,
             metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
@@ -79,7 +80,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
 
 def _from_parameters(cls: type[Component]) -> list[click.Option]:
     return [
-        click.Option([f"--{name.replace('_', '-')}", f"param_{name}"], help=parameter.spec.doc, metavar="VALUE")
+        click.Option([_flag(name), f"param_{name}"], help=parameter.spec.doc, metavar="VALUE")
         for name, parameter in cls("draft").params.items()
     ]
 
@@ -92,6 +93,10 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
         value = given[f"option{number}"]
         if value in (None, False, ()):
             continue
+        if option.kind not in ("flag", "repeat"):
+            if len(value) > 1:
+                raise ConfigurationError(f"{option.flags[-1]}: given {len(value)} times; give it once")
+            value = value[0]
         if option.action:
             actions.append(option)
         elif option.param:
@@ -99,7 +104,9 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
         elif "--type-mod" in option.flags:
             modules = value
     params |= {
-        name.removeprefix("param_"): value for name, value in given.items() if value and name.startswith("param_")
+        name.removeprefix("param_"): value
+        for name, value in given.items()
+        if value is not None and name.startswith("param_")
     }
     return params, actions, modules
 
@@ -108,14 +115,14 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
 
 
 def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], common: Mapping[str, Any]) -> int:
-    params, actions, modules = _chosen(table, given)
     try:
+        params, actions, modules = _chosen(table, given)
         import_types(modules)
+        _check(cls, table, params)
         for option in actions:
             click.echo(getattr(cls, option.action)(**params))
         if actions:
             return 0
-        cls("draft").params.check(params)
     except AiortsError as error:
         report_error(error, verbose=False)
         return 2
@@ -125,6 +132,23 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
     stopper = Stopper()
     with stopper.signals():
         return execute(filter_.make, 1, options, stopper) or filter_.status
+
+
+def _check(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> None:
+    """ConfigurationError names the option whose value its parameter does not take."""
+    flags = {option.param: option.flags[-1] for option in table}
+    draft = cls("draft")
+    for name, value in params.items():
+        try:
+            draft.params.check({name: value})
+        except ConfigurationError as error:
+            cause = str(error).removeprefix(f"draft.{name} = ")
+            cause = cause.rpartition("; ")[0] if cause.endswith(" kept") else cause
+            raise ConfigurationError(f"{flags.get(name, _flag(name))} {cause}") from None
+
+
+def _flag(parameter: str) -> str:
+    return f"--{parameter.replace('_', '-')}"
 
 
 class _Filter:

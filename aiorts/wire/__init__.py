@@ -5,7 +5,7 @@ from __future__ import annotations
 from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
 from aiorts.wire.codecs import find_codec
 from aiorts.wire.limits import CONTROL, DATA, Limits
-from aiorts.wire.lines import LineReader, json_text, line_of, split_sample
+from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
 
 __all__ = (
     "CONTROL",
@@ -14,6 +14,7 @@ __all__ = (
     "Codec",
     "Limits",
     "LineReader",
+    "LineWriter",
     "MsgpackCodec",
     "find_codec",
     "json_text",
