@@ -12,7 +12,7 @@ from typing import Any, Final
 import click
 
 from aiorts import __version__
-from aiorts.cli.report import report
+from aiorts.cli.report import report, report_error
 from aiorts.errors import AiortsError, PluginError
 
 __all__ = ("BROKEN_PIPE", "aiorts", "run_command")
@@ -98,7 +98,7 @@ def run_command(arguments: Sequence[str]) -> int:
     except click.Abort:
         return 130
     except AiortsError as error:
-        report(error.code, str(error))
+        report_error(error, verbose=False)
         return 2
     except BrokenPipeError:
         return _silenced()

@@ -11,8 +11,10 @@ import logging
 import sys
 import traceback
 from collections.abc import Callable
+from shutil import get_terminal_size
 from typing import Final
 
+from aiorts.cli.quote import quote
 from aiorts.errors import AiortsError
 
 __all__ = ("LONGEST", "LineHandler", "code_of", "cause_of", "printed", "report", "report_error")
@@ -32,11 +34,17 @@ def report_error(error: BaseException, *, verbose: bool) -> None:
     where = "".join(f"{note}: " for note in notes[:1])
     advice = "" if isinstance(error, AiortsError) or verbose else _ADVICE
     report(code_of(error), f"{where}{cause_of(error)}{advice}")
-    marked: Callable[[], str] | None = getattr(error, "marked", None)
-    if marked is not None:  # a mistake in text that somebody typed: the text, and a mark under the place
-        _say_all("".join(f"  {line}\n" for line in marked().splitlines()))
+    _say_all("".join(f"  {line}\n" for line in _quoted(error)))
     if verbose:
         _say_all("".join(traceback.format_exception(error)))
+
+
+def _quoted(error: BaseException) -> list[str]:
+    """For a mistake in text that somebody typed: the text, and a mark under the place."""
+    if isinstance(error, AiortsError) and error.typed is not None:
+        return list(quote(error.typed, min(get_terminal_size().columns, 120) - 2, _encoding()))
+    marked: Callable[[], str] | None = getattr(error, "marked", None)
+    return [] if marked is None else marked().splitlines()
 
 
 def code_of(error: BaseException) -> str:
@@ -114,6 +122,10 @@ def _say_all(text: str) -> None:
     if stream is None:
         return
     with contextlib.suppress(OSError, ValueError):
-        encoding = getattr(stream, "encoding", None) or "utf-8"
+        encoding = _encoding()
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.flush()
+
+
+def _encoding() -> str:
+    return getattr(sys.stderr, "encoding", None) or "utf-8"
