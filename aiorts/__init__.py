@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.declarations import Declaration, declaration_of
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.running import run
@@ -58,6 +59,7 @@ __all__ = (
     "Context",
     "ContextStarted",
     "ContextStopped",
+    "Declaration",
     "Disconnected",
     "Event",
     "EventContext",
@@ -87,6 +89,7 @@ __all__ = (
     "ThreadContext",
     "ThreadsExhausted",
     "WouldBlock",
+    "declaration_of",
     "run",
 )
 
@@ -97,6 +100,7 @@ _HOMES = {
     "aiorts.errors": ("AiortsError",),
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
+    "aiorts.kernel.declarations": ("Declaration", "declaration_of"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),

@@ -1,4 +1,4 @@
-"""Two lines for a mistake in typed text: the line it is in, and a mark under the place; nothing shown commands a terminal.
+"""Two lines for a mistake in typed text: the line it is in, and a mark under the place; they command no terminal.
 
 Every character is shown in cells of a known width, so the mark stands where it should: tabs, control characters and
 what the stream cannot write by their escapes, wide characters as the two columns they take. A long line is cut.
