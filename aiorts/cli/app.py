@@ -23,6 +23,7 @@ BROKEN_PIPE: Final = 141
 _COMMANDS: Final = {
     "run": ("aiorts.cli.run:run", "Run a system file."),
     "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
+    "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
     "inspect": ("aiorts.cli.inspection:inspect", "Show a component or a type without running it."),
     "types": ("aiorts.cli.record_types:types", "List the record types that ports can have."),
     "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
