@@ -160,9 +160,21 @@ class PluginError(AiortsError):
 
 
 class MissingExtra(PluginError, ImportError):
-    """Something optional is asked for that is not installed; says with which command it is."""
+    """Something optional is asked for that is not installed; says which command installs it.
+
+    Args:
+        what: what was asked for ("chart.png").
+        package: the distribution that is missing.
+        extra: of aiorts, which has it among others; "" is a dependency of aiorts itself.
+        otherwise: what can be done without it.
+    """
 
     code = "E-EXTRA"
+
+    def __init__(self, what: str, package: str, extra: str, otherwise: str = "") -> None:
+        command = f'pip install "aiorts[{extra}]"' if extra else f"pip install {package}"
+        instead = f", or {otherwise}" if otherwise else ""
+        super().__init__(f"{what} needs {package}, which is not installed; {command}{instead}")
 
 
 class ClosedError(AiortsError, RuntimeError):

@@ -19,6 +19,7 @@ from aiorts.bench import machine
 from aiorts.bench.case import COST, RATE, Aim, Case, Measure, Reading
 from aiorts.bench.registry import Bench, Options
 from aiorts.bench.report import Report
+from aiorts.errors import MissingExtra
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, to_plain
 from aiorts.wire import MsgpackCodec
 
@@ -124,7 +125,8 @@ def report(options: Options) -> Report:
     """The bench."""
     described = machine.describe()
     rows = options.rows(cases())
-    left_out = () if any(row.case.name.startswith("msgspec") for row in rows) else ("msgspec is not installed",)
+    has_msgspec = any(row.case.name.startswith("msgspec") for row in rows)
+    left_out = () if has_msgspec else (str(MissingExtra("the baseline msgspec", "msgspec", "bench")),)
     how = "Cost is one encode and one decode; JSON carries arrays as lists of numbers and octets as text."
     return options.report("codec", rows, described, notes=left_out, how=how)
 

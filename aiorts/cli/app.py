@@ -26,6 +26,7 @@ _COMMANDS: Final = {
     "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
     "inspect": ("aiorts.cli.inspection:inspect", "Show a component or a type without running it."),
     "types": ("aiorts.cli.record_types:types", "List the record types that ports can have."),
+    "doctor": ("aiorts.cli.doctor:doctor", "Look at this machine, and say what to do."),
     "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
 }
 
