@@ -12,6 +12,7 @@ from typing import Any, Final
 import click
 
 from aiorts import __version__
+from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.cli.report import report, report_error
 from aiorts.errors import AiortsError, PluginError
 
@@ -28,16 +29,28 @@ _COMMANDS: Final = {
     "types": ("aiorts.cli.record_types:types", "List the record types that ports can have."),
     "doctor": ("aiorts.cli.doctor:doctor", "Look at this machine, and say what to do."),
     "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
+    "completion": ("aiorts.cli.completion:completion", "Print the script that completes words in your shell."),
+    "help": ("aiorts.cli.helping:help_", "Help for a command; help errors lists all error codes."),
 }
 
 
-class _LazyGroup(click.Group):
+_SHOWN: Final = 60
+"""Components that the help names."""
+
+
+class _LazyGroup(HelpfulGroup):
     """A group that knows the names and one line of help of its commands without importing them."""
 
+    own = _COMMANDS
+
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return [*_COMMANDS, *_filters()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        found = self._found(cmd_name)
+        return None if found is None else strict(found)
+
+    def _found(self, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return _component_command(cmd_name)
         module, _, attribute = _COMMANDS[cmd_name][0].partition(":")
@@ -52,14 +65,18 @@ class _LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in _COMMANDS and not name.startswith("-") and name not in (filters := _filters()):
-            near = get_close_matches(name, (*_COMMANDS, *filters), n=1)
+            near = get_close_matches(name[:100], (*_COMMANDS, *filters), n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join((*_COMMANDS, *filters))}"
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, help_text) for name, (_, help_text) in _COMMANDS.items()])
+        """The lists below the options of the help; nothing is imported for them."""
+        write_sections(formatter, _COMMANDS)
+        with formatter.section("Components, as filters"):
+            names = [name for name in _filters() if name not in _COMMANDS]
+            more = f" and {len(names) - _SHOWN} more, see aiorts plugins" if len(names) > _SHOWN else ""
+            formatter.write_text(f"{', '.join(names[:_SHOWN])}{more}")
 
 
 def _filters() -> dict[str, str]:
@@ -83,8 +100,13 @@ def _component_command(name: str) -> click.Command | None:
 def aiorts() -> None:
     """RT-Middleware for Python: robot software as components on an asyncio microkernel.
 
+    New here? `aiorts demo` shows a small system and saves it for you to change.
+
     Every installed component is a command as well, in lower case: a Unix filter for JSON lines, as in
-    `aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 | aiorts flexidump -p TimedDouble`.
+
+    \b
+      aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 |
+        aiorts flexidump -p TimedDouble
     """
 
 

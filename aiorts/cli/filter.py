@@ -14,6 +14,7 @@ from typing import Any, Final
 import click
 
 from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, StateChanged
+from aiorts.cli.completion import completer_of
 from aiorts.cli.report import report, report_error
 from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
@@ -68,6 +69,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
             multiple=option.kind == "repeat",
             required=option.required,
             help=option.help,
+            shell_complete=completer_of(option.flags),
             metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
         )
         for number, option in enumerate(table)

@@ -1,7 +1,7 @@
 """`aiorts inspect NAME`: what a component or a record type is, without running it: no hook is called.
 
-A component whose options make its ports (a class with a table `options` and a method `draft`) is made as those options
-say, outside any kernel; of every other class only what its body declares is read, and nothing is created.
+A component whose parameters make its ports (a class with a method `make_ports`, which does nothing else) is constructed
+as its options say, outside any kernel; of every other class only what its body declares is read.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any, Final
 import click
 
 from aiorts import Component, Declaration, declaration_of
+from aiorts.cli.completion import subjects, type_names
 from aiorts.cli.output import plain, say, say_json, table
 from aiorts.cli.record_types import profile_of_type
 from aiorts.cli.subjects import Subject, find_subject, import_types
@@ -28,8 +29,10 @@ _DIRECTIONS: Final = {"in": "in ", "out": "out"}
     short_help="Show a component or a type without running it.",
     context_settings={"ignore_unknown_options": True, "help_option_names": ["--help"]},
 )
-@click.argument("name")
-@click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...")
+@click.argument("name", shell_complete=subjects)
+@click.argument(
+    "options", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...", shell_complete=type_names
+)
 @click.option("--type-mod", "modules", multiple=True, metavar="MODULE", help="Import MODULE, which defines types.")
 @click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
 @click.option("--json", "as_json", is_flag=True, help="The profile as one JSON document.")
@@ -41,6 +44,7 @@ def inspect(
     NAME is an installed component (FlexiFilter), FILE.py:Class, MODULE:Class, or a record type (TimedPose2D). Nothing
     is run. With the options of a Flexi component its ports are those that these options give:
 
+    \b
       aiorts inspect FlexiFilter -i TimedDouble -o TimedLong
     """
     import_types(modules)
@@ -83,11 +87,12 @@ def draw(subject: Subject, given: Iterable[str], name: str) -> Drawn:
     params, missing = _parsed(declaration, rows, tuple(given), name)
     specs = {spec.name: spec for spec in declaration.parameters}
     ports = list(declaration.ports)
-    if callable(getattr(subject.cls, "draft", None)) and rows and not missing:
+    make_ports = getattr(subject.cls, "make_ports", None)
+    if make_ports is not None and not missing:
         component: Component = subject.cls(subject.cls.__name__.lower())
         for key, value in component.params.check(params).items():
             setattr(component, key, value)
-        component.draft()  # type: ignore[attr-defined]
+        make_ports(component)
         ports = [port.profile for port in component.ports.values()]
     checked = {key: specs[key].check(value, owner=subject.cls.__name__) for key, value in params.items()}
     profile = {

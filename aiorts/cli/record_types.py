@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import click
 
+from aiorts.cli.completion import type_names
 from aiorts.cli.output import plain, say, say_json, table
 from aiorts.cli.subjects import import_types
 from aiorts.errors import RecordError, UnknownTypeError
@@ -94,7 +95,7 @@ def _default(field: Any) -> Any:
 
 
 @click.command(short_help="List the record types that ports can have.")
-@click.argument("pattern", default="")
+@click.argument("pattern", default="", shell_complete=type_names)
 @click.option("--group", type=click.Choice(GROUPS), help="Only those of this group.")
 @click.option("--type-mod", "modules", multiple=True, metavar="MODULE", help="Import MODULE, which defines types.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")

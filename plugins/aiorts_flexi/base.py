@@ -21,11 +21,6 @@ class FlexiComponent(Component):
 
     verbosity = Param(0, doc="how much is logged: 0 nothing, 1 the ports, 2 or more details")
 
-    def draft(self) -> None:
-        """Make the ports that the parameters say, outside any kernel: for tools that show what would be."""
-        self.verbosity = 0
-        self.on_initialize()
-
     def tell_ports(self) -> None:
         """Log the ports when that is asked for; called once they are made."""
         if self.verbosity >= 1:
