@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import importlib
 import os
 import sys
@@ -12,7 +14,9 @@ from typing import Any, Final
 import click
 
 from aiorts import __version__
+from aiorts.cli.completion import completes
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
+from aiorts.cli.output import say_json
 from aiorts.cli.report import report, report_error
 from aiorts.errors import AiortsError, PluginError
 
@@ -34,6 +38,7 @@ _COMMANDS: Final = {
 }
 
 
+_FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Components that the help names."""
 
@@ -119,15 +124,24 @@ def run_command(arguments: Sequence[str]) -> int:
         click.echo(error.format_message(), err=True)
         return 2
     except click.ClickException as error:
+        _refused(arguments, "E-USAGE", _usage(error))
         report("E-USAGE", _usage(error))
         return error.exit_code
     except click.Abort:
         return 130
     except AiortsError as error:
+        if completes():
+            return 1  # a word that cannot be completed is not worth a line between two key presses
+        _refused(arguments, error.code, str(error))
         report_error(error, verbose=False)
         return 2
     except BrokenPipeError:
         return _silenced()
+    except OSError as error:
+        if error.errno not in _FULL or error.filename is not None:
+            raise
+        _silenced()
+        return _lost(error)
 
 
 def _usage(error: click.ClickException) -> str:
@@ -146,9 +160,21 @@ def _flushed(status: int) -> int:
         return _silenced()
     except (OSError, ValueError) as error:
         _silenced()
-        report("E-OUTPUT", f"standard output: {error}; its last lines are lost")
-        return status or 1
+        return status or _lost(error)
     return status
+
+
+def _lost(error: Exception) -> int:
+    report("E-OUTPUT", f"standard output: {error}; its last lines are lost")
+    return 1
+
+
+def _refused(arguments: Sequence[str], code: str, text: str) -> None:
+    """Who asked for a JSON document gets one on standard output also when there is nothing but an error to say."""
+    if "--json" in arguments:
+        with contextlib.suppress(OSError, ValueError):
+            say_json({"error": {"code": code, "text": text}})
+            _flushed(0)
 
 
 def _silenced() -> int:

@@ -1,4 +1,4 @@
-"""Completion of words on the command line, by click's protocol: what is offered for which word, and the shells' scripts.
+"""Completion of words on the command line, by click's protocol: what is offered for which word, and shell scripts.
 
 It is asked at every press of a key: nothing is imported beyond what the word needs, and whatever is wrong offers
 nothing and says nothing.
@@ -6,6 +6,7 @@ nothing and says nothing.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
@@ -14,7 +15,7 @@ from click.shell_completion import CompletionItem, get_completion_class
 
 from aiorts.cli.output import say
 
-__all__ = ("completer_of", "completion", "items", "subjects", "type_names")
+__all__ = ("completer_of", "completes", "completion", "items", "subjects", "type_names")
 
 Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 SHELLS: Final = ("bash", "zsh", "fish")
@@ -51,6 +52,11 @@ def subjects(ctx: click.Context, param: click.Parameter, incomplete: str) -> lis
 def completer_of(flags: Iterable[str]) -> Complete | None:
     """What completes the value of a component's option with these flags; None is what click does of itself."""
     return type_names if _OF_TYPES.intersection(flags) else None
+
+
+def completes() -> bool:
+    """Whether a shell asks for completions, and no command is to be run."""
+    return _VARIABLE in os.environ
 
 
 @click.command(short_help="Print the script that completes words in your shell.")

@@ -30,9 +30,7 @@ _DIRECTIONS: Final = {"in": "in ", "out": "out"}
     context_settings={"ignore_unknown_options": True, "help_option_names": ["--help"]},
 )
 @click.argument("name", shell_complete=subjects)
-@click.argument(
-    "options", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...", shell_complete=type_names
-)
+@click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...", shell_complete=type_names)
 @click.option("--type-mod", "modules", multiple=True, metavar="MODULE", help="Import MODULE, which defines types.")
 @click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
 @click.option("--json", "as_json", is_flag=True, help="The profile as one JSON document.")

@@ -47,7 +47,8 @@ def example_of(cls: type) -> str:
     if issubclass(cls, Enum):
         return ""
     try:
-        sample = cls(tm=_TM) if has_tm(cls) else cls()
+        make: Any = cls
+        sample = make(tm=_TM) if has_tm(cls) else make()
         line = line_of("input0", sample)
         LineReader({"input0": cls}).sample(line, 0)
     except (RecordError, TypeError, ValueError):
@@ -69,7 +70,7 @@ def profile_of_type(cls: type) -> dict[str, Any]:
         return {**common, "kind": "enum", "members": {member.name: plain(member.value) for member in cls}}
     if not dataclasses.is_dataclass(cls):
         return {**common, "kind": "plain", "doc": f"A bare {cls.__name__}.", "example": example_of(cls)}
-    notes = {field.name: field.metadata for field in dataclasses.fields(cls)}
+    notes: dict[str, Any] = {field.name: field.metadata for field in dataclasses.fields(cls)}
     fields = [
         {
             "name": field.name,
@@ -102,7 +103,7 @@ def _default(field: Any) -> Any:
 def types(pattern: str, group: str | None, modules: tuple[str, ...], as_json: bool) -> int:
     """List the record types whose name contains PATTERN, with their fields in short.
 
-    PATTERN may have * and ?, as in "Timed*Seq"; upper and lower case are the same. `aiorts inspect NAME` shows all of one.
+    PATTERN may have * and ?, as in "Timed*Seq"; upper and lower case are the same. All of one: `aiorts inspect NAME`.
     """
     import_types(modules)
     listed = [cls for cls in all_types().values() if _matches(cls, pattern) and group in (None, group_of(cls))]

@@ -96,9 +96,7 @@ def _unknown(name: str, catalogue: Catalogue) -> PluginError:
     near = get_close_matches(name[:100].lower(), lowered, n=3, cutoff=0.6)
     hint = f"did you mean {' or '.join(lowered[one] for one in near)}? " if near else ""
     listed = ", ".join(components[:_MOST_LISTED]) or "none"
-    return PluginError(
-        f"no component or type named {name[:60]!r}; {hint}components: {listed}; types: see aiorts types"
-    )
+    return PluginError(f"no component or type named {name[:60]!r}; {hint}components: {listed}; types: see aiorts types")
 
 
 def _home(cls: type) -> str:

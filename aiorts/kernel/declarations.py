@@ -37,8 +37,7 @@ def declaration_of(cls: type[Component]) -> Declaration:
     return Declaration(
         cls.__name__,
         tuple(
-            replace(port.profile, name=port.name or attribute)
-            for attribute, port in cls._rt_port_declarations.items()
+            replace(port.profile, name=port.name or attribute) for attribute, port in cls._rt_port_declarations.items()
         ),
         tuple(cls._rt_parameter_specs.values()),
         tuple(hook for hook, kind in cls._rt_hook_kinds.items() if kind != HookKind.ABSENT),

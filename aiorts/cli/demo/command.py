@@ -57,9 +57,11 @@ def _save(folder: Path) -> int:
         if isinstance(error, ConfigurationError):
             raise
         raise ConfigurationError(f"{folder}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
-    system = folder / "system.toml"
-    say(f"{', '.join(_FILES)} are in {folder}. Try:\n\n  aiorts run {system}\n  aiorts inspect {folder / 'motor.py'}:Motor")
-    say(f"  python -m pytest {folder}      (pip install \"aiorts[test]\" first)")
+    saved = ", ".join(_FILES)
+    say(f"{saved} are in {folder}. Try:\n")
+    say(f"  aiorts run {folder / 'system.toml'}")
+    say(f"  aiorts inspect {folder / 'motor.py'}:Motor")
+    say(f'  python -m pytest {folder}      (pip install "aiorts[test]" first)')
     return 0
 
 

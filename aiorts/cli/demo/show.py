@@ -77,8 +77,8 @@ def show(say: Callable[[str], None]) -> int:
         f"{' = all of them.' if live.balanced else ': the ledger does NOT balance.'}"
     )
     say(
-        f"{live.cycles} cycles began {live.lateness_mean * 1e6:.0f} us late on average, {live.lateness_max * 1e3:.2f} ms "
-        f"at worst on this machine; {live.overruns} took too long."
+        f"{live.cycles} cycles began {live.lateness_mean * 1e6:.0f} us late on average, "
+        f"{live.lateness_max * 1e3:.2f} ms at worst on this machine; {live.overruns} took too long."
     )
     began = time.perf_counter()
     first = simulate(_session(None, None))
@@ -99,9 +99,7 @@ async def _session(say: Callable[[str], None] | None, strip: Strip | None) -> _R
         motor, control = await kernel.create(Motor), await kernel.create(Control)
         steps = await kernel.create(Steps, targets=_TARGETS)
         gauge = await kernel.create(Gauge)
-        convert = await kernel.create(
-            "FlexiFilter", inputs=["TimedDouble"], outputs=["TimedLong"], map=f"0>{_RPM}>0"
-        )
+        convert = await kernel.create("FlexiFilter", inputs=["TimedDouble"], outputs=["TimedLong"], map=f"0>{_RPM}>0")
         await kernel.connect(steps.target, control.target)
         await kernel.connect(motor.speed, control.speed, convert.ports["input0"])
         await kernel.connect(control.voltage, motor.voltage)
