@@ -117,6 +117,9 @@ def aiorts() -> None:
 
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command; returns the exit status. What went wrong is one line on standard error."""
+    if any("\0" in argument for argument in arguments):
+        report("E-USAGE", "aiorts: an argument has a NUL character, which no file or name can have")
+        return 2
     try:
         status = aiorts.main(list(arguments), prog_name="aiorts", standalone_mode=False)
         return _flushed(status if isinstance(status, int) else 0)

@@ -92,7 +92,7 @@ def _of_type(name: str, catalogue: Catalogue) -> Subject:
 def _unknown(name: str, catalogue: Catalogue) -> PluginError:
     components = list(catalogue.extensions("components"))
     types = [full.rpartition(".")[2] for full in all_types()]
-    lowered = {one.lower(): one for one in (*types, *(c.lower() for c in components), *components)}
+    lowered = {one.lower(): one for one in (*types, *components)}
     near = get_close_matches(name[:100].lower(), lowered, n=3, cutoff=0.6)
     hint = f"did you mean {' or '.join(lowered[one] for one in near)}? " if near else ""
     listed = ", ".join(components[:_MOST_LISTED]) or "none"
