@@ -127,6 +127,8 @@ def run_command(arguments: Sequence[str]) -> int:
         click.echo(error.format_message(), err=True)
         return 2
     except click.ClickException as error:
+        if completes():
+            return 1  # a word that cannot be completed is not worth a line between two key presses
         _refused(arguments, "E-USAGE", _usage(error))
         report("E-USAGE", _usage(error))
         return error.exit_code
@@ -134,7 +136,7 @@ def run_command(arguments: Sequence[str]) -> int:
         return 130
     except AiortsError as error:
         if completes():
-            return 1  # a word that cannot be completed is not worth a line between two key presses
+            return 1
         _refused(arguments, error.code, str(error))
         report_error(error, verbose=False)
         return 2

@@ -1,10 +1,11 @@
-"""What a newcomer sees of the commands: sections, completion of names, one answer to an option that is given twice.
+"""What a newcomer sees of the commands: sections, completion of names, one answer to options that make no sense.
 
 It knows commands by name and by one line of help; it imports none of them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -52,18 +53,30 @@ class HelpfulGroup(click.Group):
 
 
 def strict(command: click.Command) -> click.Command:
-    """The command, which from now on refuses an option with a value that is given twice: the first would be lost."""
+    """The command, which from now on refuses an option that is given twice (the first would be lost), NaN and infinity.
+
+    A comparison with NaN is never true, so no range of an option refuses it; no option of ours means either of them.
+    """
     parse: Any = command.parse_args
 
     def parse_args(ctx: click.Context, args: list[str]) -> list[str]:
         if not ctx.resilient_parsing:
             _refuse_repetition(command, ctx, args)
         rest: list[str] = parse(ctx, args)
+        if not ctx.resilient_parsing:
+            _refuse_endless(command, ctx)
         return rest
 
     if not isinstance(command, click.Group) and "parse_args" not in vars(command):
         vars(command)["parse_args"] = parse_args
     return command
+
+
+def _refuse_endless(command: click.Command, ctx: click.Context) -> None:
+    for param in command.params:
+        value = ctx.params.get(str(param.name))
+        if isinstance(value, float) and not math.isfinite(value):
+            raise click.BadParameter(f"{value!r} is no finite number", ctx, param)
 
 
 def _refuse_repetition(command: click.Command, ctx: click.Context, args: list[str]) -> None:

@@ -43,12 +43,17 @@ def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> N
         assert out.isascii()
         assert "\x1b" not in out
         written, delivered, dropped, waiting = map(
-            int, re.search(r"(\d+) samples were written: (\d+) .* \+ (\d+) dropped \+ (\d+) waiting = all", out).groups()  # type: ignore[union-attr]
+            int,
+            re.search(r"(\d+) samples were written: (\d+) .* \+ (\d+) dropped \+ (\d+) waiting = all", out).groups(),  # type: ignore[union-attr]
         )
         assert written == delivered + dropped + waiting > 1000
         assert "gave the same 301 values" in out
         assert len([line for line in out.splitlines() if re.match(r" \d\.\d ", line)]) == 30
-        for command in ("aiorts demo --save motor", "aiorts run motor/system.toml", "aiorts inspect motor/motor.py:Control"):
+        for command in (
+            "aiorts demo --save motor",
+            "aiorts run motor/system.toml",
+            "aiorts inspect motor/motor.py:Control",
+        ):
             assert command in out
     assert time.monotonic() - began < 40  # it ends within 5 s on a machine of its own
 
@@ -57,9 +62,7 @@ def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
     source = aiorts("demo", "--source")
     assert (source.returncode, source.stderr) == (0, "")
     (tmp_path / "motor.py").write_text(source.stdout)
-    done = subprocess.run(
-        [sys.executable, "motor.py"], cwd=tmp_path, capture_output=True, text=True, timeout=60
-    )
+    done = subprocess.run([sys.executable, "motor.py"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(done.stdout.splitlines()) >= 10
 

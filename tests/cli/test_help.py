@@ -1,4 +1,4 @@
-"""Every error code is explained, every command is found, and `--version` and `python -m aiorts` say what they should."""
+"""Every error code is explained, every command is found, and `--version` says what it should."""
 
 from __future__ import annotations
 
@@ -72,7 +72,9 @@ def test_errors_are_listed_and_explained(capsys: pytest.CaptureFixture[str]) -> 
     assert (status, out, "did you mean E-LINE?" in err) == (2, "", True)
 
 
-@pytest.mark.parametrize("name", ["run", "inspect", "types", "demo", "doctor", "plugins", "help", "completion", "flexifilter"])
+@pytest.mark.parametrize(
+    "name", ["run", "inspect", "types", "demo", "doctor", "plugins", "help", "completion", "flexifilter"]
+)
 def test_help_of_a_command_is_its_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, "help", name)
     assert (status, err) == (0, "")
@@ -90,14 +92,18 @@ def test_the_first_screen(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "help")[1] == err
 
 
-@pytest.mark.parametrize("command", [["-m", "aiorts"], ["-c", "import sys; from aiorts.cli import main; sys.exit(main())"]])
+@pytest.mark.parametrize(
+    "command", [["-m", "aiorts"], ["-c", "import sys; from aiorts.cli import main; sys.exit(main())"]]
+)
 def test_version(command: list[str]) -> None:
     done = subprocess.run([sys.executable, *command, "--version"], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"aiorts {aiorts.__version__}\n", "")
 
 
 @pytest.mark.fault("F04")
-@pytest.mark.parametrize(("typed", "meant"), [("inspct", "inspect"), ("flexifiler", "flexifilter"), ("docter", "doctor")])
+@pytest.mark.parametrize(
+    ("typed", "meant"), [("inspct", "inspect"), ("flexifiler", "flexifilter"), ("docter", "doctor")]
+)
 def test_a_misspelt_command_is_told_the_nearest(typed: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, typed)
     assert (status, out) == (2, "")
@@ -159,4 +165,12 @@ def test_the_help_comes_at_once() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert time.monotonic() - began < 10
     loaded = set(done.stdout.splitlines()[-1].split())
-    assert not loaded & {"numpy", "uvloop", "asyncio", "aiorts.kernel.kernel", "aiorts_flexi", "aiorts.types", "msgpack"}
+    assert not loaded & {
+        "numpy",
+        "uvloop",
+        "asyncio",
+        "aiorts.kernel.kernel",
+        "aiorts_flexi",
+        "aiorts.types",
+        "msgpack",
+    }

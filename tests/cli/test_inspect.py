@@ -22,10 +22,20 @@ FLEXI = {
     "FlexiFilter": (("-i", "TimedDouble", "-o", "TimedLong"), ["in input0", "out output0"]),
     "FlexiSelect": (("-p", "TimedLong:2"), ["in selection", "in input0", "in input1", "out output"]),
 }
-HOOKS = (
-    "on_initialize on_finalize on_startup on_shutdown on_activated on_deactivated on_execute on_state_update "
-    "on_rate_changed on_aborting on_error on_reset"
-).split()
+HOOKS = [
+    "on_initialize",
+    "on_finalize",
+    "on_startup",
+    "on_shutdown",
+    "on_activated",
+    "on_deactivated",
+    "on_execute",
+    "on_state_update",
+    "on_rate_changed",
+    "on_aborting",
+    "on_error",
+    "on_reset",
+]
 COMPONENT = """
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -147,7 +157,10 @@ def test_people_read_the_same(arm: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert not (arm / "canary").exists()
 
 
-@pytest.mark.parametrize("name", ["FlexiFiler", "flexifilte", "TimedDoubel", "Foo", "", "file.py:", ":", "a:b:c", "x y:Z", "\0", "../..:X", "."])
+@pytest.mark.parametrize(
+    "name",
+    ["FlexiFiler", "flexifilte", "TimedDoubel", "Foo", "", "file.py:", ":", "a:b:c", "x y:Z", "\0", "../..:X", "."],
+)
 def test_an_unknown_name_is_one_line_with_the_nearest(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = aiorts(capsys, "inspect", name)
     assert (status, out) == (2, "")
@@ -228,7 +241,8 @@ def test_every_type_is_listed_with_a_line_that_is_read_back(capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("pattern", "found"), [("pose2d", "TimedPose2D"), ("Timed*Seq", "TimedLongSeq"), ("aiorts.types.TimedLong", "TimedLong")]
+    ("pattern", "found"),
+    [("pose2d", "TimedPose2D"), ("Timed*Seq", "TimedLongSeq"), ("aiorts.types.TimedLong", "TimedLong")],
 )
 def test_a_pattern_chooses(pattern: str, found: str, capsys: pytest.CaptureFixture[str]) -> None:
     _, out, _ = aiorts(capsys, "types", pattern)

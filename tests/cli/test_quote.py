@@ -5,7 +5,6 @@ from __future__ import annotations
 import unicodedata
 
 import pytest
-from campaign import cases
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +12,7 @@ from aiorts.cli.quote import cells_of, quote
 from aiorts.cli.report import report_error
 from aiorts.errors import AiortsError, ConfigurationError, Place, SystemFileError
 from aiorts.system.parse import parse, parse_override
+from campaign import cases
 
 TEXTS = st.text(st.characters(), max_size=300) | st.text("ab\t\n\x1b日本é\u0301\udcff", max_size=300)
 
@@ -55,7 +55,9 @@ def test_a_long_line_is_cut_round_the_place(place: int) -> None:
 @settings(max_examples=cases(10_000))
 @example("\udcff", 0, 1, 20, "ascii")
 @example("日" * 100, 50, 2, 21, "utf-8")
-@given(TEXTS, st.integers(0, 310), st.integers(0, 310), st.integers(1, 120), st.sampled_from(["utf-8", "ascii", "latin-1"]))
+@given(
+    TEXTS, st.integers(0, 310), st.integers(0, 310), st.integers(1, 120), st.sampled_from(["utf-8", "ascii", "latin-1"])
+)
 def test_two_lines_that_fit_and_print_whatever_was_typed(
     text: str, start: int, count: int, width: int, encoding: str
 ) -> None:
