@@ -55,7 +55,7 @@ class HelpfulGroup(click.Group):
 def strict(command: click.Command) -> click.Command:
     """The command, which from now on refuses an option that is given twice (the first would be lost), NaN and infinity.
 
-    A comparison with NaN is never true, so no range of an option refuses it; no option of ours means either of them.
+    NaN and infinity are refused where an option has a range: a comparison with NaN is never true, so none refuses it.
     """
     parse: Any = command.parse_args
 
@@ -75,7 +75,7 @@ def strict(command: click.Command) -> click.Command:
 def _refuse_endless(command: click.Command, ctx: click.Context) -> None:
     for param in command.params:
         value = ctx.params.get(str(param.name))
-        if isinstance(value, float) and not math.isfinite(value):
+        if isinstance(param.type, click.FloatRange) and isinstance(value, float) and not math.isfinite(value):
             raise click.BadParameter(f"{value!r} is no finite number", ctx, param)
 
 

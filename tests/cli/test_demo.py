@@ -99,6 +99,13 @@ def test_nothing_is_overwritten(name: str, tmp_path: Path, capsys: pytest.Captur
     assert (tmp_path / name).read_text() == "mine"
 
 
+def test_a_link_that_leads_nowhere_is_not_followed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "motor.py").symlink_to(tmp_path / "elsewhere")
+    assert run_command(["demo", "--save", str(tmp_path)]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+    assert not (tmp_path / "elsewhere").exists()
+
+
 @pytest.mark.fault("F16")
 @pytest.mark.parametrize("where", ["a file", "/proc/no/such", "nul\0"])
 def test_where_nothing_can_be_written_is_one_line(

@@ -76,6 +76,9 @@ def test_problems_make_the_exit_status_1(tmp_path: Path) -> None:
     problems = [one for one in json.loads(done.stdout)["findings"] if one["verdict"] == "problem"]
     assert len(problems) == json.loads(done.stdout)["problems"] == 1
     assert str(broken) in problems[0]["found"]
+    told = doctor("--plugins", str(broken))
+    assert told.returncode == 1
+    assert "1 problem, " in told.stdout
 
 
 @pytest.mark.fault("F14")
