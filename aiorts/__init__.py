@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.declarations import Declaration, declaration_of
     from aiorts.kernel.function import component
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
@@ -59,6 +60,7 @@ __all__ = (
     "Context",
     "ContextStarted",
     "ContextStopped",
+    "Declaration",
     "Disconnected",
     "Event",
     "EventContext",
@@ -89,6 +91,7 @@ __all__ = (
     "ThreadsExhausted",
     "WouldBlock",
     "component",
+    "declaration_of",
     "run",
 )
 
@@ -100,6 +103,7 @@ _HOMES = {
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
+    "aiorts.kernel.declarations": ("Declaration", "declaration_of"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),

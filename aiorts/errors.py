@@ -7,7 +7,7 @@ and the same text stands in `last_error`. Classes also derive from the built-in 
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple, TypeVar
 
 __all__ = (
     "AiortsError",
@@ -21,6 +21,8 @@ __all__ = (
     "HookTimeout",
     "InvalidNameError",
     "LimitError",
+    "MissingExtra",
+    "Place",
     "PluginError",
     "PortTypeError",
     "ReadTimeout",
@@ -36,11 +38,37 @@ __all__ = (
     "WriteTimeout",
 )
 
+_E = TypeVar("_E", bound="AiortsError")
+
+
+class Place(NamedTuple):
+    """Characters `start` to `end` (from 0, `end` excluded) of a text that somebody typed; none where it only ends."""
+
+    text: str
+    start: int
+    end: int
+
 
 class AiortsError(Exception):
-    """Root of everything that aiorts raises of its own accord."""
+    """Root of everything that aiorts raises of its own accord.
+
+    Attributes:
+        typed: for a mistake in text that somebody typed, the text and the place; a command line quotes and marks it.
+    """
 
     code: ClassVar[str] = "E-AIORTS"
+    typed: Place | None = None
+
+    def at(self: _E, text: str, start: int, end: int | None = None) -> _E:
+        """This error, with the place of the mistake: `raise ConfigurationError("...").at(text, 3, 7)`."""
+        start = min(max(start, 0), len(text))
+        self.typed = Place(text, start, min(max(start + 1 if end is None else end, start), len(text)))
+        return self
+
+    def like(self: _E, error: BaseException) -> _E:
+        """This error, with the place of another one whose text it wraps."""
+        self.typed = getattr(error, "typed", None)
+        return self
 
 
 class DeclarationError(AiortsError, TypeError):
@@ -129,6 +157,24 @@ class PluginError(AiortsError):
     """An extension could not be found, loaded or used."""
 
     code = "E-PLUGIN"
+
+
+class MissingExtra(PluginError, ImportError):
+    """Something optional is asked for that is not installed; says which command installs it.
+
+    Args:
+        what: what was asked for ("chart.png").
+        package: the distribution that is missing.
+        extra: of aiorts, which has it among others; "" is a dependency of aiorts itself.
+        otherwise: what can be done without it.
+    """
+
+    code = "E-EXTRA"
+
+    def __init__(self, what: str, package: str, extra: str, otherwise: str = "") -> None:
+        command = f'pip install "aiorts[{extra}]"' if extra else f"pip install {package}"
+        instead = f", or {otherwise}" if otherwise else ""
+        super().__init__(f"{what} needs {package}, which is not installed; {command}{instead}")
 
 
 class ClosedError(AiortsError, RuntimeError):

@@ -62,6 +62,7 @@ FEATURES = {
     64: "A user's own record types without generated code",
     65: "Values checked for range; conversions say what happens on overflow",
     66: "Fields reached by path",
+    122: "Shell completion",
     123: "Add, select, duplicate, dump, const, filter as components",
     125: "Constants are literals: nothing is evaluated",
     126: "Scale and offset, clamp, several sources for a pin",

@@ -20,7 +20,7 @@ from aiorts.bench import machine
 from aiorts.bench.case import COST, RATE, Aim, Case, Measure, Reading
 from aiorts.bench.registry import Bench, Options
 from aiorts.bench.report import Report
-from aiorts.errors import PluginError
+from aiorts.errors import MissingExtra, PluginError
 from aiorts.kernel.plugins import extensions
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, to_plain
 from aiorts.wire import MsgpackCodec, find_codec
@@ -147,7 +147,8 @@ def report(options: Options) -> Report:
     described = machine.describe()
     others, notes = _of_plugins()
     rows = options.rows(cases(others))
-    missing = () if any(row.case.name.startswith("msgspec") for row in rows) else ("msgspec is not installed",)
+    has_msgspec = any(row.case.name.startswith("msgspec") for row in rows)
+    missing = () if has_msgspec else (str(MissingExtra("the baseline msgspec", "msgspec", "bench")),)
     how = "Cost is one encode and one decode; JSON carries arrays as lists of numbers and octets as text."
     return options.report("codec", rows, described, notes=(*missing, *notes), how=how)
 

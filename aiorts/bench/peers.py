@@ -15,6 +15,7 @@ from time import perf_counter_ns
 from typing import Any, Final
 
 from aiorts.bench.case import COST, RATE, Aim, Case, Reading
+from aiorts.errors import MissingExtra
 
 __all__ = ("DORA", "PACKAGES", "cases")
 
@@ -156,7 +157,7 @@ def cases(base: str = "flush") -> tuple[tuple[Case, ...], tuple[str, ...]]:
     found, notes = [], []
     for module, name, what, run, messages in _CASES:
         if find_spec(module) is None:
-            notes.append(f"peer left out: {PACKAGES[module]} is not installed")
+            notes.append(f"peer left out: {MissingExtra(name, PACKAGES[module], 'bench')}")
             continue
         try:
             run(1)

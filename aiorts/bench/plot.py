@@ -12,6 +12,7 @@ import click
 from aiorts.bench import chart
 from aiorts.bench.machine import line
 from aiorts.bench.report import Figure, Report
+from aiorts.errors import MissingExtra
 
 __all__ = ("check", "html", "write")
 
@@ -48,8 +49,8 @@ def check(file: Path) -> None:
     if not file.absolute().parent.is_dir():
         raise click.BadParameter(f"{file}: no such folder", param_hint="--plot")
     if file.suffix.lower() == ".png" and find_spec("matplotlib") is None:
-        said = f"{file}: PNG needs matplotlib, which is not installed; FILE.html needs nothing"
-        raise click.BadParameter(said, param_hint="--plot")
+        missing = MissingExtra(f"{file}: PNG", "matplotlib", "plot", "name FILE.html, which needs nothing")
+        raise click.BadParameter(str(missing), param_hint="--plot")
 
 
 def write(file: Path, report: Report) -> None:

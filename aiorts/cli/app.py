@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import importlib
 import os
 import sys
@@ -13,8 +15,11 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from aiorts import __version__
+from aiorts.cli.completion import completes
+from aiorts.cli.group import HelpfulGroup, strict, write_sections
+from aiorts.cli.output import say_json
 from aiorts.cli.plugins_option import catalogue_of, plugins_option
-from aiorts.cli.report import printed, report
+from aiorts.cli.report import printed, report, report_error
 from aiorts.errors import AiortsError, PluginError
 
 if TYPE_CHECKING:
@@ -28,23 +33,36 @@ BROKEN_PIPE: Final = 141
 _COMMANDS: Final = {
     "run": ("aiorts.cli.run:run", "Run a system file."),
     "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
+    "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
+    "inspect": ("aiorts.cli.inspection:inspect", "Show a component or a type without running it."),
+    "types": ("aiorts.cli.record_types:types", "List the record types that ports can have."),
+    "doctor": ("aiorts.cli.doctor:doctor", "Look at this machine, and say what to do."),
     "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
+    "completion": ("aiorts.cli.completion:completion", "Print the script that completes words in your shell."),
+    "help": ("aiorts.cli.helping:help_", "Help for a command; help errors lists all error codes."),
 }
 
 
+_FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Components that the help names."""
 _EXTENSION: Final = "aiorts.extension"
 """Where a context keeps who offers the command that runs, if a plugin does."""
 
 
-class _LazyGroup(click.Group):
+class _LazyGroup(HelpfulGroup):
     """A group that knows the names and one line of help of its commands without importing them."""
+
+    own = _COMMANDS
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*_COMMANDS, *(name for kind in ("commands", "components") for name in _offered(kind))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        found = self._found(ctx, cmd_name)
+        return None if found is None else strict(found)
+
+    def _found(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
             return _of_plugin(ctx, cmd_name)
         module, _, attribute = _COMMANDS[cmd_name][0].partition(":")
@@ -80,9 +98,8 @@ class _LazyGroup(click.Group):
             raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list below "Commands" of the help; nothing is imported for it."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, help_text) for name, (_, help_text) in _COMMANDS.items()])
+        """The lists below the options of the help; nothing is imported for them."""
+        write_sections(formatter, _COMMANDS)
         if commands := {name: one for name, one in _offered("commands").items() if name not in _COMMANDS}:
             with formatter.section("Commands of plugins"):
                 formatter.write_dl([(name, f"Of {printed(several[0].source)}.") for name, several in commands.items()])
@@ -122,13 +139,21 @@ def _offered(kind: str) -> dict[str, tuple[Extension, ...]]:
 def aiorts(debug: bool) -> None:
     """RT-Middleware for Python: robot software as components on an asyncio microkernel.
 
-    Every component that is installed is a command as well, in lower case: a Unix filter for JSON lines, as in
-    `aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 | aiorts flexidump -p TimedDouble`.
+    New here? `aiorts demo` shows a small system and saves it for you to change.
+
+    Every installed component is a command as well, in lower case: a Unix filter for JSON lines, as in
+
+    \b
+      aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 |
+        aiorts flexidump -p TimedDouble
     """
 
 
 def run_command(arguments: Sequence[str]) -> int:
     """Run one command; returns the exit status. What went wrong is one line on standard error."""
+    if any("\0" in argument for argument in arguments):
+        report("E-USAGE", "aiorts: an argument has a NUL character, which no file or name can have")
+        return 2
     try:
         status = aiorts.main(list(arguments), prog_name="aiorts", standalone_mode=False)
         return _flushed(status if isinstance(status, int) else 0)
@@ -136,15 +161,26 @@ def run_command(arguments: Sequence[str]) -> int:
         click.echo(error.format_message(), err=True)
         return 2
     except click.ClickException as error:
+        if completes():
+            return 1  # a word that cannot be completed is not worth a line between two key presses
+        _refused(arguments, "E-USAGE", _usage(error))
         report("E-USAGE", _usage(error))
         return error.exit_code
     except click.Abort:
         return 130
     except AiortsError as error:
-        report(error.code, str(error))
+        if completes():
+            return 1
+        _refused(arguments, error.code, str(error))
+        report_error(error, verbose=False)
         return 2
     except BrokenPipeError:
         return _silenced()
+    except OSError as error:
+        if error.errno not in _FULL or error.filename is not None:
+            raise
+        _silenced()
+        return _lost(error)
 
 
 def _usage(error: click.ClickException) -> str:
@@ -163,9 +199,21 @@ def _flushed(status: int) -> int:
         return _silenced()
     except (OSError, ValueError) as error:
         _silenced()
-        report("E-OUTPUT", f"standard output: {error}; its last lines are lost")
-        return status or 1
+        return status or _lost(error)
     return status
+
+
+def _lost(error: Exception) -> int:
+    report("E-OUTPUT", f"standard output: {error}; its last lines are lost")
+    return 1
+
+
+def _refused(arguments: Sequence[str], code: str, text: str) -> None:
+    """Who asked for a JSON document gets one on standard output also when there is nothing but an error to say."""
+    if "--json" in arguments:
+        with contextlib.suppress(OSError, ValueError):
+            say_json({"error": {"code": code, "text": text}})
+            _flushed(0)
 
 
 def _silenced() -> int:

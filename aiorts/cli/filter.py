@@ -14,6 +14,7 @@ from typing import Any, Final
 import click
 
 from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, StateChanged
+from aiorts.cli.completion import completer_of
 from aiorts.cli.ends import Ends
 from aiorts.cli.report import report, report_error
 from aiorts.cli.session import Options, checked, execute
@@ -72,6 +73,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
             multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
             required=option.required,
             help=option.help,
+            shell_complete=completer_of(option.flags),
             metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
         )
         for number, option in enumerate(table)

@@ -10,8 +10,10 @@ import contextlib
 import sys
 import traceback
 from collections.abc import Callable
+from shutil import get_terminal_size
 from typing import Final
 
+from aiorts.cli.quote import quote
 from aiorts.errors import AiortsError
 
 __all__ = (
@@ -54,7 +56,9 @@ def place_of(error: BaseException) -> str:
 
 
 def marked_in(error: BaseException) -> list[str]:
-    """A mistake in text that somebody typed: the text, and a mark under the place."""
+    """For a mistake in text that somebody typed: the text, and a mark under the place."""
+    if isinstance(error, AiortsError) and error.typed is not None:
+        return list(quote(error.typed, min(get_terminal_size().columns, 120) - 2, _encoding()))
     marked: Callable[[], str] | None = getattr(error, "marked", None)
     return [] if marked is None else marked().splitlines()
 
@@ -95,6 +99,10 @@ def say(*lines: str) -> None:
         return
     text = "".join(f"{line}\n" for line in lines)
     with contextlib.suppress(OSError, ValueError):
-        encoding = getattr(stream, "encoding", None) or "utf-8"
+        encoding = _encoding()
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.flush()
+
+
+def _encoding() -> str:
+    return getattr(sys.stderr, "encoding", None) or "utf-8"

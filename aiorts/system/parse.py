@@ -52,7 +52,8 @@ def parse_override(text: str) -> Override:
     where, equals, value = text.partition("=")
     component, dot, param = where.strip().partition(".")
     if not (equals and dot and component and param):
-        raise SystemFileError(f"--set {text[:80]!r}: expected COMPONENT.PARAM=VALUE, such as imu.speed=200")
+        error = SystemFileError(f"--set {text[:80]!r}: expected COMPONENT.PARAM=VALUE, such as imu.speed=200")
+        raise error.at(text, _misplaced(text))
     return Override(component, param, value)
 
 
@@ -69,9 +70,26 @@ def _toml(text: str, path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         end = f"(at line {text.rstrip().count(chr(10)) + 1}, the end of the file)"
         what = str(error).replace("(at end of document)", end)
-        raise SystemFileError(f"{path}: not valid TOML: {what}") from None
+        refused = SystemFileError(f"{path}: not valid TOML: {what}")
+        text = text.replace("\r\n", "\n")  # as tomllib counts
+        raise refused.at(text, _toml_place(text, what)) from None
     except (ValueError, RecursionError) as error:
         raise SystemFileError(f"{path}: not valid TOML: {str(error) or 'nested too deeply'}") from None
+
+
+def _toml_place(text: str, what: str) -> int:
+    """Where in the text it is of which tomllib says "(at line 3, column 5)"; its end where it says nothing."""
+    found = re.search(r"\(at line (\d+), column (\d+)\)", what)
+    if found is None:
+        return len(text.rstrip())
+    lines = text.split("\n")
+    return sum(len(line) + 1 for line in lines[: int(found[1]) - 1]) + int(found[2]) - 1
+
+
+def _misplaced(text: str) -> int:
+    """Where a text ceases to look like COMPONENT.PARAM=VALUE."""
+    found = re.match(r"[^.=]+(?:\.(?:[^=]+)?)?", text)
+    return 0 if found is None else found.end()
 
 
 class _Parser:

@@ -27,6 +27,7 @@ class TypedTextError(ConfigurationError):
         rest = text[place : place + _SHOWN]
         seen = "" if not found else f", found {rest!r}" if rest else ", found the end"
         super().__init__(f"{what} {text[start : place + _SHOWN // 2]!r}, character {place + 1}: {expected}{seen}")
+        self.at(text, place)
 
     def marked(self) -> str:
         """Two lines: the text round the mistake with what does not print as "?", and a mark under the place."""

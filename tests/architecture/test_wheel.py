@@ -96,3 +96,9 @@ def test_installed_wheel_offers_its_extensions(elsewhere: Path, tmp_path: Path) 
         "print(*(point.load().__name__ for point in entry_points(group='aiorts.components')))"
     )
     assert {"FlexiDump", "FlexiFilter"} <= set(run(elsewhere / "python", "-I", "-c", code, cwd=tmp_path).split())
+
+
+def test_installed_wheel_shows_and_saves_its_demo(elsewhere: Path, tmp_path: Path) -> None:
+    assert "the same 301 values" in run(elsewhere / "aiorts", "demo", cwd=tmp_path)
+    run(elsewhere / "aiorts", "demo", "--save", "motor", cwd=tmp_path)
+    assert "rpm TimedLong" in run(elsewhere / "aiorts", "run", "motor/system.toml", "--simulate", cwd=tmp_path)

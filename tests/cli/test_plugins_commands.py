@@ -190,7 +190,7 @@ def test_a_module_of_types_is_named_on_the_command_line(tmp_path: Path, way: str
     [
         ("raise SystemExit(3)", "SystemExit: 3"),
         ("def (:", "SyntaxError"),
-        (None, "No module named 'depths'"),
+        (None, "there is no such module"),
     ],
 )
 def test_a_module_of_types_that_cannot_be_had_is_one_line(tmp_path: Path, text: str | None, expected: str) -> None:
@@ -198,6 +198,8 @@ def test_a_module_of_types_that_cannot_be_had_is_one_line(tmp_path: Path, text: 
         (tmp_path / "depths.py").write_text(text)
     done = aiorts("--plugins", str(tmp_path), "flexidump", "-p", "TimedLong", "--type-mod", "depths")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("aiorts: E-PLUGIN: type 'depths' of --type-mod")
+    assert done.stderr.startswith("aiorts: E-PLUGIN: ")
+    assert "--type-mod" in done.stderr
+    assert "depths" in done.stderr
     assert expected in done.stderr
     assert done.stderr.count("\n") == 1

@@ -1,0 +1,177 @@
+"""Every error code that aiorts prints: what it means, what usually causes it, and what to do.
+
+A test compares the table with the source: nothing is missing, nothing is left over.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+__all__ = ("CODES", "Code")
+
+
+class Code(NamedTuple):
+    """What an error code means."""
+
+    meaning: str
+    cause: str
+    remedy: str
+
+
+CODES: Final[dict[str, Code]] = {
+    "E-ABANDONED": Code(
+        "A hook ignored every cancellation; its component was left behind and never runs again.",
+        "The hook catches CancelledError and goes on, or shields what it waits for.",
+        "Let CancelledError pass in the hook it names; blocking code belongs in a ThreadContext.",
+    ),
+    "E-AIORTS": Code(
+        "Something that aiorts refuses and that has no code of its own.",
+        "An extension raises AiortsError itself.",
+        "Read the line; who wrote the extension gives its errors a code.",
+    ),
+    "E-BUSY": Code(
+        "Two tasks use what only one can use at a time.",
+        "Two tasks read the same in-port, or a system is run twice at once.",
+        "Let one task read and pass the samples on.",
+    ),
+    "E-CLOSED": Code(
+        "The kernel, connector or port was closed, or never bound.",
+        "It was removed while in use, or super().__init__() was not called.",
+        "Use it before it is removed; call super().__init__() in the component's __init__.",
+    ),
+    "E-COMPONENT": Code(
+        "A component's own code failed.",
+        "An exception came out of one of its hooks; the line names the hook.",
+        "Run again with --debug to see the traceback; the component can be reset.",
+    ),
+    "E-CONFIG": Code(
+        "A parameter or an option does not exist, or its value is not allowed.",
+        "A misspelt name, a value out of its range, a map, port or constant that does not follow its grammar.",
+        "aiorts inspect NAME shows what is allowed; a mark stands under the mistake.",
+    ),
+    "E-CONFORM": Code(
+        "An extension does not keep a promise of its kind.",
+        "A conformance suite of aiorts.testing found it.",
+        "Read which promise; the suite's test of that name shows how it is tried.",
+    ),
+    "E-CONNECT": Code(
+        "Two ports cannot be connected, or not with these options.",
+        "Other types, units or shapes, two out-ports, a port that is not there, a policy that does not exist.",
+        "Compare the ports with aiorts inspect; put a FlexiFilter between them.",
+    ),
+    "E-CONVERT": Code(
+        "A value cannot be converted without changing it silently.",
+        "A number out of range of the target, text that is no number.",
+        "Scale it, or say what is to happen: --overflow saturate, --round floor, --nan 0.",
+    ),
+    "E-DECLARE": Code(
+        "A component class or a record type is written wrongly.",
+        "A hook with other arguments, a default outside its bounds, a field that cannot travel.",
+        "Correct the class and attribute that the line names.",
+    ),
+    "E-EXTRA": Code(
+        "Something optional is asked for that is not installed.",
+        "A plot or a comparison needs a package that aiorts does without.",
+        "Run the pip command of the line.",
+    ),
+    "E-HOOK-TIMEOUT": Code(
+        "A hook did not return within its deadline.",
+        "It waits for something that does not come, or takes longer than its context allows.",
+        "Wait with a time-out inside the hook, or give the context a longer deadline.",
+    ),
+    "E-LINE": Code(
+        "A line of standard input is no sample for the port; the other lines are processed.",
+        "No JSON, another type, a value out of range; the line is named by its number.",
+        'Write {"port": "input0", "data": 1.5} or the bare data; aiorts inspect TYPE shows a line.',
+    ),
+    "E-NAME": Code(
+        "A name or path has a character or form that is not allowed.",
+        "Blanks, dots or slashes in a name, or one of more than 100 characters.",
+        "Use letters, digits, '_' and '-'; a port is COMPONENT.PORT.",
+    ),
+    "E-OUTPUT": Code(
+        "Standard output took nothing any more; its last lines are lost.",
+        "The disk is full, or the stream was closed.",
+        "Make room and run again.",
+    ),
+    "E-PLUGIN": Code(
+        "An extension cannot be found, loaded or used.",
+        "A misspelt name, a package that is not installed, an import that fails.",
+        "aiorts plugins lists what there is; aiorts plugins --check imports each and says what is wrong.",
+    ),
+    "E-READ-TIMEOUT": Code(
+        "No sample arrived in time.",
+        "The writer is not active, or sends more rarely than the reader waits.",
+        "Look at the writer's state and connection; wait longer.",
+    ),
+    "E-RECORD": Code(
+        "A value does not fit the field it was given for.",
+        "A wrong type, a number out of range, an unknown or missing field.",
+        "aiorts inspect TYPE shows the fields; the line says what was expected and got.",
+    ),
+    "E-SELECT": Code(
+        "A selection names an input that FlexiSelect does not have.",
+        "A selector below 0, or not below the number of inputs.",
+        "Correct who sends it, or choose --out-of-range hold or none.",
+    ),
+    "E-STATE": Code(
+        "The request does not fit the state of a component, context or kernel.",
+        "Something is used before it is added, or after it is closed.",
+        "The line names both: bring it into the state it needs first.",
+    ),
+    "E-STOP": Code(
+        "Not everything ended in time; the process ended nevertheless.",
+        "A thread or a hook that cannot be cancelled was still busy 4.8 s after the stop.",
+        "Look for code that blocks; give its waits a time-out.",
+    ),
+    "E-SYSTEM": Code(
+        "A system file is wrong.",
+        "No valid TOML, an unknown key, a name that refers to nothing.",
+        "Correct the place the line names; it says what may have been meant.",
+    ),
+    "E-THREAD": Code(
+        "A call came from a thread that may not make it.",
+        "Code in a thread of its own uses the kernel directly.",
+        "Use loop.call_soon_threadsafe, or a ThreadContext's blocking reads and writes.",
+    ),
+    "E-TOO-LARGE": Code(
+        "A frame is larger than its limits allow.",
+        "An array or text beyond the limits, or bytes that are no frame.",
+        "Send less at once, or give the codec other limits.",
+    ),
+    "E-TRANSITION": Code(
+        "A life-cycle request did not take effect in time.",
+        "A hook of the component is still running.",
+        "Look at what the hook waits for; give the request a longer time-out.",
+    ),
+    "E-TYPE": Code(
+        "A value of the wrong type or shape was written to a port; nothing was sent.",
+        "The port was declared for another record, or its shape says another length.",
+        "Write the record that aiorts inspect shows for the port.",
+    ),
+    "E-UNKNOWN-TYPE": Code(
+        "No record type has this name, or more than one has.",
+        "A misspelt name, or a module of types that is not imported.",
+        "aiorts types lists them; --type-mod MODULE imports yours.",
+    ),
+    "E-UNREAD": Code(
+        "The system ended while samples were left unread.",
+        "A reader took none of them for a second: it is inactive, or waits for another input.",
+        "Look at the reader that the line names.",
+    ),
+    "E-USAGE": Code(
+        "The command line is wrong; nothing was run.",
+        "An unknown command or option, a value missing or out of range, an option given twice.",
+        "aiorts COMMAND --help shows what it takes.",
+    ),
+    "E-WIRE": Code(
+        "Bytes are not a valid frame.",
+        "The sender is no aiorts, or of another version.",
+        "Look at who sends them.",
+    ),
+    "E-WRITE-TIMEOUT": Code(
+        "Readers with full = block had no room in time; the others have the sample.",
+        "A reader is slower than the writer, or has stopped.",
+        "Look at the reader that the line names; choose another policy or a longer buffer.",
+    ),
+}

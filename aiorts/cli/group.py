@@ -1,0 +1,90 @@
+"""What a newcomer sees of the commands: sections, completion of names, one answer to options that make no sense.
+
+It knows commands by name and by one line of help; it imports none of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import click
+from click.shell_completion import CompletionItem
+
+__all__ = ("HelpfulGroup", "strict", "write_sections")
+
+_SECTIONS: Final = (
+    ("Begin", ("demo", "doctor", "help")),
+    ("Systems", ("run", "check", "graph", "schema")),
+    ("What there is", ("inspect", "types", "plugins")),
+    ("Measure", ("bench",)),
+    ("Shell", ("completion",)),
+)
+"""Every other command of aiorts stands below "More"."""
+
+
+def write_sections(formatter: click.HelpFormatter, commands: Mapping[str, tuple[str, str]]) -> None:
+    """The commands of aiorts (name -> target and one line of help) in sections."""
+    placed = {name for _, names in _SECTIONS for name in names}
+    sections = (*_SECTIONS, ("More", tuple(name for name in commands if name not in placed)))
+    width = max(map(len, commands), default=0)
+    for title, names in sections:
+        rows = [(name.ljust(width), commands[name][1]) for name in names if name in commands]
+        if rows:
+            with formatter.section(title):
+                formatter.write_dl(rows)
+
+
+class HelpfulGroup(click.Group):
+    """A group that completes the names of its commands without importing them.
+
+    `own` is the table of its commands: name -> target and one line of help.
+    """
+
+    own: Mapping[str, tuple[str, str]] = {}
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names of commands, with their line of help where there is one; options where the word begins with "-"."""
+        if incomplete.startswith("-"):
+            return click.Command.shell_complete(self, ctx, incomplete)
+        lines = {name: self.own[name][1] if name in self.own else "" for name in self.list_commands(ctx)}
+        return [CompletionItem(name, help=line) for name, line in lines.items() if name.startswith(incomplete)]
+
+
+def strict(command: click.Command) -> click.Command:
+    """The command, which from now on refuses an option that is given twice (the first would be lost), NaN and infinity.
+
+    NaN and infinity are refused where an option has a range: a comparison with NaN is never true, so none refuses it.
+    """
+    parse: Any = command.parse_args
+
+    def parse_args(ctx: click.Context, args: list[str]) -> list[str]:
+        if not ctx.resilient_parsing:
+            _refuse_repetition(command, ctx, args)
+        rest: list[str] = parse(ctx, args)
+        if not ctx.resilient_parsing:
+            _refuse_endless(command, ctx)
+        return rest
+
+    if not isinstance(command, click.Group) and "parse_args" not in vars(command):
+        vars(command)["parse_args"] = parse_args
+    return command
+
+
+def _refuse_endless(command: click.Command, ctx: click.Context) -> None:
+    for param in command.params:
+        value = ctx.params.get(str(param.name))
+        if isinstance(param.type, click.FloatRange) and isinstance(value, float) and not math.isfinite(value):
+            raise click.BadParameter(f"{value!r} is no finite number", ctx, param)
+
+
+def _refuse_repetition(command: click.Command, ctx: click.Context, args: list[str]) -> None:
+    _, _, order = command.make_parser(ctx).parse_args(list(args))
+    seen: set[str] = set()
+    for option in order:
+        if not isinstance(option, click.Option) or option.multiple or option.is_flag or option.count:
+            continue
+        if str(option.name) in seen:
+            raise click.UsageError(f"{option.opts[0]} is given twice; give it once", ctx)
+        seen.add(str(option.name))

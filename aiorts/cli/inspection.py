@@ -1,0 +1,256 @@
+"""`aiorts inspect NAME`: what a component or a record type is, without running it: no hook is called.
+
+A component whose parameters make its ports (a class with a method `make_ports`, which does nothing else) is constructed
+as its options say, outside any kernel; of every other class only what its body declares is read.
+"""
+
+from __future__ import annotations
+
+import inspect as source_of
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from aiorts import Component, Declaration, declaration_of
+from aiorts.cli.completion import subjects, type_names
+from aiorts.cli.output import plain, say, say_json, table
+from aiorts.cli.record_types import profile_of_type
+from aiorts.cli.subjects import Subject, find_subject
+from aiorts.cli.type_modules import import_types
+
+__all__ = ("inspect",)
+
+_DIRECTIONS: Final = {"in": "in ", "out": "out"}
+
+
+@click.command(
+    short_help="Show a component or a type without running it.",
+    context_settings={"ignore_unknown_options": True, "help_option_names": ["--help"]},
+)
+@click.argument("name", shell_complete=subjects)
+@click.argument("options", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...", shell_complete=type_names)
+@click.option("--type-mod", "modules", multiple=True, metavar="MODULE", help="Import MODULE, which defines types.")
+@click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
+@click.option("--json", "as_json", is_flag=True, help="The profile as one JSON document.")
+def inspect(
+    name: str, options: tuple[str, ...], modules: tuple[str, ...], folders: tuple[Path, ...], as_json: bool
+) -> int:
+    """Show what NAME is: ports, parameters, hooks, documentation, package and source.
+
+    NAME is an installed component (FlexiFilter), FILE.py:Class, MODULE:Class, or a record type (TimedPose2D). Nothing
+    is run. With the options of a Flexi component its ports are those that these options give:
+
+    \b
+      aiorts inspect FlexiFilter -i TimedDouble -o TimedLong
+    """
+    import_types(modules)
+    subject = find_subject(name, folders)
+    if subject.is_component:
+        drawn = draw(subject, options, name)
+        if as_json:
+            say_json(drawn.profile)
+        else:
+            say(_component_text(drawn))
+        return 0
+    if options:
+        raise click.UsageError(f"{name}: {options[0]!r}: a type has no options")
+    _check_type(subject, name)
+    profile = {**profile_of_type(subject.cls), "package": subject.source, "source": _file_of(subject.cls)}
+    if as_json:
+        say_json(profile)
+    else:
+        say(_type_text(profile))
+    return 0
+
+
+# -- components --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A component as it would be. `missing`: the options that have to be given before its ports are known."""
+
+    profile: dict[str, Any]
+    options: tuple[Any, ...]
+    missing: tuple[str, ...]
+    command: str
+
+
+def draw(subject: Subject, given: Iterable[str], name: str) -> Drawn:
+    """The component as these options make it. What is wrong with them is an error of theirs."""
+    declaration = declaration_of(subject.cls)
+    rows = tuple(getattr(subject.cls, "options", ()))
+    params, missing = _parsed(declaration, rows, tuple(given), name)
+    specs = {spec.name: spec for spec in declaration.parameters}
+    ports = list(declaration.ports)
+    make_ports = getattr(subject.cls, "make_ports", None)
+    if make_ports is not None and not missing:
+        component: Component = subject.cls(subject.cls.__name__.lower())
+        for key, value in component.params.check(params).items():
+            setattr(component, key, value)
+        make_ports(component)
+        ports = [port.profile for port in component.ports.values()]
+    checked = {key: specs[key].check(value, owner=subject.cls.__name__) for key, value in params.items()}
+    profile = {
+        "name": subject.cls.__name__.lower(),
+        "type": declaration.type,
+        "ports": [asdict(port) for port in ports],
+        "params": {spec.name: plain(checked.get(spec.name, spec.default)) for spec in declaration.parameters},
+        "states": {},
+        "last_error": None,
+        "parameters": [_parameter(spec) for spec in declaration.parameters],
+        "hooks": list(declaration.hooks),
+        "doc": source_of.cleandoc(subject.cls.__doc__ or ""),
+        "interface": str(getattr(subject.cls, "interface", "")),
+        "needs": list(missing),
+        "command": subject.command,
+        "class": f"{subject.cls.__module__}:{subject.cls.__qualname__}",
+        "package": subject.source,
+        "source": _file_of(subject.cls),
+    }
+    return Drawn(profile, rows, missing, subject.command)
+
+
+def _parsed(
+    declaration: Declaration, rows: tuple[Any, ...], given: tuple[str, ...], name: str
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The parameters that the options set, and the flags that have to be given and were not."""
+    if rows:
+        options = [
+            click.Option([*row.flags, f"option{number}"], is_flag=row.kind == "flag", multiple=row.kind == "repeat")
+            for number, row in enumerate(rows)
+        ]
+    else:
+        options = [click.Option([f"--{s.name.replace('_', '-')}", f"param_{s.name}"]) for s in declaration.parameters]
+    command = click.Command(f"inspect {name}", params=list(options), add_help_option=False)
+    values = command.make_context(f"aiorts inspect {name}", list(given)).params
+    values = {str(key): value for key, value in values.items() if value not in (None, (), False)}
+    params = {key.removeprefix("param_"): value for key, value in values.items() if key.startswith("param_")}
+    modules = []
+    for number, row in enumerate(rows):
+        if f"option{number}" not in values:
+            continue
+        if row.param:
+            params[row.param] = row.value if row.kind == "flag" else values[f"option{number}"]
+        elif "--type-mod" in row.flags:
+            modules.append(values[f"option{number}"])
+    import_types(modules)
+    return params, tuple(
+        row.flags[0] for number, row in enumerate(rows) if row.required and f"option{number}" not in values
+    )
+
+
+def _parameter(spec: Any) -> dict[str, Any]:
+    rule = spec.constraint
+    return {
+        "name": spec.name,
+        "type": spec.type_text,
+        "default": plain(spec.default),
+        "unit": spec.unit,
+        "range": {key: plain(getattr(rule, key)) for key in ("ge", "gt", "le", "lt") if getattr(rule, key) is not None},
+        "choices": None if rule.choices is None else plain(rule.choices),
+        "pattern": rule.pattern,
+        "doc": spec.doc,
+        "widget": spec.widget,
+        "constraint": str(rule),
+    }
+
+
+def _component_text(drawn: Drawn) -> str:
+    profile = drawn.profile
+    parts = [_head(profile["type"], profile["doc"], profile)]
+    ports = [
+        (_DIRECTIONS[p["direction"]], p["name"], p["type"], p["unit"] or "", _shape(p["shape"]), p["doc"])
+        for p in profile["ports"]
+    ]
+    if drawn.missing:
+        example = " ".join(f"{flag} ..." for flag in drawn.missing)
+        interface = profile["interface"].replace("`", "")
+        parts.append(
+            f"Ports\n  {interface or 'as its options say'}\n"
+            f"  its options make them; give {' and '.join(drawn.missing)}: aiorts inspect {profile['type']} {example}"
+        )
+    else:
+        parts.append(f"Ports\n{table(ports) or '  none'}")
+    if profile["parameters"]:
+        rows = [
+            (
+                one["name"],
+                one["type"],
+                _value(profile["params"][one["name"]]),
+                one["unit"],
+                one["constraint"],
+                one["doc"],
+            )
+            for one in profile["parameters"]
+        ]
+        parts.append(f"Parameters\n{table(rows)}")
+    parts.append(f"Hooks\n  {', '.join(profile['hooks']) or 'none'}")
+    if drawn.options:
+        told = [(", ".join(row.flags), row.help, "required" if row.required else "") for row in drawn.options]
+        parts.append(f"Options\n{table(told)}")
+    if drawn.command:
+        parts.append(f"Run it: aiorts {drawn.command} --help")
+    return "\n\n".join(parts)
+
+
+# -- types -------------------------------------------------------------------------------------------------------------
+
+
+def _check_type(subject: Subject, name: str) -> None:
+    from enum import Enum
+
+    from aiorts.types import describe
+
+    if not issubclass(subject.cls, Enum) and subject.cls.__module__ != "builtins":
+        describe(subject.cls)  # DeclarationError says why it is no type of data
+
+
+def _type_text(profile: dict[str, Any]) -> str:
+    parts = [_head(profile["name"], profile["doc"], {**profile, "class": profile["full_name"]})]
+    if profile["openrtm"]:
+        parts[0] += f"\n  in OpenRTM: {profile['openrtm']}"
+    if profile["kind"] == "enum":
+        parts.append(f"Members\n{table([(name, str(value)) for name, value in profile['members'].items()])}")
+    for_fields = [
+        (
+            one["name"],
+            one["type"],
+            "required" if one["default"] is None else f"= {_value(one['default'])}",
+            one["unit"],
+            one["doc"],
+        )
+        for one in profile.get("fields", ())
+    ]
+    if for_fields:
+        parts.append(f"Fields\n{table(for_fields)}")
+    if profile.get("example"):
+        parts.append(f"As a line of JSON\n  {profile['example']}")
+    return "\n\n".join(parts)
+
+
+# -- in common ---------------------------------------------------------------------------------------------------------
+
+
+def _head(name: str, doc: str, profile: dict[str, Any]) -> str:
+    first = " ".join(doc.split("\n\n", maxsplit=1)[0].split())
+    where = f"\n  {profile['source']}" if profile["source"] else ""
+    return f"{name}{': ' if first else ''}{first}\n\n  {profile['package']}, {profile['class']}{where}"
+
+
+def _file_of(cls: type) -> str:
+    try:
+        return source_of.getsourcefile(cls) or ""
+    except (OSError, TypeError):
+        return ""
+
+
+def _shape(shape: Any) -> str:
+    return "" if shape is None else f"({', '.join('any' if one == -1 else str(one) for one in shape)})"
+
+
+def _value(value: Any) -> str:
+    return '""' if value == "" else "()" if value == [] else str(value)
