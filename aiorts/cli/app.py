@@ -22,6 +22,7 @@ BROKEN_PIPE: Final = 141
 
 _COMMANDS: Final = {
     "run": ("aiorts.cli.run:run", "Run a system file."),
+    "check": ("aiorts.cli.check:check_command", "Check system files without running them."),
     "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
     "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
 }

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from aiorts.cli.session import Logging, Options, checked, execute
+from aiorts.cli.session import Logging, Options, checked, execute, with_clock
 from aiorts.cli.stopping import Stopper
 from aiorts.system import build, load, prepare
 
@@ -38,4 +38,9 @@ def run(file: str, changes: tuple[str, ...], **options: Any) -> int:
     with stopper.signals():
         with Logging(chosen, stopper):
             plan = prepare(load(file, changes))
-        return execute(lambda kernel: build(kernel, plan), len(plan.system.components), chosen, stopper)
+        return execute(
+            lambda kernel: build(kernel, plan),
+            len(plan.system.components),
+            with_clock(chosen, plan.system.clock),
+            stopper,
+        )

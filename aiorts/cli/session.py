@@ -11,7 +11,7 @@ import select
 import stat
 import sys
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import click
@@ -29,9 +29,9 @@ from aiorts.errors import (
     UnknownTypeError,
     WiringError,
 )
-from aiorts.system import wait_finished
+from aiorts.system import ClockEntry, wait_finished
 
-__all__ = ("Construct", "Logging", "Options", "checked", "execute")
+__all__ = ("Construct", "Logging", "Options", "checked", "execute", "with_clock")
 
 Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
 """Makes the system in a kernel."""
@@ -69,6 +69,13 @@ def checked(options: Options) -> Options:
     if options.simulate and options.speed is not None:
         raise click.UsageError("--speed has no meaning with --simulate, which runs as fast as it can")
     return options
+
+
+def with_clock(options: Options, clock: ClockEntry) -> Options:
+    """The options with the clock of a system file, where the command line says nothing of it."""
+    if options.simulate or options.speed is not None:
+        return options
+    return replace(options, simulate=clock.kind == "simulated", speed=clock.speed)
 
 
 def execute(construct: Construct, components: int, options: Options, stopper: Stopper) -> int:

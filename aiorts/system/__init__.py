@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+from aiorts.system.arguments import option_params, parse_options
 from aiorts.system.build import Blueprint, build, prepare
+from aiorts.system.check import check, check_text
 from aiorts.system.ending import is_source, wait_finished
+from aiorts.system.findings import Finding
 from aiorts.system.load import load
 from aiorts.system.parse import parse
 from aiorts.system.pipes import StandardInput, StandardOutput
 from aiorts.system.stream import LineStream
-from aiorts.system.values import ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
+from aiorts.system.values import ClockEntry, ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
 
 __all__ = (
     "Blueprint",
+    "ClockEntry",
     "ComponentEntry",
     "ConnectionEntry",
     "ContextEntry",
+    "Finding",
     "LineStream",
     "Override",
     "StandardInput",
     "StandardOutput",
     "SystemFile",
     "build",
+    "check",
+    "check_text",
     "is_source",
     "load",
+    "option_params",
     "parse",
+    "parse_options",
     "prepare",
     "wait_finished",
 )

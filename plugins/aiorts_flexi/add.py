@@ -46,12 +46,15 @@ class FlexiAdd(FlexiComponent):
     )
 
     def on_initialize(self) -> None:
+        self._last: dict[int, Any] = {}
+        self.make_ports()
+        self.tell_ports()
+
+    def make_ports(self) -> None:
         self._type, count = parse_counted(self.port, "port")
         self._remake()
-        self._last: dict[int, Any] = {}
         self._inputs: list[InPort[Any]] = [self.add_port(f"input{n}", InPort(self._type)) for n in range(count)]
         self._output: OutPort[Any] = self.add_port("output", OutPort(self._type))
-        self.tell_ports()
 
     def on_activated(self) -> None:
         self._last.clear()

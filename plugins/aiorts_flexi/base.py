@@ -21,6 +21,15 @@ class FlexiComponent(Component):
 
     verbosity = Param(0, doc="how much is logged: 0 nothing, 1 the ports, 2 or more details")
 
+    def make_ports(self) -> None:
+        """Make the ports that the parameters ask for.
+
+        It has no other effect: tools call it for a component that belongs to no kernel, and no hook of which ever runs.
+
+        Raises:
+            ConfigurationError: the parameters do not go together; a TypedTextError has the place.
+        """
+
     def tell_ports(self) -> None:
         """Log the ports when that is asked for; called once they are made."""
         if self.verbosity >= 1:

@@ -74,6 +74,13 @@ class FlexiConst(FlexiComponent):
         self._task: asyncio.Task[None] | None = None
         self._active_in = 0
         self._sender = Sender()
+        self.make_ports()
+        self.tell_ports()
+        if self.verbosity >= 2:
+            sent = [f"{port.name} sends {sample!r}" for port, sample in zip(self._ports, self._samples(), strict=True)]
+            self.log.info("constants: %s", ", ".join(sent))
+
+    def make_ports(self) -> None:
         if not self.outputs:
             raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
         if len(self.names) > len(self.outputs):
@@ -81,7 +88,7 @@ class FlexiConst(FlexiComponent):
                 f"{self.name}: {len(self.names)} names for {len(self.outputs)} out-ports; give at most one for each"
             )
         self._types = [_type(text, f"output{number}") for number, text in enumerate(self.outputs)]
-        samples = self._samples()
+        self._samples()
         self._period_ns()
         names = [*self.names, *[""] * (len(self.outputs) - len(self.names))]
         self._ports: list[OutPort[Any]] = []
@@ -89,10 +96,6 @@ class FlexiConst(FlexiComponent):
             usual = "output" if len(self.outputs) == 1 else f"output{number}"
             stamp = "write" if has_tm(cls) else None
             self._ports.append(self.add_port(name or usual, OutPort(cls, stamp=stamp)))
-        self.tell_ports()
-        if self.verbosity >= 2:
-            sent = [f"{port.name} sends {sample!r}" for port, sample in zip(self._ports, samples, strict=True)]
-            self.log.info("constants: %s", ", ".join(sent))
 
     async def on_activated(self) -> None:
         self._active_in += 1

@@ -58,19 +58,22 @@ class FlexiDump(FlexiComponent):
     )
 
     def on_initialize(self) -> None:
+        self._stream = LineStream()
+        self._shown_last: dict[str, int] = {}
+        self._hidden = 0
+        self.make_ports()
+        self.tell_ports()
+
+    def make_ports(self) -> None:
         if not self.inputs:
             raise ConfigurationError(f"{self.name}.inputs: expected the type of at least one in-port")
         if len(self.names) > len(self.inputs):
             raise ConfigurationError(
                 f"{self.name}: {len(self.names)} names for {len(self.inputs)} in-ports; give at most one for each"
             )
-        self._stream = LineStream()
-        self._shown_last: dict[str, int] = {}
-        self._hidden = 0
         names = [*self.names, *[""] * (len(self.inputs) - len(self.names))]
         for number, (text, name) in enumerate(zip(self.inputs, names, strict=True)):
             self._add_input(name or f"input{number}", parse_type(text, f"input{number}"))
-        self.tell_ports()
 
     def _add_input(self, name: str, cls: type[Any]) -> None:
         for path in self.fields:

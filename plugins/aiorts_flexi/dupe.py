@@ -42,9 +42,13 @@ class FlexiDupe(FlexiComponent):
     )
 
     def on_initialize(self) -> None:
+        self._sender = Sender()
+        self.make_ports()
+        self.tell_ports()
+
+    def make_ports(self) -> None:
         if not self.inputs:
             raise ConfigurationError(f"{self.name}.inputs: expected at least one TYPE:N")
-        self._sender = Sender()
         self._routes: list[tuple[InPort[Any], list[OutPort[Any]]]] = []
         for number, (cls, copies) in enumerate(
             [parse_counted(text, f"input{number}") for number, text in enumerate(self.inputs)]
@@ -54,7 +58,6 @@ class FlexiDupe(FlexiComponent):
                 self.add_port(f"output{number}_{copy}", OutPort(cls)) for copy in range(copies)
             ]
             self._routes.append((source, targets))
-        self.tell_ports()
 
     async def on_execute(self) -> None:
         waiting = [(deque(source.drain()), targets) for source, targets in self._routes]

@@ -79,8 +79,15 @@ class FlexiFilter(FlexiComponent):
         return map_table(draft.inputs, draft.outputs, text, Rules(*rules))
 
     def on_initialize(self) -> None:
-        self._check_given()
         self._sender = Sender()
+        self.make_ports()
+        self.tell_ports()
+        if self.verbosity >= 1:
+            text, *rules = self._settings()
+            self.log.info("map:\n%s", map_table(self.inputs, self.outputs, text, Rules(*rules)))
+
+    def make_ports(self) -> None:
+        self._check_given()
         self._in_specs = [parse_port(text, f"input{number}") for number, text in enumerate(self.inputs)]
         self._out_specs = [parse_port(text, f"output{number}") for number, text in enumerate(self.outputs)]
         self._remake()
@@ -88,10 +95,6 @@ class FlexiFilter(FlexiComponent):
         self._out_ports: dict[str, OutPort[Any]] = {
             s.name: self.add_port(s.name, OutPort(s.type)) for s in self._out_specs
         }
-        self.tell_ports()
-        if self.verbosity >= 1:
-            text, *rules = self._settings()
-            self.log.info("map:\n%s", map_table(self.inputs, self.outputs, text, Rules(*rules)))
 
     def on_activated(self) -> None:
         self._waiting: list[deque[Any]] = [deque() for _ in self._in_ports]

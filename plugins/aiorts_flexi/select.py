@@ -65,6 +65,10 @@ class FlexiSelect(FlexiComponent):
     )
 
     def on_initialize(self) -> None:
+        self.make_ports()
+        self.tell_ports()
+
+    def make_ports(self) -> None:
         cls, count = parse_counted(self.port, "port")
         spec = parse_port(self.selection_type, "selection_type")
         if spec.form != "scalar" or spec.element not in _SELECTING:
@@ -85,7 +89,6 @@ class FlexiSelect(FlexiComponent):
         self._check_order()
         if self.feedback:
             self._fitting(self.initial)
-        self.tell_ports()
 
     async def on_activated(self) -> None:
         await self._tell()

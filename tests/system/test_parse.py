@@ -52,11 +52,11 @@ def test_a_system_file_says_who_is_joined_how_and_run_by_whom() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("schema = ", "line 1"),
-        ("schema = 1\nschema = 1\n", "line 2"),
-        ("schema = 1\na = " + "[" * 100_000, "line 2"),
-        ("schema = 1\n" + "a." * 20_000 + "b = 1", "line 2"),
-        ("schema = 1\na = " + "1" * 5_000, "not valid TOML"),
+        ("schema = ", "system.toml:1:"),
+        ("schema = 1\nschema = 1\n", "system.toml:2:"),
+        ("schema = 1\na = " + "[" * 100_000, "system.toml:2:"),
+        ("schema = 1\n" + "a." * 20_000 + "b = 1", "system.toml:2:"),
+        ("schema = 1\na = " + "1" * 5_000, "system.toml:2:5: not valid TOML"),
         ("x = 1\n" * 500_000, "larger than"),
     ],
     ids=["syntax", "twice", "nested", "dotted", "digits", "large"],
@@ -76,7 +76,7 @@ def test_a_byte_order_mark_is_no_mistake() -> None:
 def test_bytes_that_are_no_text_are_refused_with_their_line(tmp_path: Path) -> None:
     file = tmp_path / "s.toml"
     file.write_bytes(b"schema = 1\n# caf\xe9\n")
-    with pytest.raises(SystemFileError, match=r"line 2: not UTF-8"):
+    with pytest.raises(SystemFileError, match=r"s.toml:2:6: not UTF-8"):
         load(file)
     with pytest.raises(SystemFileError, match="cannot be read"):
         load(tmp_path / "missing.toml")
@@ -88,7 +88,7 @@ def test_bytes_that_are_no_text_are_refused_with_their_line(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("schema = 1", "schema = 2", "expected schema = 1"),
+        ("schema = 1", "schema = 2", "this aiorts reads schema = 1 alone; update aiorts"),
         ("schema = 1", "scheme = 1", "schema"),
         ("[components.pid0]", "[component.pid0]", "did you mean 'components'"),
         ("[[connections]]", "[[connection]]", "did you mean 'connections'"),
