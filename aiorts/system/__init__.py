@@ -7,6 +7,8 @@ from aiorts.system.build import Blueprint, build, prepare
 from aiorts.system.check import check, check_text
 from aiorts.system.ending import is_source, wait_finished
 from aiorts.system.findings import Finding
+from aiorts.system.graph import FORMATS as GRAPH_FORMATS
+from aiorts.system.graph import graph
 from aiorts.system.load import load
 from aiorts.system.parse import parse
 from aiorts.system.pipes import StandardInput, StandardOutput
@@ -14,6 +16,7 @@ from aiorts.system.stream import LineStream
 from aiorts.system.values import ClockEntry, ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
 
 __all__ = (
+    "GRAPH_FORMATS",
     "Blueprint",
     "ClockEntry",
     "ComponentEntry",
@@ -28,6 +31,7 @@ __all__ = (
     "build",
     "check",
     "check_text",
+    "graph",
     "is_source",
     "load",
     "option_params",
