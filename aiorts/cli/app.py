@@ -24,6 +24,7 @@ _COMMANDS: Final = {
     "run": ("aiorts.cli.run:run", "Run a system file."),
     "check": ("aiorts.cli.check:check_command", "Check system files without running them."),
     "graph": ("aiorts.cli.graph:graph_command", "Draw a system file: mermaid, dot or svg."),
+    "schema": ("aiorts.cli.schema:schema_command", "Print the JSON Schema of system files, for editors."),
     "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
     "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
 }

@@ -12,6 +12,7 @@ from aiorts.system.graph import graph
 from aiorts.system.load import load
 from aiorts.system.parse import parse
 from aiorts.system.pipes import StandardInput, StandardOutput
+from aiorts.system.schema import schema
 from aiorts.system.stream import LineStream
 from aiorts.system.values import ClockEntry, ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
 
@@ -38,5 +39,6 @@ __all__ = (
     "parse",
     "parse_options",
     "prepare",
+    "schema",
     "wait_finished",
 )

@@ -83,7 +83,7 @@ def _told(
     target: str,
     entries: str,
 ) -> Adaptation:
-    name = _free_name(found, f"{out.path.partition('.')[0]}_to_{in_.path.partition('.')[0]}")
+    name = _free_name(found, f"{out.path.partition('.')[0]}_to_{in_.path.replace('.', '_')}")
     options = json.dumps(["-i", source, "-o", target, "-m", entries])
     kept = "".join(
         f"{word} = {_toml(value)}\n" for word, value in connection.options.items() if word not in ("name", "stamp")
@@ -91,13 +91,21 @@ def _told(
     reader = in_.path.partition(".")[0]
     context = next((one.name for one in found.system.contexts.values() if reader in one.members), "")
     place = f"# and in the members of contexts.{context}, before {reader!r}: {name!r}\n" if context else ""
+    guess = "".join(
+        f"# {written} is a guess: {port.path} does not say how many elements it has\n"
+        for port, written in ((out, source), (in_, target))
+        if ":" in written and not _stated(port)
+    )
+    replaced = f"in place of connections[{connection.number}]"
+    if len(connection.ports) > 2:
+        replaced = f'and take "{in_.path}" out of connections[{connection.number}]'
     text = (
-        f'[components.{name}]\ntype = "FlexiFilter"\noptions = {options}\n\n'
-        f"# in place of connections[{connection.number}]\n"
+        f'{guess}[components.{name}]\ntype = "FlexiFilter"\noptions = {options}\n\n'
+        f"# {replaced}\n"
         f'[[connections]]\nfrom = "{out.path}"\nto = "{name}.input0"\n{kept}\n'
         f'[[connections]]\nfrom = "{name}.output0"\nto = "{in_.path}"\n{kept}{place}'
     )
-    return Adaptation(f"put a FlexiFilter between them, options = {options}", text)
+    return Adaptation(f"put the FlexiFilter {name!r} between them, as below", text)
 
 
 def _free_name(found: Survey, wanted: str) -> str:
@@ -127,11 +135,17 @@ def _factor(unit: str | None, wanted: str | None) -> str | None:
 def _length(port: Port[Any], other: Port[Any]) -> int:
     """How many pins a sequence has: what its shape says, else that of the other end, else one."""
     for one in (port, other):
-        if one.shape is not None and len(one.shape) == 1 and 0 < one.shape[0] <= _MOST_PINS:
-            return one.shape[0]
+        if (stated := _stated(one)) > 0:
+            return stated
     if _form(other.type) == "record":
         return len(_leaves(other.type))
     return 1
+
+
+def _stated(port: Port[Any]) -> int:
+    """The length that a port says its sequences have; 0 where it says none."""
+    shape = port.shape
+    return shape[0] if shape is not None and len(shape) == 1 and 0 < shape[0] <= _MOST_PINS else 0
 
 
 def _end(port: Port[Any], length: int) -> _End | None:

@@ -32,6 +32,7 @@ class Blueprint:
     types: Mapping[str, type[Component]]
     params: Mapping[str, Mapping[str, Any]]
     contexts: Mapping[str, Context]
+    catalogue: Catalogue
 
 
 def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint:
@@ -53,11 +54,13 @@ def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint
             else f"{system.at(*first.key, of_key=first.of_key)}: {first.where}"
         )
         raise type(first.error)(f"{where}: {first.error}") from first.error.__cause__
-    return Blueprint(system, found.types, found.params, found.contexts)
+    return Blueprint(system, found.types, found.params, found.contexts, found.catalogue)
 
 
 async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     """Create the components, connect them, start the contexts and activate their members.
+
+    What the file's plugin folders offer the kernel has from then on, too: for components that are made later by name.
 
     A component whose `on_activated` raises is in error, as it would be later on; the others go on.
 
@@ -66,6 +69,8 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
         BaseException: what `on_initialize` of a component raises, with the component's name as a note.
     """
     plan = prepare(system) if isinstance(system, SystemFile) else system
+    folders = (*kernel.plugins.folders, *plan.catalogue.folders)
+    kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
     for entry in plan.system.components.values():
         try:
             await kernel.create(plan.types[entry.name], entry.name, **plan.params[entry.name])

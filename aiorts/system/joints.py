@@ -100,12 +100,15 @@ def _ends(
     for out in outs:
         for in_ in ins:
             key = _end(connection, ports.index(in_))
+            told = False
             for fault in pair_faults(out, in_):
-                found_ = adaptation(found, connection, out, in_)
+                # One filter mends all that is wrong between the two.
+                mended = None if told else adaptation(found, connection, out, in_)
                 text = fault.removeprefix(f"{out.path} -> {in_.path}: ")
-                if found_ is not None:
-                    text = f"{text.rpartition('; ')[0]}; {found_.remedy}"
-                yield Said("error", WiringError.code, key, text, suggestion="" if found_ is None else found_.text)
+                if mended is not None:
+                    told = True
+                    text = f"{text.rpartition('; ')[0]}; {mended.remedy}"
+                yield Said("error", WiringError.code, key, text, suggestion="" if mended is None else mended.text)
     stamp = found.profiles[connection.number][0].stamp if connection.number in found.profiles else None
     for out in outs:
         if stamp is not None and not has_tm(out.type):

@@ -345,13 +345,13 @@ def spelled(key: Key) -> str:
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Options with dotted keys (`buffer.length = 4`) as one level; `inf` as the None that means for ever."""
+    """Options with dotted keys (`buffer.length = 4`) as one level; a time-out of `inf` as the None that is for ever."""
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict):
             flat.update(_flat(value, f"{prefix}{key}."))
         else:
-            flat[f"{prefix}{key}"] = None if value == float("inf") else value
+            flat[f"{prefix}{key}"] = None if key == "timeout" and value == float("inf") else value
     return flat
 
 

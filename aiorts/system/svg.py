@@ -73,11 +73,11 @@ def svg(seen: Picture) -> str:
 
 
 def _box(box: Box, spot: _Spot) -> list[str]:
-    x, y = spot.x, spot.y
+    x, y, middle = spot.x, spot.y, spot.x + spot.width / 2
     lines = [
         f'<rect class="box" x="{x:.1f}" y="{y:.1f}" width="{spot.width:.1f}" height="{spot.height:.1f}" rx="5"/>',
-        f'<text class="name" x="{x + spot.width / 2:.1f}" y="{y + 17:.1f}" text-anchor="middle">{escape(box.name)}</text>',
-        f'<text class="type" x="{x + spot.width / 2:.1f}" y="{y + 32:.1f}" text-anchor="middle">{escape(box.type)}</text>',
+        f'<text class="name" x="{middle:.1f}" y="{y + 17:.1f}" text-anchor="middle">{escape(box.name)}</text>',
+        f'<text class="type" x="{middle:.1f}" y="{y + 32:.1f}" text-anchor="middle">{escape(box.type)}</text>',
     ]
     if box.pins:
         end = x + spot.width

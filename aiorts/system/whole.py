@@ -45,12 +45,13 @@ def _unused(found: Survey) -> Iterator[Said]:
 
 
 def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    most = 6
     used = {path for connection in found.system.connections for path in connection.ports}
     for name, draft in drafts.items():
         free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used]
         if free:
-            listed = ", ".join(f"{port.name} ({_way(port)} {type_name(port.type)})" for port in free[:_MOST_NAMED])
-            more = f" and {len(free) - _MOST_NAMED} more" if len(free) > _MOST_NAMED else ""
+            listed = ", ".join(f"{port.name} ({_way(port)} {type_name(port.type)})" for port in free[:most])
+            more = f" and {len(free) - most} more" if len(free) > most else ""
             word = "ports have" if len(free) > 1 else "port has"
             text = f"{len(free)} {word} no connection: {listed}{more}"
             yield Said("note", "N-OPEN", ("components", name), text, of_key=True)
