@@ -89,8 +89,9 @@ def _told(
         f"{word} = {_toml(value)}\n" for word, value in connection.options.items() if word not in ("name", "stamp")
     )
     reader = in_.path.partition(".")[0]
-    context = next((one.name for one in found.system.contexts.values() if reader in one.members), "")
-    place = f"# and in the members of contexts.{context}, before {reader!r}: {name!r}\n" if context else ""
+    homes = (one.name for one in found.system.contexts.values() if reader in one.members)
+    home = next((one for one in homes if one in found.contexts and not found.contexts[one].exclusive), "")
+    place = f"contexts.{home}, before {reader!r}" if home else "an event context"
     guess = "".join(
         f"# {written} is a guess: {port.path} does not say how many elements it has\n"
         for port, written in ((out, source), (in_, target))
@@ -103,7 +104,8 @@ def _told(
         f'{guess}[components.{name}]\ntype = "FlexiFilter"\noptions = {options}\n\n'
         f"# {replaced}\n"
         f'[[connections]]\nfrom = "{out.path}"\nto = "{name}.input0"\n{kept}\n'
-        f'[[connections]]\nfrom = "{name}.output0"\nto = "{in_.path}"\n{kept}{place}'
+        f'[[connections]]\nfrom = "{name}.output0"\nto = "{in_.path}"\n{kept}'
+        f"# and in the members of {place}: {name!r}\n"
     )
     return Adaptation(f"put the FlexiFilter {name!r} between them, as below", text)
 

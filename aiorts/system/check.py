@@ -57,6 +57,8 @@ def check_text(
     said = [_of_mistake(mistake) for mistake in mistakes]
     if not any(mistake.key == ("schema",) for mistake in mistakes):
         found = survey(system, catalogue)
+        # Of a component that the file says too little of, ports are not asked for: that would be said twice.
+        found.bad_params |= {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == ("components",)}
         said += [
             Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
             for fault in found.faults

@@ -42,6 +42,8 @@ _WORDS: Final[dict[type, str]] = {
     dict: "a table",
 }
 _NOTHING: Final[Any] = object()
+_MOST_MISTAKES: Final = 200
+"""Mistakes that are named: who has more mends these first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,9 +332,12 @@ class _Reader:
         return unknown
 
     def _unknown(self, key: Key, word: str, name: str, known: Iterable[str], *, of_key: bool = False) -> None:
-        self._say(key, f"unknown {word} {name[:80]!r}; {_hint(name, known)}", of_key=of_key)
+        if len(self.mistakes) < _MOST_MISTAKES:  # near names take their time
+            self._say(key, f"unknown {word} {name[:80]!r}; {_hint(name, known)}", of_key=of_key)
 
     def _say(self, key: Key, what: str, *, of_key: bool = False) -> None:
+        if len(self.mistakes) >= _MOST_MISTAKES:
+            return
         self.mistakes.append(Mistake(key, spelled(key) or "file", what, of_key))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -43,6 +44,7 @@ class Places:
         self._keys: dict[Key, tuple[int, int]] = {}
         self._values: dict[Key, tuple[int, int]] = {}
         self._counts: dict[Key, int] = {}
+        self._starts = [0, *(found.end() for found in re.finditer("\n", text))]
         for _ in self._document():
             pass
 
@@ -71,8 +73,10 @@ class Places:
 
     def line(self, number: int) -> str:
         """A line of the text, counted from 1; "" where there is none."""
-        lines = self._text.split("\n", number)
-        return lines[number - 1].rstrip("\r") if 0 < number <= len(lines) else ""
+        if not 0 < number <= len(self._starts):
+            return ""
+        end = self._text.find("\n", self._starts[number - 1])
+        return self._text[self._starts[number - 1] : len(self._text) if end < 0 else end].rstrip("\r")
 
     def _nearest(
         self, key: Key, first: dict[Key, tuple[int, int]], second: dict[Key, tuple[int, int]]
@@ -86,11 +90,9 @@ class Places:
 
     def _place(self, extent: tuple[int, int]) -> Place:
         start, end = extent
-        begin = self._text.rfind("\n", 0, start) + 1
+        line = bisect_right(self._starts, start)
         stop = self._text.find("\n", start, end)
-        return Place(
-            self._text.count("\n", 0, start) + 1, start - begin + 1, max(1, (end if stop < 0 else stop) - start)
-        )
+        return Place(line, start - self._starts[line - 1] + 1, max(1, (end if stop < 0 else stop) - start))
 
     # -- reading -----------------------------------------------------------------------------------------------------
 
