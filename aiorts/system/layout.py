@@ -88,7 +88,7 @@ def picture(system: SystemFile, catalogue: Catalogue | None = None) -> Picture:
 
 
 def _box(found: Survey, name: str, arrows: tuple[Arrow, ...], also: list[str]) -> Box:
-    kind = "".join(c if c.isprintable() else "?" for c in found.system.components[name].type.rpartition(":")[2][:80])
+    kind = _printable(found.system.components[name].type.rpartition(":")[2])
     pins: dict[tuple[str, bool], Pin] = {}
     if name in found.types and name not in found.bad_params:
         for port in draft(found.types[name], name, found.params[name]).ports.values():
@@ -105,7 +105,12 @@ def _box(found: Survey, name: str, arrows: tuple[Arrow, ...], also: list[str]) -
 def _title(found: Survey, name: str) -> str:
     entry = found.system.contexts[name]
     rate = entry.options.get("rate")
-    return f"{name}: {entry.kind}" + (f", {rate:g} Hz" if isinstance(rate, int | float) else "")
+    return f"{name}: {_printable(entry.kind)}" + (f", {rate:g} Hz" if isinstance(rate, int | float) else "")
+
+
+def _printable(text: str) -> str:
+    """What a file says, as it may stand in a line of any language."""
+    return "".join(c if c.isprintable() else "?" for c in text[:80])
 
 
 def _arrows(found: Survey) -> list[Arrow]:

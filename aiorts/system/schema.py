@@ -22,6 +22,7 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
 from aiorts.model.configuration import Constraint, ParameterSpec
 from aiorts.system.connection_schema import connection_schema
+from aiorts.system.context_args import arguments_of, needs_rate
 from aiorts.system.parse import SCHEMA
 
 __all__ = ("schema",)
@@ -33,6 +34,7 @@ _TRUTH: Final = r"^\s*([tT][rR][uU][eE]|[fF][aA][lL][sS][eE]|[yY][eE][sS]|[nN][o
 _BOUNDS: Final = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _WORDS: Final = {"overrun": ["skip", "catch_up"]}
 """Arguments of contexts that take one of some words."""
+_JSON: Final = {bool: "boolean", int: "integer", float: "number", str: "string", list: "array"}
 _ARGUMENT: Final = re.compile(r"^ +(\w+(?:, \w+)*): (.*)")
 
 
@@ -258,41 +260,24 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
     made["additionalProperties"] = False
     made["properties"]["kind"]["description"] = inspect.cleandoc(cls.__doc__ or kind).partition("\n\n")[0]
     texts = _documented(cls)
-    hints = _hints(cls)
-    for name, parameter in inspect.signature(cls).parameters.items():
-        if name == "name":
-            continue
-        made["properties"][name] = _argument(name, hints.get(name, Any), parameter.default, texts)
-        if name == "rate" and isinstance(parameter.default, float):
-            made["required"] = ["kind", "rate", "members"]
-            del made["properties"][name]["default"]
+    defaults = inspect.signature(cls).parameters
+    for name, kinds in arguments_of(cls).items():
+        made["properties"][name] = _argument(name, kinds, defaults[name].default, texts)
+    if needs_rate(cls):
+        made["required"] = ["kind", "rate", "members"]
+        del made["properties"]["rate"]["default"]
     return made
 
 
-def _argument(name: str, hint: Any, default: Any, texts: Mapping[str, str]) -> dict[str, Any]:
-    made: dict[str, Any] = {"enum": _WORDS[name]} if name in _WORDS else _hinted(hint)
+def _argument(name: str, kinds: tuple[type, ...], default: Any, texts: Mapping[str, str]) -> dict[str, Any]:
+    made: dict[str, Any] = {"enum": _WORDS[name]} if name in _WORDS else {}
+    if kinds and not made:
+        made["type"] = [_JSON[kind] for kind in kinds] if len(kinds) > 1 else _JSON[kinds[0]]
     if name in texts:
         made["description"] = texts[name]
-    if isinstance(default, str | bool | int | float) and default is not inspect.Parameter.empty:
+    if isinstance(default, str | bool | int | float):
         made["default"] = default
     return made
-
-
-def _hinted(hint: Any) -> dict[str, Any]:
-    parts = typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, types.UnionType) else (hint,)
-    words = {bool: "boolean", int: "integer", float: "number", str: "string"}
-    known = [words[part] for part in parts if part in words]
-    if any(typing.get_origin(part) is not None for part in parts):
-        known.append("array")
-    return {"type": known[0] if len(known) == 1 else known} if known else {}
-
-
-def _hints(cls: Any) -> dict[str, Any]:
-    """The types of the arguments, as far as they can be found out."""
-    try:
-        return typing.get_type_hints(cls.__init__)
-    except (NameError, TypeError):
-        return {}
 
 
 def _documented(cls: type) -> dict[str, str]:

@@ -5,11 +5,10 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, Final
 
 from aiorts.errors import AiortsError, ConfigurationError, PluginError, SystemFileError, WiringError
 from aiorts.kernel.catalogue import Catalogue
@@ -17,12 +16,16 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
 from aiorts.model.options import connector_profile
 from aiorts.model.profile import ConnectorProfile
+from aiorts.system.context_args import arguments_of, needs_rate, unfit
 from aiorts.system.load import component_type, context_type, parameters
 from aiorts.system.parse import spelled
 from aiorts.system.places import Key
 from aiorts.system.values import ComponentEntry, ConnectionEntry, ContextEntry, SystemFile
 
 __all__ = ("Fault", "Survey", "survey")
+
+_TEXTS: Final = ("name", "empty", "stamp")
+"""Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +90,10 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
     key: Key = ("connections", entry.number - 1)
     wrong = False
     for option, value in entry.options.items():
+        if option in _TEXTS and not isinstance(value, str):
+            wrong = True
+            found.say((*key, option), WiringError(f"{option} = {value!r:.80}: expected text"), spelled(key))
+            continue
         try:
             connector_profile("", {option: value, **_needed(option, value)}, "", entry.ports)
         except WiringError as error:
@@ -113,29 +120,30 @@ def _context(found: Survey, entry: ContextEntry) -> None:
     except (PluginError, SystemFileError) as error:
         found.say((*key, "kind"), error)
         return
-    arguments = inspect.signature(cls).parameters
-    known = [name for name in arguments if name != "name"]
+    arguments = arguments_of(cls)
     options = dict(entry.options)
-    for word in entry.options:
-        if word not in known:
-            del options[word]
-            near = get_close_matches(word[:100], [*known, "kind", "members", "activate"], n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"a {entry.kind} context takes {', '.join(known)}"
-            found.say((*key, word), SystemFileError(f"unknown key {word[:80]!r}; {hint}"), of_key=True)
     wrong = False
-    for word, value in options.items():
-        try:
-            cls(**{word: value})
-        except (ConfigurationError, TypeError) as error:
+    for word, value in entry.options.items():
+        if word not in arguments:
+            del options[word]
+            near = get_close_matches(word[:100], [*arguments, "kind", "members", "activate"], n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"a {entry.kind} context takes {', '.join(arguments)}"
+            found.say((*key, word), SystemFileError(f"unknown key {word[:80]!r}; {hint}"), of_key=True)
+        elif what := unfit(value, arguments[word]):
             wrong = True
-            found.say((*key, word), ConfigurationError(str(error)))
-    if "rate" in arguments and "rate" not in entry.options and isinstance(arguments["rate"].default, float):
-        # In a program a default is seen by whoever completes the call; in a file nobody sees what does not stand there.
+            found.say((*key, word), ConfigurationError(f"{word}: {what}"))
+        else:
+            try:
+                cls(**{word: value})
+            except (ConfigurationError, TypeError, ValueError) as error:
+                wrong = True
+                found.say((*key, word), ConfigurationError(str(error)))
+    if needs_rate(cls) and "rate" not in entry.options:
         what = f"a {entry.kind} context needs its rate in Hz; write rate = 100.0"
         found.say(key, SystemFileError(what), of_key=True)
     if wrong:
         return
     try:
         found.contexts[entry.name] = cls(name=entry.name, **options)
-    except (ConfigurationError, TypeError) as error:
+    except (ConfigurationError, TypeError, ValueError) as error:
         found.say(key, ConfigurationError(str(error)), of_key=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
 from system_parts import PARTS
 
 if TYPE_CHECKING:

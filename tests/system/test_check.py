@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from system_parts import CHAIN
 
 from aiorts import Kernel
 from aiorts.errors import AiortsError
 from aiorts.system import Finding, build, check, check_text, load, prepare
+from system_parts import CHAIN
 
 ROOT = Path(__file__).parents[2]
 Write = Callable[..., Path]
@@ -152,7 +152,7 @@ def test_another_version_of_the_format_says_which_one_is_read_and_nothing_else(
     assert f"version {version}, and this aiorts reads schema = 1 alone" in one.cause
 
 
-# -- components ---------------------------------------------------------------------------------------------------------
+# -- components --------------------------------------------------------------------------------------------------------
 
 
 def flexi(line: str) -> str:
@@ -230,7 +230,7 @@ def test_a_folder_with_a_link_that_leads_out_is_refused(write: Write, tmp_path: 
     assert "leads out of the system file's folder" in only(path, "error").message
 
 
-# -- connections --------------------------------------------------------------------------------------------------------
+# -- connections -------------------------------------------------------------------------------------------------------
 
 
 def joined(out: str, in_: str, extra: str = "") -> str:
@@ -314,7 +314,7 @@ def test_a_stamp_needs_a_type_with_a_time(write: Write) -> None:
     ]
 
 
-# -- the whole ----------------------------------------------------------------------------------------------------------
+# -- the whole ---------------------------------------------------------------------------------------------------------
 
 
 def test_who_is_in_no_context_and_which_ports_are_open_is_said(write: Write) -> None:

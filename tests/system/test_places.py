@@ -109,8 +109,9 @@ def values(draw: st.DrawFn, depth: int = 2) -> str:
     kind = draw(st.integers(0, 4)) if depth else 0
     if kind == 3:
         items = draw(st.lists(values(depth - 1), max_size=3))
-        blank = draw(BREAKS)
-        return f"[{blank}{f'{draw(BREAKS)},{draw(BREAKS)}'.join(items)}{draw(BREAKS)}{',' if items and draw(st.booleans()) else ''}{draw(BREAKS)}]"
+        comma = f"{draw(BREAKS)},{draw(BREAKS)}"
+        last = "," if items and draw(st.booleans()) else ""
+        return f"[{draw(BREAKS)}{comma.join(items)}{draw(BREAKS)}{last}{draw(BREAKS)}]"
     if kind == 4:
         pairs = [
             f"k{number}{draw(BLANKS)}={draw(BLANKS)}{draw(values(depth - 1))}"
