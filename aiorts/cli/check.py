@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import click
 
 from aiorts.cli.report import LONGEST, printed
+from aiorts.cli.unrun import plugins_option, quietly
 from aiorts.system import Finding, check
 
 __all__ = ("check_command",)
@@ -30,9 +32,17 @@ _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
     default="text",
     help="text for people, json one object for each file in a line, github for its annotations.",
 )
+@plugins_option
 @click.option("--strict", is_flag=True, help="Exit status 1 when there are warnings and no errors.")
 @click.option("-q", "--quiet", is_flag=True, help="Leave notes out.")
-def check_command(files: tuple[str, ...], changes: tuple[str, ...], form: str, strict: bool, quiet: bool) -> int:
+def check_command(
+    files: tuple[str, ...],
+    changes: tuple[str, ...],
+    form: str,
+    plugins: tuple[Path, ...],
+    strict: bool,
+    quiet: bool,
+) -> int:
     """Say all that can be known of system files without running them.
 
     Component files and plugins are imported, as running would; no hook runs and nothing is opened. Exit status: 0 when
@@ -40,7 +50,8 @@ def check_command(files: tuple[str, ...], changes: tuple[str, ...], form: str, s
     """
     counts: Counter[str] = Counter()
     for file in files:
-        findings = [one for one in check(file, changes) if not (quiet and one.severity == "note")]
+        with quietly():
+            findings = [one for one in check(file, changes, plugins) if not (quiet and one.severity == "note")]
         counts.update(one.severity for one in findings)
         _PRINTERS[form](file, findings)
     if counts["error"]:
@@ -57,7 +68,8 @@ def _text(file: str, findings: Sequence[Finding]) -> None:
             click.echo("".join(f"    {line}".rstrip() + "\n" for line in one.suggestion.splitlines()))
     counts = Counter(one.severity for one in findings)
     said = ", ".join(f"{counts[word]} {word}{'s' * (counts[word] != 1)}" for word in _WORDS if counts[word])
-    click.echo(printed(f"{file}: {said or 'nothing to say, it can run'}"))
+    runs = "" if counts["error"] else ", it can run"
+    click.echo(printed(f"{file}: {said or 'nothing to say'}{runs}"))
 
 
 def _line(one: Finding) -> str:

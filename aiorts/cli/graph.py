@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from aiorts.cli.unrun import catalogue_of, plugins_option, quietly
 from aiorts.errors import ConfigurationError
 from aiorts.system import GRAPH_FORMATS, graph, load
 
@@ -18,12 +19,17 @@ __all__ = ("graph_command",)
 @click.option("--format", "form", type=click.Choice(GRAPH_FORMATS), help="Default: what -o ends in, else mermaid.")
 @click.option("-o", "--output", metavar="FILE", type=click.Path(), help="Write it there and not to standard output.")
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Draw it with this parameter.")
-def graph_command(file: str, form: str | None, output: str | None, changes: tuple[str, ...]) -> int:
+@plugins_option
+def graph_command(
+    file: str, form: str | None, output: str | None, changes: tuple[str, ...], plugins: tuple[Path, ...]
+) -> int:
     """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
 
     mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run.
     """
-    text = graph(load(file, changes), form or _form_of(output))
+    system = load(file, changes)
+    with quietly():
+        text = graph(system, form or _form_of(output), catalogue_of(system, plugins))
     if output is None or output == "-":
         click.echo(text, nl=False)
         return 0

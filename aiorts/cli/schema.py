@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from aiorts import Catalogue
+from aiorts.cli.unrun import catalogue_of, plugins_option, quietly
 from aiorts.system import load, schema
 
 __all__ = ("schema_command",)
@@ -15,16 +15,18 @@ __all__ = ("schema_command",)
 
 @click.command("schema", short_help="Print the JSON Schema of system files.")
 @click.argument("file", metavar="[SYSTEM.toml]", required=False, type=click.Path(dir_okay=False, path_type=Path))
-def schema_command(file: Path | None) -> int:
+@plugins_option
+def schema_command(file: Path | None, plugins: tuple[Path, ...]) -> int:
     """Print the JSON Schema of system files, by which editors complete them and mark mistakes.
 
     It has the component types that are installed with their parameters; with SYSTEM.toml those of its plugin folders,
-    too. For an editor with Taplo (Even Better TOML) save it and name it in the first line of a system file:
+    too. For Taplo (Even Better TOML) save it, and begin a system file with a line that names it:
 
     \b
         aiorts schema > aiorts.schema.json
         #:schema ./aiorts.schema.json
     """
-    catalogue = None if file is None else Catalogue(load(file).plugin_paths)
-    click.echo(json.dumps(schema(catalogue), indent=2, ensure_ascii=False, allow_nan=False))
+    with quietly():
+        made = schema(catalogue_of(None if file is None else load(file), plugins))
+    click.echo(json.dumps(made, indent=2, ensure_ascii=False, allow_nan=False))
     return 0

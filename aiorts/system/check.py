@@ -27,12 +27,12 @@ __all__ = ("check", "check_text")
 _NUMBERED = re.compile(r"(in|out)put(\d+)")
 
 
-def check(path: str | Path, overrides: Iterable[str] = (), catalogue: Catalogue | None = None) -> tuple[Finding, ...]:
+def check(path: str | Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()) -> tuple[Finding, ...]:
     """What is to be said of the system file at `path`, in the order of its lines; empty when there is nothing.
 
     Args:
         overrides: parameters as "component.param=value", which win over those of the file.
-        catalogue: where types come from; installed packages and the file's plugin folders by default.
+        plugins: folders with plugins, besides those that the file names and the packages that are installed.
     """
     where = Path(path)
     try:
@@ -41,11 +41,11 @@ def check(path: str | Path, overrides: Iterable[str] = (), catalogue: Catalogue 
         return (_no_text(error, where),)
     except SystemFileError as error:
         return (_found(where, "", Said("error", error.code, (), _without(where, str(error)))),)
-    return check_text(text, where, overrides, catalogue)
+    return check_text(text, where, overrides, plugins)
 
 
 def check_text(
-    text: str, path: Path, overrides: Iterable[str] = (), catalogue: Catalogue | None = None
+    text: str, path: Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()
 ) -> tuple[Finding, ...]:
     """The same of a text that an editor has; `path` is where it would stand."""
     try:
@@ -55,19 +55,18 @@ def check_text(
     except SystemFileError as error:
         return (_found(path, "", Said("error", error.code, (), _without(path, str(error)))),)
     said = [_of_mistake(mistake) for mistake in mistakes]
-    if not any(mistake.key == ("schema",) for mistake in mistakes):
-        found = survey(system, catalogue)
-        # Of a component that the file says too little of, ports are not asked for: that would be said twice.
-        found.bad_params |= {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == ("components",)}
-        said += [
-            Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
-            for fault in found.faults
-        ]
-        drafts = _drafts(found)
-        said += [_of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
-        said += _of_members(found, drafts)
-        said += joint_findings(found, drafts)
-        said += whole_findings(found, drafts, whole=not mistakes)
+    found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
+    # Of a component that the file says too little of, ports are not asked for: that would be said twice.
+    found.bad_params |= {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == ("components",)}
+    said += [
+        Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
+        for fault in found.faults
+    ]
+    drafts = _drafts(found)
+    said += [_of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
+    said += _of_members(found, drafts)
+    said += joint_findings(found, drafts)
+    said += whole_findings(found, drafts, whole=not mistakes)
     return in_order(_found(path, system.text, one) for one in said)
 
 

@@ -141,6 +141,7 @@ class _Reader:
             got = f"got {version!r:.80}" if "schema" in top else "it is missing"
             near = _near_hint("schema", top) if "schema" not in top else ""
             self._say(("schema",), f"expected schema = {SCHEMA} in the first line, {got}{near}")
+            return True
         return False
 
     def _component(self, name: str, table: dict[str, Any]) -> ComponentEntry:

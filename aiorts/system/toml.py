@@ -9,6 +9,7 @@ import os
 import re
 import stat
 import tomllib
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -116,8 +117,10 @@ def _near_file(path: Path) -> str:
     from difflib import get_close_matches
 
     try:
-        names = [found.name for found in path.parent.glob("*.toml")][:1000] if not path.exists() else []
+        names = (
+            {found.stem: found.name for found in islice(path.parent.glob("*.toml"), 1000)} if not path.exists() else {}
+        )
     except (OSError, ValueError):
         return ""
-    near = get_close_matches(path.name, names, n=1)
-    return f"; did you mean {str(path.parent / near[0])!r}?" if near else ""
+    near = get_close_matches(path.stem, names, n=1)
+    return f"; did you mean {str(path.parent / names[near[0]])!r}?" if near else ""

@@ -120,6 +120,34 @@ def test_github_annotations_are_escaped(write: Callable[..., str], capsys: Out) 
     assert '%0A[components.middle_to_sink_input0]%0Atype = "FlexiFilter"' in lines[1]
 
 
+@pytest.mark.fault("F18")
+def test_what_a_component_file_prints_is_no_part_of_the_findings(
+    write: Callable[..., str], tmp_path: Path, capsys: Out
+) -> None:
+    (tmp_path / "loud.py").write_text(
+        "print('hello')\nfrom aiorts import Component\nclass Loud(Component):\n    pass\n"
+    )
+    name = write('schema = 1\n[components.a]\ntype = "loud.py:Loud"\n')
+    assert run_command(["check", "--format", "json", name]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["warnings"] == 1
+    assert printed.err == "hello\n"
+
+
+def test_a_folder_of_plugins_can_be_named(write: Callable[..., str], tmp_path: Path, capsys: Out) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "far.py").write_text("from aiorts import Component\nclass FarAway(Component):\n    pass\n")
+    name = write('schema = 1\n[components.a]\ntype = "FarAway"\n')
+    assert run_command(["check", name]) == 2
+    assert run_command(["check", name, "--plugins", str(other)]) == 0
+    capsys.readouterr()
+    assert run_command(["graph", name, "--plugins", str(other)]) == 0
+    assert "FarAway" in capsys.readouterr().out
+    assert run_command(["schema", "--plugins", str(other)]) == 0
+    assert '"FarAway"' in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", ["hello", "roomba"])
 def test_the_examples_are_clean(capsys: Out, name: str) -> None:
     assert run_command(["check", "-q", "--strict", str(ROOT / "examples" / name / "system.toml")]) == 0

@@ -97,7 +97,7 @@ def test_a_byte_order_mark_and_other_line_ends_are_no_mistake(tmp_path: Path) ->
         (os.mkfifo, "it is a pipe"),
         (lambda path: path.symlink_to("/dev/zero"), "it is a device"),
         (lambda path: path.symlink_to(path), "cannot be read"),
-        (lambda path: path.with_name("t.toml").write_text(""), "did you mean"),
+        (lambda path: path.with_name("ss.toml").write_text(""), "did you mean"),
     ],
     ids=["large", "directory", "fifo", "zero", "loop", "missing"],
 )
