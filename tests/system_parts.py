@@ -12,6 +12,11 @@ from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, TimedPose2D, Ti
 class Loose:
     x: float = 0.0
 
+@dataclass(frozen=True)
+class Strict:
+    x: float
+    y: float
+
 class Source(Component):
     """Makes numbers."""
     out = OutPort(TimedLong)
@@ -46,6 +51,7 @@ class Takers(Component):
     heading = InPort(TimedDouble)
     text = InPort(TimedString)
     two = InPort(TimedDoubleSeq, shape=(2,))
+    strict = InPort(Strict)
 
 class Mutable(Component):
     out = OutPort(Loose)

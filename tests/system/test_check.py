@@ -285,6 +285,7 @@ def test_the_filter_that_would_join_two_ports_is_told_and_does(write: Write, out
         ("a.out", "b.volt", "units differ: 'm' and 'V'"),
         ("a.three", "b.two", "shapes differ: (3,) and (2,)"),
         ("a.out", "a.pose", "are out-ports"),
+        ("a.pose", "b.strict", "types differ: a.pose sends TimedPose2D, b.strict takes Strict"),
         ("a.out", "b.hole", "did you mean 'whole'?"),
         ("s.out7", "b.whole", "did you mean 'out"),
         ("s.nothing", "b.whole", "there are out0, out1"),
