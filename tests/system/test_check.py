@@ -439,6 +439,13 @@ def test_a_periodic_context_without_a_rate_says_so_when_run_too(write: Write) ->
         prepare(load(path))
 
 
+@pytest.mark.parametrize(("line", "said"), [("timing = 0", "true or false"), ('deadline = "1"', "a number")])
+def test_a_key_of_a_context_takes_values_of_its_type_alone(write: Write, line: str, said: str) -> None:
+    one = only(write(changed("rate = 100.0", f"rate = 100.0\n{line}")))
+    assert marked(one) == line.partition(" = ")[2]
+    assert f"expected {said}" in one.cause
+
+
 def test_order_is_spelled_members(write: Write) -> None:
     one = only(write(changed('members = ["source"]', 'order = ["source"]')))
     assert (marked(one), one.remedy) == ("order", "write members = [...]")
