@@ -32,6 +32,9 @@ BROKEN_PIPE: Final = 141
 
 _COMMANDS: Final = {
     "run": ("aiorts.cli.run:run", "Run a system file."),
+    "check": ("aiorts.cli.check:check_command", "Check system files without running them."),
+    "graph": ("aiorts.cli.graph:graph_command", "Draw a system file: mermaid, dot or svg."),
+    "schema": ("aiorts.cli.schema:schema_command", "Print the JSON Schema of system files, for editors."),
     "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
     "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
     "inspect": ("aiorts.cli.inspection:inspect", "Show a component or a type without running it."),

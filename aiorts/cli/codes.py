@@ -1,4 +1,4 @@
-"""Every error code that aiorts prints: what it means, what usually causes it, and what to do.
+"""The codes that aiorts prints, E- of errors, W- and N- of `aiorts check`: meaning, usual cause and what to do.
 
 A test compares the table with the source: nothing is missing, nothing is left over.
 """
@@ -74,6 +74,11 @@ CODES: Final[dict[str, Code]] = {
         "A plot or a comparison needs a package that aiorts does without.",
         "Run the pip command of the line.",
     ),
+    "E-FRAME": Code(
+        "A frame on standard input is bad; the others go on, and the exit status is 1.",
+        "The writer uses another codec, or what it wrote was cut.",
+        "Give both filters the same --codec.",
+    ),
     "E-HOOK-TIMEOUT": Code(
         "A hook did not return within its deadline.",
         "It waits for something that does not come, or takes longer than its context allows.",
@@ -83,6 +88,11 @@ CODES: Final[dict[str, Code]] = {
         "A line of standard input is no sample for the port; the other lines are processed.",
         "No JSON, another type, a value out of range; the line is named by its number.",
         'Write {"port": "input0", "data": 1.5} or the bare data; aiorts inspect TYPE shows a line.',
+    ),
+    "E-LOG": Code(
+        "The log file cannot be had or written; lines of the log are lost.",
+        "Another process holds it, its disk is full, or its folder cannot be written.",
+        "The line names who holds it; choose another --log-file, or make room.",
     ),
     "E-NAME": Code(
         "A name or path has a character or form that is not allowed.",
@@ -173,5 +183,40 @@ CODES: Final[dict[str, Code]] = {
         "Readers with full = block had no room in time; the others have the sample.",
         "A reader is slower than the writer, or has stopped.",
         "Look at the reader that the line names; choose another policy or a longer buffer.",
+    ),
+    "N-COPY": Code(
+        "A port's type is mutable: aiorts check notes that each write makes a snapshot.",
+        "The dataclass is not frozen.",
+        "Write @dataclass(frozen=True), or @record.",
+    ),
+    "N-OPEN": Code(
+        "A port has no connection: a note of aiorts check.",
+        "Nothing in the system file names it.",
+        "Connect it, or leave it so.",
+    ),
+    "N-PORTS": Code(
+        "The ports of a component are known only when it runs: a note of aiorts check.",
+        "Its on_initialize adds ports, and no hook runs while a file is checked.",
+        "Add them in a method make_ports that on_initialize calls.",
+    ),
+    "W-BLOCK": Code(
+        "A writer may wait for a reader of its own context, which runs only after it.",
+        "full = block without a time-out, and a buffer shorter than what one cycle writes.",
+        "Make the buffer longer, set a timeout, or put the reader into another context.",
+    ),
+    "W-LOOP": Code(
+        "A cycle of components that all run on events keeps itself busy.",
+        "Each writes whenever it reads, and no context of the cycle has a rate.",
+        "Put one of them into a periodic context, which paces the rest.",
+    ),
+    "W-TURNED": Code(
+        "A connection of a system file names the in-port first.",
+        "from and to were exchanged.",
+        "Write the out-port under from.",
+    ),
+    "W-UNUSED": Code(
+        "A component of a system file is in no context and never runs.",
+        "No context names it among its members.",
+        "Name it among the members of a context, or take it away.",
     ),
 }

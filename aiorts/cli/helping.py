@@ -34,7 +34,7 @@ def help_(ctx: click.Context, topic: tuple[str, ...]) -> int:
     aiorts help errors E-LINE
     """
     root = ctx.find_root()
-    if topic and (topic[0] == "errors" or topic[0].upper().startswith("E-")):
+    if topic and (topic[0] == "errors" or topic[0].upper().startswith(("E-", "W-", "N-"))):
         codes = topic[1:] if topic[0] == "errors" else topic
         say("\n\n".join(_explained(code) for code in codes) if codes else _all_codes())
         return 0

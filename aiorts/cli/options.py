@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -12,7 +12,9 @@ from typing import Final
 
 import click
 
-__all__ = ("Levels", "Options", "checked", "levels_of")
+from aiorts.system import ClockEntry
+
+__all__ = ("Levels", "Options", "checked", "levels_of", "with_clock")
 
 _LEVELS: Final = {
     "debug": logging.DEBUG,
@@ -111,3 +113,10 @@ def levels_of(options: Options) -> Levels:
 
 def _bad(what: str) -> click.BadParameter:
     return click.BadParameter(what, param_hint="--log-level")
+
+
+def with_clock(options: Options, clock: ClockEntry) -> Options:
+    """The options with the clock of a system file, where the command line says nothing of it."""
+    if options.simulate or options.speed is not None:
+        return options
+    return replace(options, simulate=clock.kind == "simulated", speed=clock.speed)

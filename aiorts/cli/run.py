@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from aiorts.cli.options import Options, checked
+from aiorts.cli.options import Options, checked, with_clock
 from aiorts.cli.session import execute, log_of
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.target import DEFAULT_RATE, find_target
@@ -66,4 +66,5 @@ def run(
             log.failed(error)
             return 2
         log.levels.check(found.names)
+        options = with_clock(options, found.clock)
         return execute(found.make, len(found.names), options, stopper, log=log, catalogue=found.catalogue)

@@ -14,12 +14,14 @@ from typing import Any, Final
 import click
 
 from aiorts import Catalogue, Component, EventContext, InPort, Kernel, PeriodicContext
+from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.single import component_class
 from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
-from aiorts.system import build, load, prepare
+from aiorts.system import ClockEntry, build, load, prepare
 
 __all__ = ("DEFAULT_RATE", "Target", "find_target")
 
+_SYSTEM_CLOCK: Final = ClockEntry()
 DEFAULT_RATE: Final = 10.0
 """Hz of a component without in-ports that is run alone."""
 
@@ -32,6 +34,7 @@ class Target:
     """Of the components."""
     catalogue: Catalogue
     make: Callable[[Kernel], Any]
+    clock: ClockEntry = _SYSTEM_CLOCK
 
 
 def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate: float | None) -> Target:
@@ -52,7 +55,8 @@ def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate
         if rate is not None:
             raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
         return _system(text, changes, folders)
-    catalogue = Catalogue(folders)
+    catalogue = catalogue_of(folders)
+    catalogue.make_default()
     if ":" not in text and text not in catalogue.extensions("components"):
         raise ConfigurationError(f"{text[:80]!r}: {_no_such(text, catalogue)}")
     return _alone(component_class(text, catalogue), changes, catalogue, rate)
@@ -89,9 +93,9 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
         near = get_close_matches(Path(text).name, [path.name for path in Path(text).parent.glob("*.toml")], n=1)
         hint = f"; did you mean {str(Path(text).parent / near[0])!r}?" if near else ""
         raise SystemFileError(f"{error}{hint}") from None
-    catalogue = Catalogue((*folders, *system.plugin_paths))
+    catalogue = catalogue_of((*folders, *system.plugin_paths))
     plan = prepare(system, catalogue)
-    return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan))
+    return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan), system.clock)
 
 
 # -- one component -----------------------------------------------------------------------------------------------------

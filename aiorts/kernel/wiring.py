@@ -6,7 +6,7 @@ Either all connectors of one `connect` come into being or none.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import WiringError
@@ -21,7 +21,7 @@ from aiorts.model.profile import ConnectorProfile
 if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
 
-__all__ = ("plan", "unwire", "wire")
+__all__ = ("pair_faults", "plan", "unwire", "wire")
 
 T = TypeVar("T")
 
@@ -139,16 +139,22 @@ def _connected(out: OutPort[Any], in_: InPort[Any]) -> bool:
 
 
 def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:
+    for fault in pair_faults(out, in_):
+        raise WiringError(fault)
+
+
+def pair_faults(out: OutPort[Any], in_: InPort[Any]) -> Iterator[str]:
+    """Why samples of one port cannot be taken by the other; nothing where they fit."""
     where = f"{out.path} -> {in_.path}"
     if not issubclass(out.type, in_.type):
-        raise WiringError(
+        yield (
             f"{where}: types differ: {out.path} sends {out.type.__name__}, {in_.path} takes {in_.type.__name__}; "
             "put a FlexiFilter between them"
         )
     if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
-        raise WiringError(f"{where}: units differ: {out.unit!r} and {in_.unit!r}; put a FlexiFilter between them")
+        yield f"{where}: units differ: {out.unit!r} and {in_.unit!r}; put a FlexiFilter between them"
     if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
-        raise WiringError(f"{where}: shapes differ: {out.shape} and {in_.shape}; put a FlexiFilter between them")
+        yield f"{where}: shapes differ: {out.shape} and {in_.shape}; put a FlexiFilter between them"
 
 
 def _shapes_agree(one: tuple[int, ...], other: tuple[int, ...]) -> bool:

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+from aiorts.system.arguments import option_params, parse_options
 from aiorts.system.build import Blueprint, build, prepare
+from aiorts.system.check import check, check_text
 from aiorts.system.ending import is_source, wait_finished
+from aiorts.system.findings import Finding
 from aiorts.system.frames import FrameInput, FrameOutput
+from aiorts.system.graph import FORMATS as GRAPH_FORMATS
+from aiorts.system.graph import graph
 from aiorts.system.load import load
 from aiorts.system.parse import parse
 from aiorts.system.pipes import StandardInput, StandardOutput
+from aiorts.system.schema import schema
 from aiorts.system.stream import LineStream
-from aiorts.system.values import ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
+from aiorts.system.values import ClockEntry, ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
 
 __all__ = (
+    "GRAPH_FORMATS",
     "Blueprint",
+    "ClockEntry",
     "ComponentEntry",
     "ConnectionEntry",
     "ContextEntry",
     "FrameInput",
     "FrameOutput",
+    "Finding",
     "LineStream",
     "Override",
     "StandardInput",
     "StandardOutput",
     "SystemFile",
     "build",
+    "check",
+    "check_text",
+    "graph",
     "is_source",
     "load",
+    "option_params",
     "parse",
+    "parse_options",
     "prepare",
+    "schema",
     "wait_finished",
 )

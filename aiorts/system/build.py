@@ -6,24 +6,20 @@ Only what depends on ports is found out later, because a component may make its 
 from __future__ import annotations
 
 import contextlib
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from aiorts.errors import AiortsError, ComponentError, ConfigurationError, PluginError, SystemFileError, WiringError
+from aiorts.errors import AiortsError, ComponentError, SystemFileError, WiringError
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
-from aiorts.kernel.offers import offer_from
-from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import Port
 from aiorts.model.lifecycle import LifeCycleState
-from aiorts.model.options import connector_profile
-from aiorts.system.load import component_type, parameters
-from aiorts.system.values import ConnectionEntry, ContextEntry, SystemFile
+from aiorts.system.survey import Survey, survey
+from aiorts.system.values import ConnectionEntry, SystemFile
 
 __all__ = ("Blueprint", "build", "prepare")
 
@@ -36,6 +32,7 @@ class Blueprint:
     types: Mapping[str, type[Component]]
     params: Mapping[str, Mapping[str, Any]]
     contexts: Mapping[str, Context]
+    catalogue: Catalogue
 
 
 def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint:
@@ -47,20 +44,23 @@ def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint
     Raises:
         SystemFileError, PluginError, ConfigurationError, WiringError: says where in the file, and what is wrong.
     """
-    if catalogue is None:
-        catalogue = Catalogue((*Catalogue.default().folders, *system.plugin_paths))
-    offer_from(catalogue)
-    types = {entry.name: component_type(system, entry, catalogue) for entry in system.components.values()}
-    params = {entry.name: parameters(system, entry, types[entry.name]) for entry in system.components.values()}
-    for connection in system.connections:
-        _check_options(system, connection)
-        _check_declared(system, connection, types)
-    contexts = {entry.name: _context(system, entry, catalogue) for entry in system.contexts.values()}
-    return Blueprint(system, types, params, contexts)
+    found = survey(system, catalogue)
+    _check_declared(found)
+    if found.faults:
+        first = found.faults[0]
+        where = (
+            first.where
+            if first.where.startswith("--set")
+            else f"{system.at(*first.key, of_key=first.of_key)}: {first.where}"
+        )
+        raise type(first.error)(f"{where}: {first.error}").like(first.error) from first.error.__cause__
+    return Blueprint(system, found.types, found.params, found.contexts, found.catalogue)
 
 
 async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     """Create the components, connect them, start the contexts and activate their members.
+
+    What the file's plugin folders offer the kernel has from then on, too: for components that are made later by name.
 
     A component whose `on_activated` raises is in error, as it would be later on; the others go on.
 
@@ -69,6 +69,8 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
         BaseException: what `on_initialize` of a component raises, with the component's name as a note.
     """
     plan = prepare(system) if isinstance(system, SystemFile) else system
+    folders = (*kernel.plugins.folders, *plan.catalogue.folders)
+    kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
     for entry in plan.system.components.values():
         try:
             await kernel.create(plan.types[entry.name], entry.name, **plan.params[entry.name])
@@ -133,52 +135,16 @@ def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, path:
     return found
 
 
-def _check_options(system: SystemFile, connection: ConnectionEntry) -> None:
-    try:
-        connector_profile(connection.place, connection.options, "", connection.ports)
-    except WiringError as error:
-        raise WiringError(f"{system.path}: {error}") from None
-
-
-def _check_declared(system: SystemFile, connection: ConnectionEntry, types: Mapping[str, type[Component]]) -> None:
+def _check_declared(found: Survey) -> None:
     """Refuse a port that its class does not declare, unless the class may make ports itself."""
-    for path in connection.ports:
-        component, _, name = path.partition(".")
-        cls = types[component]
-        declared = [port.name or attribute for attribute, port in cls._rt_port_declarations.items()]
-        if name in declared or not declared:
-            continue
-        near = get_close_matches(name, declared, n=1)
-        if near:
-            raise SystemFileError(
-                f"{system.path}: {connection.place}: {component} has no port {name!r}; did you mean {near[0]!r}?"
-            )
-
-
-def _context(system: SystemFile, entry: ContextEntry, catalogue: Catalogue) -> Context:
-    where = f"{system.path}: contexts.{entry.name}"
-    cls = _context_class(where, entry.kind, catalogue)
-    signature = inspect.signature(cls)
-    for key in entry.options:
-        if key == "name" or key not in signature.parameters:
-            known = [name for name in signature.parameters if name != "name"] + ["kind", "members", "activate"]
-            near = get_close_matches(key, known, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"a {entry.kind} context takes {', '.join(known)}"
-            raise SystemFileError(f"{where}: unknown key {key!r}; {hint}")
-    try:
-        context = cls(name=entry.name, **entry.options)
-    except (ConfigurationError, TypeError) as error:
-        raise ConfigurationError(f"{where}: {error}") from None
-    return context
-
-
-def _context_class(where: str, kind: str, catalogue: Catalogue) -> type[Context]:
-    offers = list(catalogue.extensions("contexts"))
-    if kind not in offers:
-        near = get_close_matches(kind, offers, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(offers)}"
-        raise SystemFileError(f"{where}.kind: unknown kind {kind[:80]!r}; {hint}")
-    found = load_extension("contexts", kind, catalogue)
-    if not (isinstance(found, type) and issubclass(found, Context)):
-        raise PluginError(f"{where}.kind: {kind} is no execution context")
-    return found
+    for connection in found.system.connections:
+        for path in connection.ports:
+            component, _, name = path.partition(".")
+            cls = found.types.get(component)
+            if cls is None:
+                continue
+            declared = [port.name or attribute for attribute, port in cls._rt_port_declarations.items()]
+            near = get_close_matches(name, declared, n=1)
+            if near and name not in declared:
+                what = f"{component} has no port {name!r}; did you mean {near[0]!r}?"
+                found.say(("connections", connection.number - 1), SystemFileError(what), connection.place)

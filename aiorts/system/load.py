@@ -8,19 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
 
-from aiorts.errors import ConfigurationError, PluginError, SystemFileError
-from aiorts.kernel.catalogue import Catalogue
+from aiorts.errors import AiortsError, ConfigurationError, PluginError, SystemFileError
+from aiorts.kernel.catalogue import Catalogue, Extension
 from aiorts.kernel.component import Component
-from aiorts.kernel.plugins import load_extension, load_file
+from aiorts.kernel.context import Context
+from aiorts.kernel.plugins import load_file
 from aiorts.model.configuration import validate
-from aiorts.system.parse import LARGEST, parse
+from aiorts.system.arguments import flag_of, parse_options
+from aiorts.system.parse import parse
+from aiorts.system.places import Key
+from aiorts.system.toml import read_text
 from aiorts.system.values import ComponentEntry, SystemFile
 
-__all__ = ("component_type", "load", "parameters")
+__all__ = ("check_inside", "component_type", "context_type", "load", "parameters")
+
+_MOST_FILES: Final = 10_000
 
 
 def load(path: str | Path, overrides: Iterable[str] = ()) -> SystemFile:
@@ -33,21 +40,7 @@ def load(path: str | Path, overrides: Iterable[str] = ()) -> SystemFile:
         SystemFileError: it cannot be read, is no system file, or refers to something that is not there.
     """
     where = Path(path)
-    try:
-        with where.open("rb") as file:
-            data = file.read(LARGEST + 1)
-    except OSError as error:
-        raise SystemFileError(f"{where}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise SystemFileError(f"{str(where)!r}: cannot be read: {error}") from None
-    if len(data) > LARGEST:
-        raise SystemFileError(f"{where}: larger than {LARGEST} bytes; a system file is not")
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise SystemFileError(f"{where}, line {line}: not UTF-8; save the file with that encoding") from None
-    return parse(text, where, overrides)
+    return parse(read_text(where), where, overrides)
 
 
 def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalogue) -> type[Component]:
@@ -57,70 +50,127 @@ def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalog
         SystemFileError: there is no such file or class.
         PluginError: no package offers it, or its file cannot be loaded.
     """
-    where = f"{system.path}: components.{entry.name}.type"
     if ":" not in entry.type:
-        try:
-            found = load_extension("components", entry.type, catalogue)
-        except PluginError as error:
-            raise PluginError(f"{where}: {error}") from error.__cause__
+        extension = catalogue.find("components", entry.type)
+        check_inside(system, extension)
+        found = extension.load()
     else:
         name, _, attribute = entry.type.partition(":")
-        module = _module(system, name, where)
+        module = _module(system, name)
         found = getattr(module, attribute, None)
         if found is None:
-            raise SystemFileError(f"{where}: {name} has no class {attribute!r}{_hint(attribute, module)}")
+            raise SystemFileError(f"{name} has no class {attribute!r}{_hint(attribute, module)}")
     if not (isinstance(found, type) and issubclass(found, Component)):
-        raise SystemFileError(f"{where}: {entry.type} is no class derived from Component")
+        raise SystemFileError(f"{entry.type} is no class derived from Component")
     return found
 
 
-def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) -> dict[str, Any]:
-    """The parameters of a component, converted and checked; a relative path in the file is counted from its folder.
+def context_type(system: SystemFile, kind: str, catalogue: Catalogue) -> type[Context]:
+    """The class of a kind of context. SystemFileError or PluginError when it cannot be had."""
+    offers = catalogue.extensions("contexts")
+    if kind not in offers:
+        near = get_close_matches(kind[:100], offers, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(offers)}"
+        raise SystemFileError(f"unknown kind {kind[:80]!r}; {hint}")
+    extension = catalogue.find("contexts", kind)
+    check_inside(system, extension)
+    found = extension.load()
+    if not (isinstance(found, type) and issubclass(found, Context)):
+        raise PluginError(f"{kind} is no execution context")
+    return found
+
+
+def check_inside(system: SystemFile, extension: Extension) -> None:
+    """Refuse a plugin with a link that leads out of the system file's folder: its code would come from elsewhere.
 
     Raises:
-        ConfigurationError: names every one that does not exist or is not allowed.
+        SystemFileError: names the link.
     """
+    if extension.folder is None or extension.folder not in _all_folders(system):
+        return
+    root = system.folder.resolve()
+    module = extension.target.partition(":")[0]
+    paths = iter((extension.folder / module,)) if module.endswith(".py") else extension.folder.rglob("*")
+    for path in (extension.folder, *islice(paths, _MOST_FILES)):
+        if path.is_symlink() and not path.resolve().is_relative_to(root):
+            raise SystemFileError(f"{path} leads out of the system file's folder; put the files themselves below it")
+
+
+def _all_folders(system: SystemFile) -> set[Path]:
+    return {folder for named in system.plugin_paths for folder in (named, *_folders_in(named))}
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    try:
+        return [path for path in folder.iterdir() if path.is_dir()]
+    except OSError:
+        return []
+
+
+def parameters(
+    system: SystemFile, entry: ComponentEntry, cls: type[Component]
+) -> tuple[dict[str, Any], list[tuple[Key, str, AiortsError]]]:
+    """The parameters of a component, converted and checked, and what is wrong: (key, "where", error).
+
+    A relative path in the file is counted from its folder. What the command line sets wins over the file.
+    """
+    key: Key = ("components", entry.name)
+    faults: list[tuple[Key, str, AiortsError]] = []
+    given: dict[str, tuple[Any, Key, str]] = {}
+    try:
+        of_options = parse_options(cls, entry.options)
+    except ConfigurationError as error:
+        faults.append(((*key, "options"), "", error))
+        of_options = {}
+    for name, value in of_options.items():
+        given[name] = (value, (*key, "options"), "")
+    for name, value in entry.params.items():
+        if name in of_options:
+            flag = flag_of(cls, name)
+            what = f"options ({flag}) and params.{name} both set {name}; take one of them away"
+            faults.append(((*key, "params", name), "", SystemFileError(what)))
+        given[name] = (value, (*key, "params", name), "")
     specs = cls._rt_parameter_specs
-    given: dict[str, Any] = dict(entry.params)
-    for name, value in given.items():
+    for name, (value, where, _) in given.items():
         spec = specs.get(name)
         if spec is not None and spec.type is Path and isinstance(value, str) and value:
-            given[name] = str(system.folder / value)
+            given[name] = (str(system.folder / value), where, "")
     for override in system.overrides:
         if override.component == entry.name:
-            given[override.param] = override.value
-    try:
-        return validate(specs, given, owner=entry.name)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{system.path}: {error}") from None
+            given[override.param] = (override.value, (), f"--set {override.text[:80]}")
+    checked: dict[str, Any] = {}
+    for name, (value, where, said) in given.items():
+        try:
+            checked |= validate(specs, {name: value}, owner=entry.name)
+        except ConfigurationError as error:
+            faults.append((where, said, error))
+    return checked, faults
 
 
-def _module(system: SystemFile, name: str, where: str) -> ModuleType:
-    path = _file(system, name, where)
+def _module(system: SystemFile, name: str) -> ModuleType:
+    path = _file(system, name)
     try:
         return load_file(path)
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(
-            f"{where}: {_place(error, path)} cannot be loaded: {type(error).__name__}: {error}"
-        ) from error
+        raise PluginError(f"{_place(error, path)} cannot be loaded: {type(error).__name__}: {error}") from error
 
 
-def _file(system: SystemFile, name: str, where: str) -> Path:
+def _file(system: SystemFile, name: str) -> Path:
     if not name.endswith(".py"):
-        raise SystemFileError(f"{where}: {name!r}: expected FILE.py:Class, or the name of an installed type")
+        raise SystemFileError(f"{name!r}: expected FILE.py:Class, or the name of an installed type")
     root = system.folder.resolve()
     for folder in system.plugin_paths:
         path = (folder / name).resolve()
         if not path.is_relative_to(root):
-            raise SystemFileError(f"{where}: {name!r} is outside the system file's folder; move the file below it")
+            raise SystemFileError(f"{name!r} is outside the system file's folder; move the file below it")
         if path.is_file():
             return path
     near = get_close_matches(
         Path(name).name, sorted({file.name for folder in system.plugin_paths for file in folder.glob("*.py")}), n=1
     )
-    raise SystemFileError(f"{where}: no file {name!r} below {root}{f'; did you mean {near[0]!r}?' if near else ''}")
+    raise SystemFileError(f"no file {name!r} below {root}{f'; did you mean {near[0]!r}?' if near else ''}")
 
 
 def _place(error: BaseException, path: Path) -> str:

@@ -8,7 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ("ComponentEntry", "ConnectionEntry", "ContextEntry", "Override", "SystemFile")
+from aiorts.system.places import Place, places_of
+
+__all__ = ("ClockEntry", "ComponentEntry", "ConnectionEntry", "ContextEntry", "Override", "SystemFile")
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -21,6 +23,8 @@ class ComponentEntry:
     type: str
     """`file.py:Class` below the system file's folder, or the name of an installed type."""
     params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    options: tuple[str, ...] = ()
+    """Parameters as its command line has them: "-i", "TimedDouble"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +56,16 @@ class ContextEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockEntry:
+    """`[clock]`: how time passes, unless the command line says otherwise."""
+
+    kind: str = "system"
+    """"system", "scaled" (`speed` times as fast) or "simulated"."""
+    speed: float | None = None
+    """Seconds of the system in one real second; None unless scaled."""
+
+
+@dataclass(frozen=True, slots=True)
 class Override:
     """`component.param=value` from a command line."""
 
@@ -76,6 +90,21 @@ class SystemFile:
     plugin_paths: tuple[Path, ...] = ()
     """Folders in which component files are looked for; none is outside the system file's folder."""
     overrides: tuple[Override, ...] = ()
+    clock: ClockEntry = ClockEntry()
+    text: str = field(default="", repr=False, compare=False)
+    """What was read; "" for a system that was not made of a text."""
+
+    def place(self, *key: str | int, of_key: bool = False) -> Place:
+        """Where the value of a key stands in the text, or the key itself: `place("contexts", "loop", "rate")`."""
+        places = places_of(self.text)
+        return places.key(key) if of_key else places.value(key)
+
+    def at(self, *key: str | int, of_key: bool = False) -> str:
+        """The same as a message has it: "system.toml:7:3"."""
+        if not self.text:
+            return str(self.path)
+        place = self.place(*key, of_key=of_key)
+        return f"{self.path}:{place.line}:{place.column}"
 
     @property
     def folder(self) -> Path:

@@ -53,6 +53,8 @@ BROAD_EXCEPT = {
     # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.
     "aiorts/contexts/thread.py:_run",
     "aiorts/system/load.py:_module",
+    # A check constructs components without a kernel: what their constructors raise is a finding.
+    "aiorts/system/draft.py:draft",
     "aiorts/timer_heap.py:run_due",
     # Making the codec of a plugin, and trying it on one record: what its own code does.
     "aiorts/wire/codecs.py:codec_of",

@@ -216,3 +216,46 @@ async def test_samples_that_nobody_wants_are_named_and_not_waited_for(make: Call
     async with Kernel() as kernel:
         await build(kernel, make(CHAIN.replace("parts.py:Sink", "parts.py:Deaf")))
         assert [connector.in_.path for connector in await wait_finished(kernel)] == ["sink.input"]
+
+
+async def test_options_of_a_command_line_make_the_same_component(make: Callable[..., SystemFile]) -> None:
+    text = """
+        schema = 1
+        [components.metres]
+        type = "FlexiFilter"
+        options = ["-i", "TimedDouble", "-o", "TimedLong", "-m", "0>1000>0"]
+        params.rounding = "floor"
+    """
+    async with Kernel() as kernel:
+        await build(kernel, make(text))
+        component = kernel.components["metres"]
+        assert {name: value for name, value in component.params.values_in_force.items() if value} == {
+            "inputs": ("TimedDouble",),
+            "outputs": ("TimedLong",),
+            "map": "0>1000>0",
+            "rounding": "floor",
+            "overflow": "error",
+            "nan": "pass",
+            "time": "oldest",
+        }
+        assert list(component.ports) == ["input0", "output0"]
+
+
+async def test_a_plugin_below_the_folder_offers_its_types_to_the_file_and_to_the_kernel(
+    make: Callable[..., SystemFile], tmp_path: Path
+) -> None:
+    folder = tmp_path / "plugins" / "grip"
+    module = f"grip_{tmp_path.name}"  # a module is imported once in a process
+    folder.mkdir(parents=True)
+    (folder / "pyproject.toml").write_text(
+        f'[project]\nname = "grip"\n[project.entry-points."aiorts.components"]\nGrip = "{module}:Grip"\n'
+    )
+    (folder / f"{module}.py").write_text("from aiorts import Component\nclass Grip(Component):\n    pass\n")
+    text = 'schema = 1\nplugins.path = [".", "plugins"]\n[components.one]\ntype = "Grip"\n'
+    async with Kernel() as kernel:
+        await build(kernel, make(text))
+        assert type(kernel.components["one"]).__name__ == "Grip"
+        later = await kernel.create("Grip", "two")
+        assert type(later) is type(kernel.components["one"])
+    with pytest.raises(PluginError, match="no component named 'Grip'"):
+        prepare(make(text.replace('".", "plugins"', '"."')))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts.errors import SystemFileError
-from aiorts.system import load, parse
+from aiorts.system import ClockEntry, load, parse
 from campaign import cases
 
 GOOD = """\
@@ -52,11 +52,11 @@ def test_a_system_file_says_who_is_joined_how_and_run_by_whom() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("schema = ", "line 1"),
-        ("schema = 1\nschema = 1\n", "line 2"),
-        ("schema = 1\na = " + "[" * 100_000, "line 2"),
-        ("schema = 1\n" + "a." * 20_000 + "b = 1", "line 2"),
-        ("schema = 1\na = " + "1" * 5_000, "not valid TOML"),
+        ("schema = ", "system.toml:1:"),
+        ("schema = 1\nschema = 1\n", "system.toml:2:"),
+        ("schema = 1\na = " + "[" * 100_000, "system.toml:2:"),
+        ("schema = 1\n" + "a." * 20_000 + "b = 1", "system.toml:2:"),
+        ("schema = 1\na = " + "1" * 5_000, "system.toml:2:5: not valid TOML"),
         ("x = 1\n" * 500_000, "larger than"),
     ],
     ids=["syntax", "twice", "nested", "dotted", "digits", "large"],
@@ -76,7 +76,7 @@ def test_a_byte_order_mark_is_no_mistake() -> None:
 def test_bytes_that_are_no_text_are_refused_with_their_line(tmp_path: Path) -> None:
     file = tmp_path / "s.toml"
     file.write_bytes(b"schema = 1\n# caf\xe9\n")
-    with pytest.raises(SystemFileError, match=r"line 2: not UTF-8"):
+    with pytest.raises(SystemFileError, match=r"s.toml:2:6: not UTF-8"):
         load(file)
     with pytest.raises(SystemFileError, match="cannot be read"):
         load(tmp_path / "missing.toml")
@@ -88,7 +88,7 @@ def test_bytes_that_are_no_text_are_refused_with_their_line(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("schema = 1", "schema = 2", "expected schema = 1"),
+        ("schema = 1", "schema = 2", "this aiorts reads schema = 1 alone; update aiorts"),
         ("schema = 1", "scheme = 1", "schema"),
         ("[components.pid0]", "[component.pid0]", "did you mean 'components'"),
         ("[[connections]]", "[[connection]]", "did you mean 'connections'"),
@@ -126,6 +126,56 @@ def test_a_bad_override_is_refused(text: str) -> None:
 def test_a_plugin_folder_outside_is_refused() -> None:
     with pytest.raises(SystemFileError, match="outside the system file's folder"):
         parse('schema = 1\n[plugins]\npath = [".."]\n', HERE)
+
+
+@pytest.mark.parametrize(
+    ("text", "clock"),
+    [
+        ("", ClockEntry("system")),
+        ('[clock]\nkind = "system"\n', ClockEntry("system")),
+        ('[clock]\nkind = "simulated"\n', ClockEntry("simulated")),
+        ('[clock]\nkind = "scaled"\nspeed = 10\n', ClockEntry("scaled", 10.0)),
+        ("[clock]\nspeed = 0.5\n", ClockEntry("scaled", 0.5)),
+    ],
+)
+def test_a_system_says_how_time_passes(text: str, clock: ClockEntry) -> None:
+    assert parse(GOOD + text, HERE).clock == clock
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('kind = "scale"', "did you mean 'scaled'"),
+        ('kind = "scaled"', "speed is missing"),
+        ('kind = "simulated"\nspeed = 2.0', 'only a clock of kind = "scaled" has a speed'),
+        ("speed = 0", "expected a number above 0"),
+        ("speed = inf", "expected a number above 0"),
+        ("speed = nan", "expected a number above 0"),
+        ("speed = true", "expected a number above 0"),
+        ("spede = 2.0", "did you mean 'speed'"),
+    ],
+)
+def test_a_clock_that_cannot_be_is_refused(text: str, said: str) -> None:
+    with pytest.raises(SystemFileError, match=said):
+        parse(f"{GOOD}[clock]\n{text}\n", HERE)
+
+
+@pytest.mark.parametrize(
+    ("written", "options"),
+    [
+        ('["-i", "TimedDouble", "-m", "0>1000>0"]', ("-i", "TimedDouble", "-m", "0>1000>0")),
+        ("\"-i TimedDouble -m '0 > 1000 > 0'\"", ("-i", "TimedDouble", "-m", "0 > 1000 > 0")),
+        ('["-r", 50, "-s", 2.5]', ("-r", "50", "-s", "2.5")),
+        ("[]", ()),
+    ],
+)
+def test_options_are_a_list_or_one_text(written: str, options: tuple[str, ...]) -> None:
+    text = GOOD.replace('type = "Plant"', f'type = "Plant"\noptions = {written}')
+    assert parse(text, HERE).components["plant0"].options == options
+
+
+def test_only_a_time_out_may_be_for_ever() -> None:
+    assert parse(GOOD.replace("= 4", "= inf"), HERE).connections[0].options["dataport.buffer.length"] == float("inf")
 
 
 @pytest.mark.fault("F01")

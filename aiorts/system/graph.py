@@ -1,0 +1,117 @@
+"""A system as text that draws itself: Mermaid, DOT, or SVG that needs no other program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from aiorts.kernel.catalogue import Catalogue
+from aiorts.system.layout import Box, Picture, names_of, picture
+from aiorts.system.svg import svg
+from aiorts.system.values import SystemFile
+
+__all__ = ("FORMATS", "graph")
+
+FORMATS: Final = ("mermaid", "dot", "svg")
+
+
+def graph(system: SystemFile, form: str = "mermaid", catalogue: Catalogue | None = None) -> str:
+    """The system as a drawing: components with their ports, grouped by context, and the connectors.
+
+    Args:
+        form: "mermaid", "dot" or "svg".
+        catalogue: where types come from; installed packages and the file's plugin folders by default.
+
+    Raises:
+        ValueError: there is no such form.
+    """
+    if form not in FORMATS:
+        raise ValueError(f"form = {form!r}: expected {', '.join(FORMATS)}")
+    return _WRITERS[form](picture(system, catalogue))
+
+
+# -- Mermaid -----------------------------------------------------------------------------------------------------------
+
+
+def _mermaid(seen: Picture) -> str:
+    ids = names_of(seen)
+    lines = ["flowchart LR"]
+    for number, group in enumerate(seen.groups):
+        lines.append(f'  subgraph g{number}["{_entities(group.title)}"]')
+        lines += [f'    {ids[box.name]}["{_mermaid_box(box)}"]' for box in group.boxes]
+        lines.append("  end")
+    for arrow in seen.arrows:
+        label = f"{arrow.source[1]} → {arrow.target[1]}" + (f"<br/>{_entities(arrow.label)}" if arrow.label else "")
+        lines.append(f'  {ids[arrow.source[0]]} -->|"{label}"| {ids[arrow.target[0]]}')
+    return "\n".join(lines) + "\n"
+
+
+def _mermaid_box(box: Box) -> str:
+    rows = [f"<b>{box.name}</b>", _entities(box.type)]
+    rows += [f"{'▶' if pin.out else '◀'} {_entities(_pin(pin.name, pin.type))}" for pin in box.pins]
+    return "<br/>".join(rows)
+
+
+def _pin(name: str, kind: str) -> str:
+    return f"{name}: {kind}" if kind else name
+
+
+def _entities(text: str) -> str:
+    """Text inside Mermaid's quotes: whatever means something to it as a number."""
+    return "".join(c if c.isalnum() or c in " _-.,:/()→" else f"#{ord(c)};" for c in text)
+
+
+# -- DOT ---------------------------------------------------------------------------------------------------------------
+
+
+def _dot(seen: Picture) -> str:
+    ids = names_of(seen)
+    ports = {
+        (box.name, pin.name, pin.out): f"{'o' if pin.out else 'i'}{number}"
+        for box in seen.boxes
+        for number, pin in enumerate(box.pins)
+    }
+    lines = [
+        "digraph system {",
+        "  rankdir=LR;",
+        '  node [shape=record, fontname="sans-serif", fontsize=11];',
+        '  edge [fontname="sans-serif", fontsize=9];',
+    ]
+    for number, group in enumerate(seen.groups):
+        lines += [f"  subgraph cluster_{number} {{", f"    label={_quoted(group.title)};", "    style=rounded;"]
+        lines += [f"    {ids[box.name]} [label={_dot_box(box, ports)}];" for box in group.boxes]
+        lines.append("  }")
+    for arrow in seen.arrows:
+        (here, out), (there, in_) = arrow.source, arrow.target
+        label = f" [label={_quoted(arrow.label)}]" if arrow.label else ""
+        ends = f"{ids[here]}:{ports[here, out, True]}:e -> {ids[there]}:{ports[there, in_, False]}:w"
+        lines.append(f"  {ends}{label};")
+    lines.append("}")
+    return "\n".join(lines) + "\n"
+
+
+def _dot_box(box: Box, ports: dict[tuple[str, str, bool], str]) -> str:
+    sides = [
+        "|".join(
+            f"<{ports[box.name, pin.name, out]}> {_record(_pin(pin.name, pin.type))}"
+            for pin in box.pins
+            if pin.out is out
+        )
+        for out in (False, True)
+    ]
+    middle = f"{_record(box.name)}\\n{_record(box.type)}"
+    parts = [f"{{{side}}}" if side else "" for side in sides]
+    # Record fields stand below one another in this direction of ranks; each pair of braces turns them.
+    return '"{' + "|".join(part for part in (parts[0], middle, parts[1]) if part) + '}"'
+
+
+def _record(text: str) -> str:
+    """Text in a label of shape record, inside quotes."""
+    return "".join(f"\\{c}" if c in '\\{}|<>"' else c for c in text)
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+_WRITERS: Final[dict[str, Callable[[Picture], str]]] = {"mermaid": _mermaid, "dot": _dot, "svg": svg}

@@ -1,0 +1,188 @@
+"""Drawings of a system: everything is in them, and each is valid in its language, whatever a type is called."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from aiorts import Catalogue
+from aiorts.system import GRAPH_FORMATS, graph, load, parse
+from campaign import cases
+from system_parts import CHAIN
+
+CATALOGUE = Catalogue()
+ROOT = Path(__file__).parents[2]
+EXAMPLES = sorted((ROOT / "examples").rglob("system.toml"))
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def test_mermaid_has_contexts_components_ports_and_connectors(tmp_path: Path, write: Callable[..., Path]) -> None:
+    text = CHAIN.replace("length = 4", 'subscription = "new"\npush = "skip"').replace("100.0", "12.5")
+    assert graph(load(write(text))) == (
+        "flowchart LR\n"
+        '  subgraph g0["fast: periodic, 12.5 Hz"]\n'
+        '    c0["<b>source</b><br/>Source<br/>▶ out: TimedLong"]\n'
+        "  end\n"
+        '  subgraph g1["rest: event"]\n'
+        '    c1["<b>middle</b><br/>Middle<br/>◀ input: TimedLong<br/>▶ output: TimedLong"]\n'
+        '    c2["<b>sink</b><br/>Sink<br/>◀ input: TimedLong"]\n'
+        "  end\n"
+        '  c0 -->|"out → input<br/>new, skip"| c1\n'
+        '  c1 -->|"output → input"| c2\n'
+    )
+
+
+def test_dot_joins_port_with_port(write: Callable[..., Path]) -> None:
+    text = graph(load(write(CHAIN.replace("length = 4", 'subscription = "periodic"\npush_rate = 5'))), "dot")
+    assert '    c0 [label="{source\\nSource|{<o0> out: TimedLong}}"];\n' in text
+    assert '  c0:o0:e -> c1:i0:w [label="periodic, 5 Hz"];\n' in text
+    assert "  c1:o1:e -> c2:i0:w;\n" in text
+
+
+def test_a_component_in_several_contexts_or_in_none_is_drawn_once(write: Callable[..., Path]) -> None:
+    text = CHAIN.replace('["middle", "sink"]', '["middle", "source"]')
+    drawn = graph(load(write(text)))
+    assert drawn.count("<b>source</b>") == 1
+    assert "Source (also in rest)" in drawn
+    assert 'subgraph g2["in no context"]\n    c2["<b>sink</b>' in drawn
+
+
+def boxes_of(document: str) -> list[tuple[float, float, float, float]]:
+    root = ElementTree.fromstring(document)
+    return [
+        (*(float(one.get(key, "")) for key in ("x", "y", "width", "height")),)  # type: ignore[misc]
+        for one in root.iter(f"{SVG}rect")
+        if one.get("class") == "box"
+    ]
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.parent.name)
+def test_svg_is_well_formed_within_its_frame_and_no_box_covers_another(path: Path) -> None:
+    document = graph(load(path), "svg")
+    root = ElementTree.fromstring(document)
+    width, height = float(root.get("width", "")), float(root.get("height", ""))
+    boxes = boxes_of(document)
+    assert len(boxes) == document.count('class="name"')
+    for x, y, wide, high in boxes:
+        assert x >= 0
+        assert x + wide <= width
+        assert y >= 0
+        assert y + high <= height
+    for number, (x, y, wide, high) in enumerate(boxes):
+        for other_x, other_y, other_wide, other_high in boxes[:number]:
+            apart = x >= other_x + other_wide or other_x >= x + wide or y >= other_y + other_high or other_y >= y + high
+            assert apart
+    assert document == graph(load(path), "svg")
+
+
+def test_the_roomba_flows_from_left_to_right() -> None:
+    document = graph(load(ROOT / "examples" / "roomba" / "system.toml"), "svg")
+    names = re.findall(r'class="name" x="([\d.]+)"[^>]*>(\w+)<', document)
+    where = {name: float(x) for x, name in names}
+    assert where["imu"] < where["odometry"] < where["metres"] < where["checker"]
+    assert where["imu"] < where["turn_rate"] < where["show"]
+    assert document.count('<path class="wire"') == 7
+
+
+def test_another_form_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected mermaid, dot, svg"):
+        graph(parse("schema = 1\n", Path("s.toml")), "png")
+
+
+def test_an_empty_system_is_a_drawing_too() -> None:
+    for form in GRAPH_FORMATS:
+        assert graph(parse("schema = 1\n", Path("s.toml")), form)
+
+
+def test_a_long_chain_with_a_way_back_is_laid_out_without_end_of_recursion() -> None:
+    names = [f"c{n}" for n in range(1500)]
+    text = "schema = 1\n" + "".join(f'[components.{name}]\ntype = "x.py:X"\n' for name in names)
+    ends = [*pairwise(names), (names[-1], names[0])]
+    text += "".join(f'[[connections]]\nfrom = "{one}.o"\nto = "{two}.i"\n' for one, two in ends)
+    document = graph(parse(text, Path("s.toml")), "svg")
+    assert document.count('class="box"') == 1500
+    ElementTree.fromstring(document)
+
+
+NASTY = st.text(st.sampled_from("ab<>&\"'\\{}|[]#;%-→\n\t\x00é(`~"), min_size=1, max_size=12)
+
+
+@st.composite
+def systems(draw: st.DrawFn) -> str:
+    """Systems of any shape, with types and options that mean something to the languages of drawings."""
+    import json
+
+    count = draw(st.integers(1, 5))
+    names = [f"n{number}" for number in range(count)]
+    text = "schema = 1\n"
+    for name in names:
+        text += f"[components.{name}]\ntype = {json.dumps(draw(NASTY), ensure_ascii=True)}\n"
+    for _ in range(draw(st.integers(0, 6))):
+        one, two = draw(st.sampled_from(names)), draw(st.sampled_from(names))
+        option = draw(st.sampled_from(["", 'subscription = "new"\n', 'full = "block"\n']))
+        text += f'[[connections]]\nfrom = "{one}.o{draw(st.integers(0, 1))}"\nto = "{two}.i"\n{option}'
+    for number in range(draw(st.integers(0, 3))):
+        members = draw(st.lists(st.sampled_from(names), unique=True))
+        kind = json.dumps(draw(NASTY), ensure_ascii=True)
+        text += f"[contexts.x{number}]\nkind = {kind}\nmembers = {json.dumps(members)}\n"
+    return text
+
+
+TEXT = r'"(?:[^"\\\n]|\\.)*"'
+DOT = (
+    r"digraph system \{",
+    r"  rankdir=LR;",
+    rf"  (?:node|edge) \[(?:\w+=(?:\w+|{TEXT})(?:, )?)+\];",
+    r"  subgraph cluster_\d+ \{",
+    rf"    label={TEXT};",
+    r"    style=rounded;",
+    rf"    c\d+ \[label={TEXT}\];",
+    r"  \}",
+    rf"  c\d+:o\d+:e -> c\d+:i\d+:w(?: \[label={TEXT}\])?;",
+    r"\}",
+)
+SAFE = r'[^"#;\n]|#\d+;'
+MERMAID = (
+    r"flowchart LR",
+    rf'  subgraph g\d+\["(?:{SAFE})*"\]',
+    rf'    c\d+\["<b>\w+</b><br/>(?:{SAFE})*"\]',
+    r"  end",
+    rf'  c\d+ -->\|"(?:{SAFE})*"\| c\d+',
+)
+
+
+def fits(line: str, forms: tuple[str, ...]) -> bool:
+    return any(re.fullmatch(form, line) for form in forms)
+
+
+def records_are_balanced(label: str) -> bool:
+    """Braces of a record label, without the escaped ones, open and close in order."""
+    depth = 0
+    for c in re.sub(r"\\.", "", label):
+        depth += (c == "{") - (c == "}")
+        if depth < 0:
+            return False
+    return depth == 0
+
+
+@given(systems())
+@settings(max_examples=cases(5_000))
+@pytest.mark.timeout(600)
+def test_whatever_a_type_is_called_each_drawing_is_valid(text: str) -> None:
+    system: Any = parse(text, Path("nowhere/s.toml"))
+    assert all(fits(line, MERMAID) for line in graph(system, "mermaid", CATALOGUE).splitlines())
+    dot = graph(system, "dot", CATALOGUE)
+    assert all(fits(line, DOT) for line in dot.splitlines())
+    assert all(records_are_balanced(label) for label in re.findall(rf"c\d+ \[label=({TEXT})\]", dot))
+    document = graph(system, "svg", CATALOGUE)
+    root = ElementTree.fromstring(document)
+    assert len(boxes_of(document)) == len(system.components)
+    assert sum(one.get("class") == "wire" for one in root.iter(f"{SVG}path")) == len(system.connections)
