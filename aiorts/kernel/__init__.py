@@ -9,6 +9,20 @@ from aiorts.kernel.connector import Connector
 from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.parameters import Param
-from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports import InPort, OutPort, Provided, Required, ServicePort
+from aiorts.kernel.service_wiring import ServiceConnector
 
-__all__ = ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param")
+__all__ = (
+    "Bus",
+    "Component",
+    "Connector",
+    "Context",
+    "InPort",
+    "Kernel",
+    "OutPort",
+    "Param",
+    "Provided",
+    "Required",
+    "ServiceConnector",
+    "ServicePort",
+)

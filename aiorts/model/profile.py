@@ -22,7 +22,12 @@ __all__ = (
     "ContextProfile",
     "ContextStatistics",
     "HookStatistics",
+    "InterfaceProfile",
+    "MethodProfile",
+    "ParameterProfile",
     "PortProfile",
+    "ServiceConnectorProfile",
+    "ServiceStatistics",
 )
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -72,8 +77,90 @@ class ConnectorStatistics:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterProfile:
+    """One parameter of a method of a service."""
+
+    name: str
+    type: str = ""
+    """As it is written; empty where it is not."""
+    default: str | None = None
+    """As it is written; None where a value has to be given."""
+    kind: str = "either"
+    """How it is given: "position", "keyword" or "either"."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodProfile:
+    """One method of a service."""
+
+    name: str
+    parameters: tuple[ParameterProfile, ...] = ()
+    returns: str = ""
+    doc: str = ""
+    plain: bool = False
+    """Whether it is a plain `def`, which never waits."""
+
+    def __str__(self) -> str:
+        parts = [
+            f"{parameter.name}{': ' if parameter.type else ''}{parameter.type}"
+            f"{'' if parameter.default is None else ' = ' + parameter.default}"
+            for parameter in self.parameters
+        ]
+        arrow = f" -> {self.returns}" if self.returns else ""
+        return f"{'' if self.plain else 'async '}{self.name}({', '.join(parts)}){arrow}"
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceProfile:
+    """One interface of a service port."""
+
+    name: str
+    """Of the instance: unique in its port."""
+    polarity: str
+    """ "provided" or "required"."""
+    type: str
+    methods: tuple[MethodProfile, ...] = ()
+    bound_to: tuple[str, ...] = ()
+    """Paths of the interfaces at the other ends, in the order of connection."""
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConnectorProfile:
+    """What two service ports agreed on."""
+
+    name: str
+    ports: tuple[str, ...] = ()
+    mapping: tuple[tuple[str, str], ...] = ()
+    """Each required interface with the provided one that answers it, as paths."""
+    strict: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceStatistics:
+    """The calls of one interface; times in nanoseconds, from asking to the answer, all waiting included."""
+
+    calls: int = 0
+    """Calls that have ended, in whatever way."""
+    failures: int = 0
+    """Of these: the provider raised, or answered with a wrong type."""
+    timeouts: int = 0
+    refused: int = 0
+    """Of these: nobody was there, was not active, or would have waited for himself."""
+    cancelled: int = 0
+    """Of these: whoever called was cancelled."""
+    total_ns: int = 0
+    max_ns: int = 0
+
+    @property
+    def mean_ns(self) -> float:
+        """The mean duration; 0 without a call."""
+        return self.total_ns / self.calls if self.calls else 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class PortProfile:
-    """What a port is: direction "in" or "out", type name, unit, shape, connectors by name."""
+    """What a port is: direction "in", "out" or "service", type name, unit, shape, connectors by name."""
 
     name: str
     direction: str
@@ -82,6 +169,8 @@ class PortProfile:
     shape: tuple[int, ...] | None = None
     doc: str = ""
     connectors: tuple[str, ...] = ()
+    interfaces: tuple[InterfaceProfile, ...] = ()
+    """Of a service port."""
 
 
 @dataclass(frozen=True, slots=True)
