@@ -16,7 +16,7 @@ from aiorts.kernel.blocking import PortLock
 from aiorts.kernel.hooks import HookKind
 from aiorts.kernel.life import Action, Call, Steps
 from aiorts.kernel.service_ends import Required
-from aiorts.kernel.service_port import ServicePort
+from aiorts.kernel.service_port import ServiceEnd, ServicePort
 from aiorts.kernel.tasks import kernel_task
 
 if TYPE_CHECKING:
@@ -114,11 +114,12 @@ class _Blocked:
         self.error: BaseException | None = None
         self.task: asyncio.Task[None] | None = None
 
-    def wake(self) -> None:
-        """The task has its outcome, or the thread is to stop waiting."""
+    def wake(self, value: Any, error: BaseException | None) -> None:
+        """The task has its outcome, or the thread is to stop waiting: what came first counts."""
         with self.lock:
-            self.done = True
-            self.lock.notify_all()
+            if not self.done:
+                self.value, self.error, self.done = value, error, True
+                self.lock.notify_all()
 
 
 def _blocked(required: Required[Any], ask: Callable[[], Awaitable[Any]]) -> Any:
@@ -132,12 +133,14 @@ def _blocked(required: Required[Any], ask: Callable[[], Awaitable[Any]]) -> Any:
     blocked = _Blocked()
 
     async def run() -> None:
+        value = None
+        error: BaseException | None = None
         try:
-            blocked.value = await ask()
+            value = await ask()
         except BaseException as raised:  # noqa: BLE001 - it goes on to the thread that waits for it
-            blocked.error = raised
-        required._blocked.discard(blocked)
-        blocked.wake()
+            error = raised
+        # A CancelledError of the loop means nothing to a thread.
+        blocked.wake(value, _given_up(required) if isinstance(error, asyncio.CancelledError) else error)
 
     def begin() -> None:
         if blocked.done:
@@ -150,7 +153,12 @@ def _blocked(required: Required[Any], ask: Callable[[], Awaitable[Any]]) -> Any:
 
     required._blocked.add(blocked)
     kernel.loop.call_soon_threadsafe(begin)
-    host.wait_in_thread(blocked.lock, lambda: blocked.done, None)
+    if host.stopping:
+        blocked.wake(None, _given_up(required))
+    try:
+        host.wait_in_thread(blocked.lock, lambda: blocked.done, None)
+    finally:
+        required._blocked.discard(blocked)
     if blocked.error is not None:
         raise blocked.error
     return blocked.value
@@ -160,8 +168,10 @@ def give_up_waiting(port: ServicePort) -> None:
     """The thread is to stop: whatever its hooks wait for here ends with ClosedError."""
     for end in port.interfaces:
         for blocked in tuple(end._blocked):
+            blocked.wake(None, _given_up(end))
             if blocked.task is not None:
                 blocked.task.cancel()
-            blocked.error = ClosedError(f"{end.path}: its context stops; the call was given up")
-            end._blocked.discard(blocked)
-            blocked.wake()
+
+
+def _given_up(end: ServiceEnd[Any]) -> ClosedError:
+    return ClosedError(f"{end.path}: its context or kernel stops; the call was given up")
