@@ -25,7 +25,6 @@ from aiorts.kernel.hooks import HookKind, bad_return, coroutine_hooks
 from aiorts.kernel.life import Action, Batch, Call, Step, Wait
 from aiorts.kernel.ports import InPort, ServicePort
 from aiorts.kernel.service_ends import unanswerable
-from aiorts.kernel.service_thread import give_up_waiting
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -189,6 +188,8 @@ class ThreadDriver:
             member.component._rt_host.stopping = True
             for port in member.component.ports.values():
                 if isinstance(port, ServicePort):
+                    from aiorts.kernel.service_thread import give_up_waiting  # late: few threads call services
+
                     give_up_waiting(port)
                     continue
                 for connector in port.connectors:

@@ -10,7 +10,7 @@ from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.parameters import Param
 from aiorts.kernel.ports import InPort, OutPort, Provided, Required, ServicePort
-from aiorts.kernel.service_wiring import ServiceConnector
+from aiorts.kernel.service_port import ServiceConnector
 
 __all__ = (
     "Bus",

@@ -17,7 +17,8 @@ from aiorts.errors import DeclarationError
 if TYPE_CHECKING:
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
-    from aiorts.model.profile import ConnectorProfile, PortProfile, ServiceConnectorProfile
+    from aiorts.model.profile import ConnectorProfile, PortProfile
+    from aiorts.model.service_profile import ServiceConnectorProfile
 
 __all__ = (
     "Bus",

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import WiringError
-from aiorts.kernel import service_wiring, wiring
+from aiorts.kernel import wiring
 from aiorts.kernel.bus import Connected, Disconnected
+from aiorts.kernel.service_port import ServiceConnector, is_service
 from aiorts.kernel.service_visit import Calls
-from aiorts.kernel.service_wiring import ServiceConnector
 from aiorts.model.numbering import Numbering
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Connections:
         Raises:
             WiringError: says which ports or options do not go together; nothing was connected.
         """
-        if any(service_wiring.is_service(port) for port in ports):
+        if any(map(is_service, ports)):
             return self._make_services(ports, options)
         plans = wiring.plan(self._kernel, ports, options)
         made = []
@@ -50,6 +50,8 @@ class Connections:
         return made
 
     def _make_services(self, ports: Sequence[Any], options: Mapping[str, Any]) -> list[Any]:
+        from aiorts.kernel import service_wiring  # late: most systems have no services
+
         plans = service_wiring.connect(self._kernel, ports, options)
         made = []
         for path, plan in plans:

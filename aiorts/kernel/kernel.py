@@ -37,7 +37,7 @@ from aiorts.model.numbering import Numbering
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import Cancellable
-    from aiorts.kernel.service_wiring import ServiceConnector
+    from aiorts.kernel.service_port import ServiceConnector
 
 __all__ = ("Kernel",)
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 from aiorts.errors import DeclarationError, ServiceError, StateError, WiringError
 from aiorts.kernel.service_port import ServiceEnd, ServicePort
-from aiorts.model.interface import Method, differences, read_method
 from aiorts.model.names import check_name
 
 if TYPE_CHECKING:
@@ -87,7 +86,9 @@ class Provided(ServiceEnd[I], Generic[I]):
 
     def _check(self, provider: object, where: str) -> dict[str, Callable[..., Any]]:
         """The provider's methods; DeclarationError unless they answer the interface."""
-        has: dict[str, Method] = {}
+        from aiorts.model.interface import differences, read_method
+
+        has = {}
         found: dict[str, Callable[..., Any]] = {}
         is_class = isinstance(provider, type) and self.provider is None
         for name in self.spec.methods:

@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from aiorts.errors import ClosedError, DeclarationError
 from aiorts.kernel.port import Port
-from aiorts.model.interface import Interface, read_interface, spelled
-from aiorts.model.profile import InterfaceProfile, PortProfile, ServiceStatistics
+from aiorts.model.profile import InterfaceProfile, PortProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
-    from aiorts.kernel.service_wiring import Link, ServiceConnector
+    from aiorts.kernel.service_wiring import Link
+    from aiorts.model.interface import Interface
+    from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
 
-__all__ = ("ServiceEnd", "ServicePort", "Tally")
+__all__ = ("ServiceConnector", "ServiceEnd", "ServicePort", "Tally", "is_service")
 
 I = TypeVar("I")  # noqa: E741 - an interface
 E = TypeVar("E", bound="ServiceEnd[Any]")
@@ -216,6 +217,8 @@ class ServiceEnd(Generic[I]):
     @property
     def statistics(self) -> ServiceStatistics:
         """The calls through this interface so far."""
+        from aiorts.model.service_profile import ServiceStatistics
+
         tally = self._tally
         return ServiceStatistics(
             tally.calls,
@@ -265,10 +268,46 @@ class _Of:
         self._interface = interface
 
     def __call__(self, *args: Any, **options: Any) -> ServiceEnd[Any]:
+        from aiorts.model.interface import read_interface  # late: most components have no services
+
         end = self._kind.__new__(self._kind)
         end._interface = self._interface, read_interface(self._interface)
         end.__init__(*args, **options)  # type: ignore[misc] # as the class would, once it knows the interface
         return end
 
     def __repr__(self) -> str:
-        return f"{self._kind.__name__}[{spelled(self._interface)}]"
+        return f"{self._kind.__name__}[{getattr(self._interface, '__name__', self._interface)}]"
+
+
+class ServiceConnector:
+    """One live connection of two service ports."""
+
+    def __init__(self, profile: ServiceConnectorProfile, ports: tuple[ServicePort, ServicePort]) -> None:
+        self.profile = profile
+        self.ports = ports
+        self.closed = False
+        self._links: tuple[Link, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Unique in its kernel."""
+        return self.profile.name
+
+    def __repr__(self) -> str:
+        pairs = ", ".join(f"{required} -> {provided}" for required, provided in self.profile.mapping)
+        return f"<ServiceConnector {self.name} {pairs}{' closed' if self.closed else ''}>"
+
+    def _close(self) -> None:
+        self.closed = True
+        for link in self._links:
+            link.closed = True
+            link.required._links = tuple(other for other in link.required._links if other is not link)
+            link.provided._links = tuple(other for other in link.provided._links if other is not link)
+            link.end_calls("was disconnected")
+        for port in self.ports:
+            port._services = tuple(other for other in port._services if other is not self)
+
+
+def is_service(port: object) -> bool:
+    """Whether this is an end of a service."""
+    return isinstance(port, ServicePort | ServiceEnd)

@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import DeclarationError, InterfaceMismatch, WiringError
 from aiorts.kernel.port import Port
 from aiorts.kernel.service_ends import Provided, Required
-from aiorts.kernel.service_port import ServiceEnd, ServicePort
+from aiorts.kernel.service_port import ServiceConnector, ServiceEnd, ServicePort, is_service
 from aiorts.kernel.service_proxy import make_proxy
 from aiorts.kernel.service_visit import Visit
 from aiorts.model.interface import Method, check_of, differences, spelled
 from aiorts.model.options import SERVICE_KEYS, is_yes
-from aiorts.model.profile import ServiceConnectorProfile
+from aiorts.model.service_profile import ServiceConnectorProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.service_call import ServiceCall
 
-__all__ = ("Answer", "Link", "Plan", "ServiceConnector", "connect", "is_service")
+__all__ = ("Answer", "Link", "Plan", "connect")
 
 _NOBODY: Final = ("", "nil", "null", None)
 """What a mapping says of an interface that is to stay unbound; the words are OpenRTM's."""
@@ -114,40 +114,6 @@ class Link:
         """Tell those who wait, and cancel what runs for them."""
         for call in tuple(self.calls):
             call.end(reason)
-
-
-class ServiceConnector:
-    """One live connection of two service ports."""
-
-    def __init__(self, profile: ServiceConnectorProfile, ports: tuple[ServicePort, ServicePort]) -> None:
-        self.profile = profile
-        self.ports = ports
-        self.closed = False
-        self._links: tuple[Link, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """Unique in its kernel."""
-        return self.profile.name
-
-    def __repr__(self) -> str:
-        pairs = ", ".join(f"{required} -> {provided}" for required, provided in self.profile.mapping)
-        return f"<ServiceConnector {self.name} {pairs}{' closed' if self.closed else ''}>"
-
-    def _close(self) -> None:
-        self.closed = True
-        for link in self._links:
-            link.closed = True
-            link.required._links = tuple(other for other in link.required._links if other is not link)
-            link.provided._links = tuple(other for other in link.provided._links if other is not link)
-            link.end_calls("was disconnected")
-        for port in self.ports:
-            port._services = tuple(other for other in port._services if other is not self)
-
-
-def is_service(port: object) -> bool:
-    """Whether this is an end of a service."""
-    return isinstance(port, ServicePort | ServiceEnd)
 
 
 def connect(kernel: Kernel, given: Sequence[Any], options: Mapping[str, Any]) -> list[tuple[str, Plan]]:
