@@ -77,10 +77,10 @@ class Component:
                 check_name(value.name or attribute, "port")
             elif isinstance(value, ServiceEnd):
                 cls._rt_port_declarations[attribute] = value
-                check_declared(cls, attribute, value)
             elif isinstance(value, Declared):
                 cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
+        check_declared(cls)
 
     def __init__(self, name: str = "") -> None:
         if name:

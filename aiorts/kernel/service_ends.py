@@ -219,11 +219,13 @@ def checked_seconds(where: str, seconds: float) -> float:
     return float(seconds)
 
 
-def check_declared(cls: type[Any], attribute: str, end: ServiceEnd[Any]) -> None:
-    """Raise DeclarationError unless what a component class declares can be provided by it."""
-    check_name(end.name or attribute, "port")
-    if isinstance(end, Provided) and end.provider is None:
-        end._check(cls, f"{cls.__qualname__}.{attribute}")
+def check_declared(cls: type[Component]) -> None:
+    """Raise DeclarationError unless what a component class declares, or inherits, can be provided by it."""
+    for attribute, end in cls._rt_port_declarations.items():
+        if isinstance(end, ServiceEnd):
+            check_name(end.name or attribute, "port")
+            if isinstance(end, Provided) and end.provider is None:
+                end._check(cls, f"{cls.__qualname__}.{attribute}")
 
 
 def add_end(component: Component, name: str, declaration: E) -> E:

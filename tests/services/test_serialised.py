@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import Component, EventContext, ExternalContext, Kernel, PeriodicContext, Provided, Required
+from aiorts import Component, EventContext, ExternalContext, Kernel, Param, PeriodicContext, Provided, Required
 from aiorts.errors import ServiceCycle, ServiceError, ServiceTimeout, ServiceUnavailable
 from aiorts.testing import simulated
 from aiorts.testing.simulation import simulate
@@ -360,3 +360,41 @@ async def test_a_component_without_provided_ports_passes_by_its_gate() -> None:
         assert arm._rt_gate.shared is False
         assert node._rt_gate.shared is True
         await loop.tick()
+
+
+class Tuned(Component):
+    """Its method reads a parameter twice."""
+
+    service = Provided[Brake]()
+    gain = Param(1.0)
+
+    async def stop(self, force: float = 1.0) -> float:
+        before = self.gain
+        await self.sleep(0.1)
+        return 0.0 if self.gain == before else 1.0
+
+    async def held(self) -> bool:
+        await self.configure(gain=7.0)  # its own: done when the call is over
+        return self.gain == 7.0
+
+
+@pytest.mark.row(71)
+@pytest.mark.parametrize("contexts", [0, 1, 2])
+def test_parameters_do_not_change_while_a_call_is_served(contexts: int) -> None:
+    async def main() -> None:
+        async with Kernel() as kernel:
+            tuned = await kernel.add(Tuned("tuned"))
+            arm = await kernel.add(Arm())
+            await kernel.connect(arm.brake, tuned.service)
+            for _ in range(contexts):
+                await kernel.start(PeriodicContext(100.0), tuned, activate=True)
+            calls = [asyncio.ensure_future(arm.brake.proxy.stop()) for _ in range(2)]
+            await kernel.sleep(0.05)
+            await tuned.configure(gain=5.0)
+            assert tuned.gain == 5.0
+            assert [await call for call in calls] == [0.0, 0.0]
+            assert await arm.brake.proxy.held() is False
+            await kernel.sleep(0.05)
+            assert tuned.gain == 7.0
+
+    simulate(main())

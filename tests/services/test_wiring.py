@@ -477,3 +477,11 @@ def test_a_wrong_option_in_a_system_file_is_found_before_anything_is_made(tmp_pa
     (tmp_path / "system.toml").write_text(FILE.replace("strict", "strickt"), encoding="utf-8")
     with pytest.raises(AiortsError, match="did you mean 'strict'"):
         prepare(load(tmp_path / "system.toml"))
+
+
+def test_a_method_overridden_with_other_parameters_is_refused_where_it_is_written() -> None:
+    with pytest.raises(DeclarationError, match=r"Worse\.service: does not provide Brake: stop, parameter force"):
+
+        class Worse(PlainBrake):
+            def stop(self, power: float = 1.0) -> float:  # type: ignore[override] # what is tested
+                return power
