@@ -199,9 +199,11 @@ def _parameters_differ(wanted: Method, given: Method) -> str:
                 if other.name != parameter.name:
                     return f"{where}: is called {other.name}"
         if other is None:
-            if not anything:
+            if not anything or (parameter.kind is _EITHER and parameter.name in by_name):
                 return f"{where}: is not taken"
             continue
+        if other.name in met:
+            return f"{where}: is given twice, by position and by name"
         met.add(other.name)
         if parameter.default is not _EMPTY and other.default is _EMPTY:
             return f"{where}: has no default"
