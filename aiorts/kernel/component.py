@@ -17,7 +17,6 @@ from aiorts.kernel.hooks import hook_kinds
 from aiorts.kernel.host import PortHost
 from aiorts.kernel.joint import between_cycles
 from aiorts.kernel.log import ComponentLog, LogFields
-from aiorts.kernel.member import Member
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort, Port, Provided, Required, ServiceEnd, ServicePort, Turns
 from aiorts.kernel.service_ends import add_end, check_declared
@@ -72,11 +71,9 @@ class Component:
                 raise DeclarationError(
                     f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
                 )
-            if isinstance(value, Port):
+            if isinstance(value, Port | ServiceEnd):
                 cls._rt_port_declarations[attribute] = value
                 check_name(value.name or attribute, "port")
-            elif isinstance(value, ServiceEnd):
-                cls._rt_port_declarations[attribute] = value
             elif isinstance(value, Declared):
                 cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
@@ -177,13 +174,10 @@ class Component:
         running = self._rt_running
         if self._rt_failed_in is not None:
             member, hook = self._rt_failed_in
-        elif running is None:
-            return LogFields(kernel, self.name)
-        elif not isinstance(running, Member):
-            return LogFields(kernel, self.name, running.hook)
-        else:
-            member, hook = running, running.hook
-        return LogFields(kernel, self.name, hook, member.context.ticks)
+            return LogFields(kernel, self.name, hook, member.tick)
+        if running is not None:
+            return LogFields(kernel, self.name, running.hook, running.tick)
+        return LogFields(kernel, self.name)
 
     @property
     def profile(self) -> ComponentProfile:
@@ -245,10 +239,7 @@ class Component:
             self._rt_kernel.check_thread(f"{self.name}.add_port")
         check_name(name, "port")
         if isinstance(port, ServiceEnd):
-            end = add_end(self, name, port)
-            if self._rt_kernel is not None:
-                self._rt_kernel._roster.port_added(self, end.port)
-            return end
+            return add_end(self, name, port)
         if name in self._rt_host.ports:
             raise WiringError(f"{self.name}.{name}: there is a port of that name already")
         if not isinstance(port, InPort | OutPort):

@@ -154,6 +154,11 @@ class Member:
         return f"{self.context.name}, in {self.hook}"
 
     @property
+    def tick(self) -> int:
+        """The cycle of its context."""
+        return self.context.ticks
+
+    @property
     def active(self) -> bool:
         """Whether it is executed: active and not about to go to error."""
         return self._state is _ACTIVE and self._failure is None and not self._abandoned

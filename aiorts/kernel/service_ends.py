@@ -222,10 +222,8 @@ def checked_seconds(where: str, seconds: float) -> float:
 def check_declared(cls: type[Component]) -> None:
     """Raise DeclarationError unless what a component class declares, or inherits, can be provided by it."""
     for attribute, end in cls._rt_port_declarations.items():
-        if isinstance(end, ServiceEnd):
-            check_name(end.name or attribute, "port")
-            if isinstance(end, Provided) and end.provider is None:
-                end._check(cls, f"{cls.__qualname__}.{attribute}")
+        if isinstance(end, Provided) and end.provider is None:
+            end._check(cls, f"{cls.__qualname__}.{attribute}")
 
 
 def add_end(component: Component, name: str, declaration: E) -> E:
@@ -248,6 +246,8 @@ def add_end(component: Component, name: str, declaration: E) -> E:
             component._rt_gate.shared = True
         else:
             component._rt_gate.share(component._rt_members)
+    if component._rt_kernel is not None:
+        component._rt_kernel._roster.port_added(component, port)
     return end
 
 

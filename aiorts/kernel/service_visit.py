@@ -36,6 +36,11 @@ class Visit:
         return f"a call of {self.hook}"
 
     @property
+    def tick(self) -> int:
+        """A call belongs to no cycle."""
+        return 0
+
+    @property
     def context(self) -> Context:
         """The component's context; StateError where it has none or several."""
         contexts = self.component.contexts

@@ -210,7 +210,11 @@ async def test_a_provider_may_answer_in_every_state() -> None:
 @pytest.mark.parametrize("how", ["removed", "disconnected", "closed"])
 @simulated
 async def test_a_provider_that_vanishes_ends_the_call(how: str) -> None:
-    brake = Scripted(forever)
+    class Leaving(Scripted):
+        def on_deactivated(self) -> None:
+            """A hook that has to wait until the call is over."""
+
+    brake = Leaving(forever)
     async with Kernel() as kernel:
         arm = await wired(kernel, brake)
         await kernel.start(ExternalContext(), brake, activate=True)
@@ -285,6 +289,31 @@ async def test_a_method_that_ignores_cancellation_is_left_behind_and_blocks_nobo
         with pytest.raises(ServiceUnavailable, match="left behind"):
             await arm.brake.proxy.stop()
         free.set()
+
+
+@simulated
+async def test_what_a_method_starts_belongs_to_its_own_component_and_not_to_who_called() -> None:
+    class Starting(PlainBrake):
+        def stop(self, force: float = 1.0) -> float:
+            self.task = asyncio.ensure_future(self.later())
+            return force
+
+        async def later(self) -> None:
+            await self.sleep(0.1)
+            raise ValueError("later")
+
+    class Calling(Arm):
+        async def on_execute(self) -> None:
+            await self.brake.proxy.stop()
+            self.finish()
+
+    async with Kernel() as kernel:
+        brake, calling = await kernel.add(Starting()), await kernel.add(Calling())
+        await kernel.connect(calling.brake, brake.service)
+        loop = await kernel.start(PeriodicContext(100.0), brake, calling, activate=True)
+        await kernel.sleep(1.0)
+        assert loop.state(brake) is LifeCycleState.ERROR
+        assert calling.last_error is None
 
 
 @simulated

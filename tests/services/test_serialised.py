@@ -125,6 +125,28 @@ async def test_a_call_that_waits_is_refused_when_the_provider_is_active_no_more(
 
 
 @simulated
+async def test_calls_that_wait_for_a_hook_that_fails_are_refused() -> None:
+    class Failing(Busy):
+        async def on_execute(self) -> None:
+            await super().on_execute()
+            raise ValueError("worn")
+
+    async with Kernel() as kernel:
+        brake = Failing()
+        arm = await wired(kernel, brake)
+        loop = await kernel.start(ExternalContext(name="loop"), brake, activate=True)
+        ticking = asyncio.ensure_future(loop.tick())
+        await kernel.sleep(0.001)
+        calls = [arm.brake.proxy.stop() for _ in range(3)]
+        for outcome in await asyncio.gather(*calls, return_exceptions=True):
+            assert isinstance(outcome, ServiceUnavailable)
+            assert "reset and activate it" in str(outcome)
+        await ticking
+        assert brake.notes == ["hook"]
+        assert brake._rt_gate.open
+
+
+@simulated
 async def test_calls_are_let_in_in_the_order_they_came() -> None:
     class Counting(Busy):
         service = Provided[Brake]()
