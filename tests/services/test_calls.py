@@ -409,3 +409,17 @@ async def test_the_five_ways_to_fail_in_real_time(anyio_backend: Any) -> None:
         with pytest.raises(ServiceUnavailable):
             await calling
         assert now() - begun <= 0.1
+
+
+@simulated
+async def test_what_a_served_method_logs_says_which(caplog: pytest.LogCaptureFixture) -> None:
+    class Talking(PlainBrake):
+        def stop(self, force: float = 1.0) -> float:
+            self.log.warning("braking")
+            return force
+
+    async with Kernel() as kernel:
+        arm = await wired(kernel, Talking())
+        await arm.brake.proxy.stop()
+    said = next(record for record in caplog.records if record.getMessage() == "braking")
+    assert (said.component, said.hook) == ("brake0", "service.stop")  # type: ignore[attr-defined]
