@@ -34,6 +34,7 @@ class ServiceCall(Visit):
         "_caller",
         "_cancels",
         "_gate",
+        "_grace",
         "_timer",
         "_turn",
         "answer",
@@ -68,6 +69,7 @@ class ServiceCall(Visit):
         self._timer: Cancellable | None = None
         self._caller: Activity | None = None
         self._cancels = 0
+        self._grace: Cancellable | None = None
 
     @property
     def where(self) -> str:
@@ -194,6 +196,8 @@ class ServiceCall(Visit):
         if self.over:
             return
         self.over = True
+        if self._grace is not None:
+            self._grace.cancel()
         told = None if self.reply_done else failed(self.link, self.answer, self.args, self.kwargs, error)
         self._leave()
         self.conclude(value, told)
@@ -251,7 +255,7 @@ class ServiceCall(Visit):
         if self._cancels < CANCELLATIONS:
             self._cancels += 1
             task.cancel()
-            self.kernel.call_later(GRACE, self._cancel_again)
+            self._grace = self.kernel.call_later(GRACE, self._cancel_again)
         else:
             self._abandon(task)
 

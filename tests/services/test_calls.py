@@ -291,6 +291,37 @@ async def test_a_method_that_ignores_cancellation_is_left_behind_and_blocks_nobo
         free.set()
 
 
+@pytest.mark.fault("B20")
+@simulated
+async def test_a_kernel_closes_in_time_though_a_method_ignores_everything() -> None:
+    free = asyncio.Event()
+
+    async def stubborn(_: Any) -> float:
+        while not free.is_set():
+            try:
+                await free.wait()
+            except asyncio.CancelledError:
+                continue
+        return 0.0
+
+    class Leaving(Scripted):
+        def on_deactivated(self) -> None:
+            self.notes.append("deactivated")
+
+    kernel = await Kernel().open()
+    brake = Leaving(stubborn)
+    arm = await wired(kernel, brake)
+    await kernel.start(PeriodicContext(100.0), brake, arm, activate=True)
+    calling = asyncio.ensure_future(arm.brake.within(60.0).stop())
+    await kernel.sleep(0.1)
+    begun = now()
+    await kernel.aclose()
+    assert now() - begun <= 5.0
+    with pytest.raises(ServiceUnavailable, match="is being removed"):
+        await calling
+    free.set()
+
+
 @simulated
 async def test_what_a_method_starts_belongs_to_its_own_component_and_not_to_who_called() -> None:
     class Starting(PlainBrake):
