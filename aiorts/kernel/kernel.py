@@ -11,7 +11,7 @@ import asyncio
 import threading
 from collections.abc import Callable, Mapping
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 from aiorts.clock import Clock, SystemClock, current_clock
 from aiorts.errors import ClosedError, StateError, ThreadError
@@ -26,7 +26,7 @@ from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.deadman import Deadman
 from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.pool import PoolWatch
-from aiorts.kernel.ports import Port, ServiceEnd, ServicePort
+from aiorts.kernel.ports import Port, Service
 from aiorts.kernel.roster import Roster
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
@@ -37,12 +37,11 @@ from aiorts.model.numbering import Numbering
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import Cancellable
-    from aiorts.kernel.service_port import ServiceConnector
+    from aiorts.kernel.service_port import Made, ServiceConnector
 
 __all__ = ("Kernel",)
 
 C = TypeVar("C", bound=Component)
-Service: TypeAlias = ServicePort | ServiceEnd[Any]
 X = TypeVar("X", bound=Context)
 
 
@@ -265,6 +264,9 @@ class Kernel:
     async def connect(self, one: Service, two: Service, /, **options: Any) -> ServiceConnector: ...
 
     @overload
+    async def connect(self, one: Service, two: Service, three: Service, /, *more: Service, **options: Any) -> Made: ...
+
+    @overload
     async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...
 
     @overload
@@ -277,7 +279,8 @@ class Kernel:
     ) -> Any:
         """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
 
-        Options (the same keys in system files and profiles; OpenRTM's keys are aliases):
+        Returns the connector, or a tuple of them when more than two ports were given. Options (the same keys in system
+        files and profiles; OpenRTM's keys are aliases):
             dataflow: "push", or "pull": the reader asks, the writer's latest unread sample is taken.
             subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
             push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
@@ -288,9 +291,6 @@ class Kernel:
             name: the connector's. allow_duplicate: a second connector between the same two ports.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
             does not tell. strict: False leaves unbound what nobody answers. name.
-
-        Returns:
-            The connector, or a tuple of them when more than two ports were given.
 
         Raises:
             WiringError: says which ports or options do not go together and why; nothing was connected.

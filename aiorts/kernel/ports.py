@@ -6,6 +6,6 @@ from aiorts.kernel.in_port import InPort
 from aiorts.kernel.out_port import OutPort
 from aiorts.kernel.port import Port, Turns
 from aiorts.kernel.service_ends import Provided, Required
-from aiorts.kernel.service_port import ServiceEnd, ServicePort
+from aiorts.kernel.service_port import Service, ServiceEnd, ServicePort
 
-__all__ = ("InPort", "OutPort", "Port", "Provided", "Required", "ServiceEnd", "ServicePort", "Turns")
+__all__ = ("InPort", "OutPort", "Port", "Provided", "Required", "Service", "ServiceEnd", "ServicePort", "Turns")

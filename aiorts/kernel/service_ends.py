@@ -35,7 +35,7 @@ class Provided(ServiceEnd[I], Generic[I]):
 
     Args:
         provider: whose methods answer: None means the component itself, a name an attribute of the component, looked
-            up when it is connected, and anything else is the object.
+            up when it is connected, and anything else is the object, which in a class body all instances share.
         concurrent: a call runs at once, whatever the component does; without, never while one of its hooks or another
             call runs.
         always: calls are served in every life-cycle state; without, while the component is active somewhere, or in no

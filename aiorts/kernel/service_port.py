@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import copy
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from aiorts.errors import ClosedError, DeclarationError
 from aiorts.kernel.port import Port
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from aiorts.model.interface import Interface
     from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
 
-__all__ = ("ServiceConnector", "ServiceEnd", "ServicePort", "Tally", "is_service")
+__all__ = ("Made", "Service", "ServiceConnector", "ServiceEnd", "ServicePort", "Tally", "is_service")
 
 I = TypeVar("I")  # noqa: E741 - an interface
 E = TypeVar("E", bound="ServiceEnd[Any]")
@@ -306,6 +306,13 @@ class ServiceConnector:
             link.end_calls("was disconnected")
         for port in self.ports:
             port._services = tuple(other for other in port._services if other is not self)
+
+
+Service: TypeAlias = ServicePort | ServiceEnd[Any]
+"""What of services can be connected: a port with all its interfaces, or one of them."""
+
+
+Made: TypeAlias = tuple[ServiceConnector, ...]
 
 
 def is_service(port: object) -> bool:

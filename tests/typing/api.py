@@ -83,6 +83,8 @@ def blocking(arm: Arm) -> None:
 async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
     assert_type(await kernel.connect(arm.brake, brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, brake.service, mapping={"brake": "service"}), ServiceConnector)
+    assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), tuple[ServiceConnector, ...])
+    await kernel.connect(arm.brake, arm)  # error: a component is no port
 
 
 class Plain(Component):
