@@ -15,8 +15,22 @@ if TYPE_CHECKING:
     from aiorts.clock import Clock, ScaledClock, SimulatedClock, SystemClock
     from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, RealtimeContext, ThreadContext
     from aiorts.errors import AiortsError
-    from aiorts.kernel import Bus, Component, Connector, Context, InPort, Kernel, OutPort, Param
+    from aiorts.kernel import (
+        Bus,
+        Component,
+        Connector,
+        Context,
+        InPort,
+        Kernel,
+        OutPort,
+        Param,
+        Provided,
+        Required,
+        ServiceConnector,
+        ServicePort,
+    )
     from aiorts.kernel.bus import (
+        CallFailed,
         ComponentAdded,
         ComponentRemoved,
         Connected,
@@ -34,6 +48,7 @@ if TYPE_CHECKING:
         PortAdded,
         PortRemoved,
         RateChanged,
+        ServiceCalled,
         StateChanged,
         ThreadsExhausted,
     )
@@ -50,6 +65,7 @@ __all__ = (
     "AiortsError",
     "Blame",
     "Bus",
+    "CallFailed",
     "Catalogue",
     "Clock",
     "Component",
@@ -81,9 +97,14 @@ __all__ = (
     "PeriodicContext",
     "PortAdded",
     "PortRemoved",
+    "Provided",
     "RateChanged",
     "RealtimeContext",
+    "Required",
     "ScaledClock",
+    "ServiceCalled",
+    "ServiceConnector",
+    "ServicePort",
     "SimulatedClock",
     "StateChanged",
     "SystemClock",
@@ -100,7 +121,10 @@ _HOMES = {
     "aiorts.clock": ("Clock", "ScaledClock", "SimulatedClock", "SystemClock"),
     "aiorts.contexts": ("EventContext", "ExternalContext", "PeriodicContext", "RealtimeContext", "ThreadContext"),
     "aiorts.errors": ("AiortsError",),
-    "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
+    "aiorts.kernel": (
+        *("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
+        *("Provided", "Required", "ServiceConnector", "ServicePort"),
+    ),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
     "aiorts.kernel.declarations": ("Declaration", "declaration_of"),

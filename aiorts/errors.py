@@ -19,6 +19,7 @@ __all__ = (
     "DeclarationError",
     "HookAbandoned",
     "HookTimeout",
+    "InterfaceMismatch",
     "InvalidNameError",
     "LimitError",
     "MissingExtra",
@@ -28,6 +29,11 @@ __all__ = (
     "ReadTimeout",
     "RecordError",
     "RecordTypeError",
+    "ServiceCycle",
+    "ServiceError",
+    "ServiceFailed",
+    "ServiceTimeout",
+    "ServiceUnavailable",
     "StateError",
     "SystemFileError",
     "ThreadError",
@@ -223,3 +229,39 @@ class WriteTimeout(AiortsError, TimeoutError):
     """Readers with `full="block"` had no room in time; the others have the sample."""
 
     code = "E-WRITE-TIMEOUT"
+
+
+class ServiceError(AiortsError, RuntimeError):
+    """A call through a service port has no result; each way in which that happens has a class of its own."""
+
+    code = "E-SERVICE"
+
+
+class ServiceFailed(ServiceError):
+    """The provider raised: the message has the type and the text of what it raised, which is `__cause__`."""
+
+    code = "E-SERVICE-FAILED"
+
+
+class ServiceTimeout(ServiceError, TimeoutError):
+    """The call was not done within its deadline; the provider's method was cancelled, or never began."""
+
+    code = "E-SERVICE-TIMEOUT"
+
+
+class ServiceUnavailable(ServiceError):
+    """Nobody answers there: not connected, disconnected meanwhile, removed, or not active."""
+
+    code = "E-SERVICE-UNAVAILABLE"
+
+
+class ServiceCycle(ServiceError):
+    """The call would wait for itself: the component called waits for the one that calls."""
+
+    code = "E-SERVICE-CYCLE"
+
+
+class InterfaceMismatch(ServiceError, WiringError, TypeError):
+    """What is provided is not what is required: names both ports and the difference."""
+
+    code = "E-INTERFACE"

@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem, get_completion_class
 
 from aiorts.cli.output import say
 
-__all__ = ("completer_of", "completes", "completion", "items", "subjects", "type_names")
+__all__ = ("completer_of", "completes", "completion", "items", "subjects", "targets", "type_names")
 
 Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 SHELLS: Final = ("bash", "zsh", "fish")
@@ -45,7 +45,15 @@ def subjects(ctx: click.Context, param: click.Parameter, incomplete: str) -> lis
     """Components by name, record types, and files where neither begins so."""
     from aiorts import Catalogue
 
-    found = items(Catalogue().extensions("components"), incomplete) + type_names(ctx, param, incomplete)
+    found = items(Catalogue.default().extensions("components"), incomplete) + type_names(ctx, param, incomplete)
+    return found or [CompletionItem(incomplete, type="file")]
+
+
+def targets(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Components by name, and files where none begins so."""
+    from aiorts import Catalogue
+
+    found = items(Catalogue.default().extensions("components"), incomplete) if incomplete else []
     return found or [CompletionItem(incomplete, type="file")]
 
 

@@ -23,7 +23,7 @@ from aiorts.cli.type_modules import import_types
 
 __all__ = ("inspect",)
 
-_DIRECTIONS: Final = {"in": "in ", "out": "out"}
+_DIRECTIONS: Final = {"in": "in ", "out": "out", "service": "srv"}
 
 
 @click.command(

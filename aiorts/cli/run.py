@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from aiorts.cli.completion import targets
 from aiorts.cli.options import Options, checked, with_clock
 from aiorts.cli.session import execute, log_of
 from aiorts.cli.stopping import Stopper
@@ -17,7 +18,7 @@ __all__ = ("run",)
 
 
 @click.command(short_help="Run a system file, or one component.")
-@click.argument("target", metavar="SYSTEM.toml|MODULE:COMPONENT")
+@click.argument("target", metavar="SYSTEM.toml|MODULE:COMPONENT", shell_complete=targets)
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter; repeatable.")
 @click.option("--for", "duration", type=float, metavar="S", help="End after S seconds of the system's time.")
 @click.option("--duration", "duration_once", type=float, hidden=True)

@@ -20,9 +20,11 @@ from aiorts.contexts.schedule import MAX_RATE
 from aiorts.errors import ClosedError, HookAbandoned, StateError
 from aiorts.kernel.blocking import PortLock, blocking_for
 from aiorts.kernel.bus import HookAfter, HookBefore
+from aiorts.kernel.crossings import lock_all
 from aiorts.kernel.hooks import HookKind, bad_return, coroutine_hooks
 from aiorts.kernel.life import Action, Batch, Call, Step, Wait
-from aiorts.kernel.ports import InPort
+from aiorts.kernel.ports import InPort, ServicePort
+from aiorts.kernel.service_ends import unanswerable
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -111,14 +113,18 @@ class ThreadContext(PeriodicContext):
             raise StateError(
                 f"{component.name}: {', '.join(awaiting)} is `async def`; the hooks of a thread context are plain `def`"
             )
+        served = ", ".join(unanswerable(component))
+        if served:
+            raise StateError(
+                f"{component.name}: {served} is `async def`; what a thread context serves is plain `def`, or concurrent"
+            )
 
     def _make_driver(self, kernel: Kernel) -> ThreadDriver:
         return ThreadDriver(self, kernel)
 
     def _port_added(self, member: Member, port: Port[Any]) -> None:
         member.component._rt_host.threaded = True
-        kernel = self._require_kernel()
-        kernel._lock_ports(port)
+        lock_all(port)
         super()._port_added(member, port)
 
     def _set_ports_open(self, member: Member) -> None:
@@ -183,6 +189,11 @@ class ThreadDriver:
         for member in tuple(self.context._members):
             member.component._rt_host.stopping = True
             for port in member.component.ports.values():
+                if isinstance(port, ServicePort):
+                    from aiorts.kernel.service_thread import give_up_waiting  # late: few threads call services
+
+                    give_up_waiting(port)
+                    continue
                 for connector in port.connectors:
                     connector.in_._wake_waiter()
                 if isinstance(port, InPort):

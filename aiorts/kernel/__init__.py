@@ -16,9 +16,23 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.parameters import Param
-    from aiorts.kernel.ports import InPort, OutPort
+    from aiorts.kernel.ports import InPort, OutPort, Provided, Required, ServicePort
+    from aiorts.kernel.service_port import ServiceConnector
 
-__all__ = ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param")
+__all__ = (
+    "Bus",
+    "Component",
+    "Connector",
+    "Context",
+    "InPort",
+    "Kernel",
+    "OutPort",
+    "Param",
+    "Provided",
+    "Required",
+    "ServiceConnector",
+    "ServicePort",
+)
 
 _HOMES: Final = {
     "Bus": "bus",
@@ -29,6 +43,10 @@ _HOMES: Final = {
     "Kernel": "kernel",
     "OutPort": "ports",
     "Param": "parameters",
+    "Provided": "ports",
+    "Required": "ports",
+    "ServiceConnector": "service_port",
+    "ServicePort": "ports",
 }
 
 # Hidden from type checkers, which would otherwise believe in every name.

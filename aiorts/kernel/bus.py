@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.model.profile import ConnectorProfile, PortProfile
+    from aiorts.model.service_profile import ServiceConnectorProfile
 
 __all__ = (
     "Bus",
+    "CallFailed",
     "ComponentAdded",
     "ComponentRemoved",
     "Connected",
@@ -38,6 +40,7 @@ __all__ = (
     "PortAdded",
     "PortRemoved",
     "RateChanged",
+    "ServiceCalled",
     "StateChanged",
     "ThreadsExhausted",
 )
@@ -47,7 +50,8 @@ _LOG = logging.getLogger("aiorts.kernel")
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened. Subscribing to this class means all events but `HookBefore` and `HookAfter`."""
+    """Something that happened. Subscribing to this class means all events but `HookBefore`, `HookAfter` and
+    `ServiceCalled`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +88,14 @@ class PortRemoved(Event):
 class Connected(Event):
     """A connector exists."""
 
-    connector: ConnectorProfile
+    connector: ConnectorProfile | ServiceConnectorProfile
 
 
 @dataclass(frozen=True, slots=True)
 class Disconnected(Event):
     """A connector is gone."""
 
-    connector: ConnectorProfile
+    connector: ConnectorProfile | ServiceConnectorProfile
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,8 +207,34 @@ class ParametersChanged(Event):
     values: tuple[tuple[str, Any], ...]
 
 
+@dataclass(frozen=True, slots=True)
+class ServiceCalled(Event):
+    """A call through a service port has ended; only sent to those who subscribe to this very class."""
+
+    caller: str
+    """The required interface, as a path; so is the provided one."""
+    provider: str
+    method: str
+    elapsed_ns: int
+    """From asking to the answer."""
+    error: BaseException | None
+    """What the caller was told."""
+
+
+@dataclass(frozen=True, slots=True)
+class CallFailed(Event):
+    """A provider raised in a served call, answered with a wrong type, or did not answer in time."""
+
+    caller: str
+    provider: str
+    method: str
+    error: BaseException
+    """What the caller was told; the provider's own exception is its cause."""
+
+
 E = TypeVar("E", bound=Event)
-_QUIET = (HookBefore, HookAfter)
+_OF_HOOKS = (HookBefore, HookAfter)
+_QUIET = (*_OF_HOOKS, ServiceCalled)
 
 
 class Bus:
@@ -215,6 +245,8 @@ class Bus:
         self._observers: list[tuple[type[Event], Callable[[Any], object]]] = []
         self.hooks_wanted = False
         """Whether anybody asked for HookBefore or HookAfter: they cost nothing otherwise."""
+        self.calls_wanted = False
+        """Whether anybody asked for ServiceCalled."""
 
     def subscribe(self, kind: type[E], observer: Callable[[E], object]) -> Callable[[], None]:
         """Call `observer` with each event of `kind` (or a class derived from it) until the returned function is
@@ -245,7 +277,8 @@ class Bus:
                     _LOG.exception("observer %r failed at %r", observer, event)
 
     def _recount(self) -> None:
-        wanted = any(kind in _QUIET for kind, _ in self._observers)
+        self.calls_wanted = any(kind is ServiceCalled for kind, _ in self._observers)
+        wanted = any(kind in _OF_HOOKS for kind, _ in self._observers)
         if self.hooks_wanted is not wanted:
             self.hooks_wanted = wanted
             self._hooks_wanted_changed()

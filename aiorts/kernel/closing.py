@@ -18,6 +18,8 @@ async def close(kernel: Kernel) -> None:
     budget = StopBudget(kernel.loop)
     kernel._stop_requested.set()
     kernel._closing_begun.set_result(budget)
+    for component in kernel.components.values():
+        kernel._roster.vacate(component)
     contexts = tuple(kernel._contexts.values())
     for context in contexts:
         if context._driver is not None:

@@ -18,7 +18,8 @@ from aiorts.kernel.host import PortHost
 from aiorts.kernel.joint import between_cycles
 from aiorts.kernel.log import ComponentLog, LogFields
 from aiorts.kernel.parameters import Declared, Parameters
-from aiorts.kernel.ports import InPort, OutPort, Port, Turns
+from aiorts.kernel.ports import InPort, OutPort, Port, Provided, Required, ServiceEnd, ServicePort, Turns
+from aiorts.kernel.service_ends import add_end, check_declared
 from aiorts.model.configuration import ParameterSpec
 from aiorts.model.lifecycle import HOOKS, LifeCycleState
 from aiorts.model.names import check_name
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.member import Member
+    from aiorts.kernel.service_visit import Visit
 
 __all__ = ("Component", "Hook")
 
@@ -49,7 +51,7 @@ class Component:
     """
 
     max_instance: ClassVar[int | None] = None
-    _rt_port_declarations: ClassVar[dict[str, Port[Any]]] = {}
+    _rt_port_declarations: ClassVar[dict[str, Port[Any] | ServiceEnd[Any]]] = {}
     _rt_parameter_specs: ClassVar[dict[str, ParameterSpec]] = {}
     _rt_hook_kinds: ClassVar[dict[str, int]] = {}
     # What few instances ever have stands in the class until then: an instance without it is smaller.
@@ -69,13 +71,14 @@ class Component:
                 raise DeclarationError(
                     f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
                 )
-            if isinstance(value, Port):
+            if isinstance(value, Port | ServiceEnd):
                 cls._rt_port_declarations[attribute] = value
                 check_name(value.name or attribute, "port")
             elif isinstance(value, Declared):
                 cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
         check_spelling(cls)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
+        check_declared(cls)
 
     def __init__(self, name: str = "") -> None:
         if name:
@@ -157,8 +160,8 @@ class Component:
         return self._rt_log
 
     @property
-    def _rt_running(self) -> Member | None:
-        """The member whose hook runs now."""
+    def _rt_running(self) -> Member | Visit | None:
+        """The member whose hook runs now, or the call that is served."""
         gate = self._rt_gate
         if gate.inside is None and not gate.shared and self._rt_members:
             # In one context its hooks may pass by the gate.
@@ -172,11 +175,10 @@ class Component:
         running = self._rt_running
         if self._rt_failed_in is not None:
             member, hook = self._rt_failed_in
-        elif running is not None:
-            member, hook = running, running.hook
-        else:
-            return LogFields(kernel, self.name)
-        return LogFields(kernel, self.name, hook, member.context.ticks)
+            return LogFields(kernel, self.name, hook, member.tick)
+        if running is not None:
+            return LogFields(kernel, self.name, running.hook, running.tick)
+        return LogFields(kernel, self.name)
 
     @property
     def profile(self) -> ComponentProfile:
@@ -219,9 +221,15 @@ class Component:
     def add_port(self, name: str, port: OutPort[T]) -> OutPort[T]: ...
 
     @overload
-    def add_port(self, name: str, port: Port[Any]) -> Port[Any]: ...
+    def add_port(self, name: str, port: Provided[T]) -> Provided[T]: ...
 
-    def add_port(self, name: str, port: Port[Any]) -> Port[Any]:
+    @overload
+    def add_port(self, name: str, port: Required[T]) -> Required[T]: ...
+
+    @overload
+    def add_port(self, name: str, port: Port[Any] | ServiceEnd[Any]) -> Port[Any] | ServiceEnd[Any]: ...
+
+    def add_port(self, name: str, port: Port[Any] | ServiceEnd[Any]) -> Port[Any] | ServiceEnd[Any]:
         """A live port made after the declaration `port`, at any time; announced on the bus.
 
         Raises:
@@ -231,10 +239,12 @@ class Component:
         if self._rt_kernel is not None:
             self._rt_kernel.check_thread(f"{self.name}.add_port")
         check_name(name, "port")
+        if isinstance(port, ServiceEnd):
+            return add_end(self, name, port)
         if name in self._rt_host.ports:
             raise WiringError(f"{self.name}.{name}: there is a port of that name already")
         if not isinstance(port, InPort | OutPort):
-            raise DeclarationError(f"{self.name}.{name}: expected InPort(...) or OutPort(...), got {port!r}")
+            raise DeclarationError(f"{self.name}.{name}: expected InPort, OutPort, Provided or Required, got {port!r}")
         bound: InPort[Any] | OutPort[Any] = port.bind(self._rt_host, name)
         self._rt_host.ports[name] = bound
         if self._rt_kernel is not None:
@@ -256,7 +266,7 @@ class Component:
             for connector in port.connectors:
                 self._rt_kernel._connections.end(connector)
         del self._rt_host.ports[name]
-        if isinstance(port, InPort):
+        if isinstance(port, InPort | ServicePort):
             port._wake_waiter()
         if self._rt_kernel is not None:
             self._rt_kernel._roster.port_removed(self, port)

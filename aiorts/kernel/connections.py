@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 from aiorts.errors import WiringError
 from aiorts.kernel import wiring
 from aiorts.kernel.bus import Connected, Disconnected
+from aiorts.kernel.service_port import ServiceConnector, is_service
+from aiorts.kernel.service_visit import Calls
 from aiorts.model.numbering import Numbering
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.kernel import Kernel
-    from aiorts.kernel.ports import Port
 
 __all__ = ("Connections",)
 
@@ -25,14 +26,18 @@ class Connections:
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel
         self.connectors: dict[str, Connector] = {}
-        self._numbering = Numbering(self.connectors.__contains__)
+        self.service_connectors: dict[str, ServiceConnector] = {}
+        self.calls = Calls()
+        self._numbering = Numbering(self._taken)
 
-    def make(self, ports: Sequence[Port[Any]], options: Mapping[str, Any]) -> list[Connector]:
-        """Connect every out-port with every in-port.
+    def make(self, ports: Sequence[Any], options: Mapping[str, Any]) -> list[Any]:
+        """Connect every out-port with every in-port, or service ports with one another.
 
         Raises:
             WiringError: says which ports or options do not go together; nothing was connected.
         """
+        if any(map(is_service, ports)):
+            return self._make_services(ports, options)
         plans = wiring.plan(self._kernel, ports, options)
         made = []
         for out, in_, profile in plans:
@@ -44,27 +49,52 @@ class Connections:
             self._kernel.bus.publish(Connected(connector.profile))
         return made
 
+    def _make_services(self, ports: Sequence[Any], options: Mapping[str, Any]) -> list[Any]:
+        from aiorts.kernel import service_wiring  # late: most systems have no services
+
+        plans = service_wiring.connect(self._kernel, ports, options)
+        made = []
+        for path, plan in plans:
+            name = self._free_name(str(options.get("name") or ""), path, len(plans))
+            connector = self.service_connectors[name] = plan.make(name)
+            made.append(connector)
+        for connector in made:
+            self._kernel.bus.publish(Connected(connector.profile))
+        return made
+
+    def _taken(self, name: str) -> bool:
+        return name in self.connectors or name in self.service_connectors
+
+    def _those(self, connector: Connector | ServiceConnector) -> Mapping[str, Any]:
+        return self.service_connectors if isinstance(connector, ServiceConnector) else self.connectors
+
     def _free_name(self, given: str, path: str, count: int) -> str:
         base = given or path
-        if given and count == 1 and given in self.connectors:
+        if given and count == 1 and self._taken(given):
             raise WiringError(f"{path}: there is a connector named {given!r}; choose another")
-        return self._numbering.lowest(f"{base}-", 2) if base in self.connectors else base
+        return self._numbering.lowest(f"{base}-", 2) if self._taken(base) else base
 
-    def check_mine(self, connector: Connector) -> None:
+    def check_mine(self, connector: Connector | ServiceConnector) -> None:
         """Raise WiringError unless it is one of this kernel's, closed or not."""
-        if not connector.closed and self.connectors.get(connector.name) is not connector:
+        if not connector.closed and self._those(connector).get(connector.name) is not connector:
             raise WiringError(f"{connector.name}: is not a connector of {self._kernel.name}")
 
-    def end(self, connector: Connector) -> None:
+    def end(self, connector: Connector | ServiceConnector) -> None:
         """Take it out of force; idempotent."""
         if connector.closed:
             return
-        wiring.unwire(connector)
-        self.connectors.pop(connector.name, None)
+        if isinstance(connector, ServiceConnector):
+            connector._close()
+            self.service_connectors.pop(connector.name, None)
+        else:
+            wiring.unwire(connector)
+            self.connectors.pop(connector.name, None)
         self._numbering.free(connector.name)
         self._kernel.bus.publish(Disconnected(connector.profile))
 
     def end_all(self) -> None:
         """In reverse order."""
+        for services in reversed(tuple(self.service_connectors.values())):
+            self.end(services)
         for connector in reversed(tuple(self.connectors.values())):
             self.end(connector)

@@ -14,13 +14,15 @@ from aiorts.kernel.connector import Connector
 from aiorts.kernel.crossing import Arrivals, CrossingConnector, Sides
 from aiorts.kernel.crossing_periodic import CrossingPeriodic
 from aiorts.kernel.crossing_port import CrossingInPort
-from aiorts.kernel.ports import InPort, Port
+from aiorts.kernel.ports import InPort, Port, ServicePort
 
-__all__ = ("cross", "cross_all", "fit", "uncross", "uncross_all", "uncross_unneeded")
+__all__ = ("cross", "cross_all", "fit", "lock_all", "uncross", "uncross_all", "uncross_unneeded")
 
 
 def cross_all(port: Port[Any]) -> None:
     """A component with this port is about to run in a real-time thread."""
+    if isinstance(port, ServicePort):
+        return
     if isinstance(port, InPort):
         cross(port)
     for connector in port.connectors:
@@ -29,6 +31,8 @@ def cross_all(port: Port[Any]) -> None:
 
 def uncross_all(port: Port[Any]) -> None:
     """A component with this port has left its real-time thread."""
+    if isinstance(port, ServicePort):
+        return
     for in_port in {id(p): p for p in (port, *(c.in_ for c in port.connectors)) if isinstance(p, InPort)}.values():
         uncross_unneeded(in_port)
 
@@ -62,6 +66,15 @@ def cross(port: InPort[Any]) -> None:
         port._refresh()
     for connector in port._connectors:
         connector.out._refresh()
+
+
+def lock_all(port: Port[Any]) -> None:
+    """More than one thread will use what hangs on this port."""
+    if isinstance(port, InPort):
+        port._make_locked()
+    if not isinstance(port, ServicePort):
+        for connector in port.connectors:
+            connector.in_._make_locked()
 
 
 def fit(connector: Connector) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from aiorts.errors import DeclarationError
 from aiorts.kernel.component import Component
 from aiorts.kernel.hooks import HookKind
-
-if TYPE_CHECKING:
-    from aiorts.model.configuration import ParameterSpec
-    from aiorts.model.profile import PortProfile
+from aiorts.kernel.port import Port
+from aiorts.model.configuration import ParameterSpec
+from aiorts.model.profile import PortProfile
 
 __all__ = ("Declaration", "declaration_of")
 
@@ -36,9 +34,22 @@ def declaration_of(cls: type[Component]) -> Declaration:
         raise DeclarationError(f"{cls!r:.60}: expected a class derived from Component")
     return Declaration(
         cls.__name__,
-        tuple(
-            replace(port.profile, name=port.name or attribute) for attribute, port in cls._rt_port_declarations.items()
-        ),
+        _ports(cls),
         tuple(cls._rt_parameter_specs.values()),
         tuple(hook for hook, kind in cls._rt_hook_kinds.items() if kind != HookKind.ABSENT),
     )
+
+
+def _ports(cls: type[Component]) -> tuple[PortProfile, ...]:
+    """Data ports as they are declared; interfaces that share a service port as one."""
+    found: dict[str, PortProfile] = {}
+    for attribute, declared in cls._rt_port_declarations.items():
+        name = declared.name or attribute
+        if isinstance(declared, Port):
+            found[name] = replace(declared.profile, name=name)
+            continue
+        one = replace(declared.profile, name=declared.instance or (attribute if declared.name else "") or name)
+        port = found.get(name, PortProfile(name, "service", "", doc=one.doc))
+        kinds = ", ".join((*filter(None, (port.type,)), one.type))
+        found[name] = replace(port, type=kinds, interfaces=(*port.interfaces, one))
+    return tuple(found.values())

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
 
-__all__ = ("Guest", "enter", "leave", "settle")
+__all__ = ("Guest", "creator_of", "enter", "leave", "settle")
 
 _ATTRIBUTE: Final = "_aiorts_guest"
 UNCLAIMED_AFTER: Final = 0.5
@@ -54,7 +54,7 @@ class Guest:
         owner = owner_of(creator)
         if owner is not None and owner._rt_kernel in self.kernels:
             task._aiorts_component = owner
-            task._aiorts_creator = _creator(creator)
+            task._aiorts_creator = creator_of(creator)
             owner._rt_kernel._roster.adopt(owner, task)
             task.add_done_callback(self._task_done)
         return task
@@ -124,7 +124,7 @@ def settle(kernel: Kernel, loop: asyncio.AbstractEventLoop) -> None:
         guest.settle(kernel)
 
 
-def _creator(task: Any) -> Any:
+def creator_of(task: Any) -> Any:
     """Who made a task, so that one can tell whether it still runs: one run of a hook, or a task."""
     driver = getattr(task, "_aiorts_driver", None)
     return task if driver is None else (driver, driver.run)

@@ -1,7 +1,9 @@
 """A component in several contexts is entered by one at a time, in the order they came.
 
+So is one whose methods others call, by its hooks and by the calls.
+
 A component in one context, and never yet in two, has nobody to wait for: its hooks pass by the gate and may leave no
-trace at it. Whoever brings it into a second context says so (`share`).
+trace at it. Whoever brings it into a second context, or has others call it, says so (`share`).
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from aiorts.kernel.member import Member
+    from aiorts.kernel.service_visit import Visit
 
 __all__ = ("Gate",)
 
@@ -22,10 +25,10 @@ class Gate:
     __slots__ = ("inside", "shared", "waiting")
 
     def __init__(self) -> None:
-        self.inside: Member | None = None
-        """The member whose hook runs now; always, once the gate is shared."""
+        self.inside: Member | Visit | None = None
+        """The member whose hook runs now, or the call that is served; always, once the gate is shared."""
         self.shared = False
-        """Whether the component is, or ever was, in several contexts."""
+        """Whether the component is, or ever was, in several contexts, or has methods that others call."""
         self.waiting: dict[asyncio.Future[bool], None] | None = None
         """Who wants to come in, in the order they came; None as long as nobody ever did."""
 
@@ -35,7 +38,7 @@ class Gate:
         return self.inside is None and not self.waiting
 
     def share(self, members: Sequence[Member]) -> None:
-        """The component is in several contexts from now on: as these members, one of which may have a hook running."""
+        """More than one may want to come in from now on; one of these members may have a hook running."""
         if self.shared:
             return
         self.shared = True

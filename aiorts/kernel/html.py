@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from aiorts.kernel.service_port import ServicePort
+
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
@@ -55,6 +57,9 @@ def component_html(component: Component) -> str:
 
 def port_html(port: Port[Any]) -> str:
     """One port."""
+    if isinstance(port, ServicePort):
+        ends = [(end.path, end.polarity, end.spec.name, ", ".join(end.profile.bound_to)) for end in port.interfaces]
+        return _table(f"service port {port.path}", ("interface", "polarity", "type", "bound to"), ends)
     rows = [(connector.out.path, connector.in_.path, connector.statistics.written) for connector in port.connectors]
     return _table(f"{port.direction}-port {port.path}: {port.type.__name__}", ("from", "to", "written"), rows)
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import DeclarationError, InvalidNameError, StateError, TransitionTimeout
 from aiorts.kernel.deadlines import StopBudget
+from aiorts.kernel.hooks import HookKind
+from aiorts.kernel.life import Call
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through
 
@@ -97,20 +99,25 @@ async def between_cycles(kernel: Kernel, component: Component, change: Callable[
         TransitionTimeout: that moment did not come in time; nothing was changed.
     """
     contexts = component.contexts
-    if not contexts:
+    if not contexts and component._rt_gate.open:
         change()
     elif len(contexts) == 1:
-        await contexts[0]._ask([("change parameters", lambda done: _steps(change, done))], PATIENCE)
-    elif any(context._inside() for context in contexts):
+        await contexts[0]._ask([("change parameters", lambda done: _steps(component, change, done))], PATIENCE)
+    elif owner_of(current_task()) is component or any(context._inside() for context in contexts):
         kernel_task(kernel.loop, _logged(kernel, component, change), f"aiorts configure {component.name}")
     else:
         await _through_gate(kernel, component, change)
 
 
-def _steps(change: Callable[[], None], done: Done) -> Steps:
-    change()
+def _steps(component: Component, change: Callable[[], None], done: Done) -> Steps:
+    if component._rt_gate.open:
+        change()
+    else:
+        # A call is served there: it waits for its turn, as a hook does.
+        member = component._rt_members[0]
+        member.hooks["configure"] = HookKind.PLAIN, change
+        yield Call(member, "configure")
     done(None)
-    yield from ()
 
 
 async def _through_gate(kernel: Kernel, component: Component, change: Callable[[], None]) -> None:

@@ -26,7 +26,7 @@ from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.deadman import Deadman
 from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.pool import PoolWatch
-from aiorts.kernel.ports import InPort, Port
+from aiorts.kernel.ports import Port, Service
 from aiorts.kernel.roster import Roster
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
@@ -37,6 +37,7 @@ from aiorts.model.numbering import Numbering
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.host import Cancellable
+    from aiorts.kernel.service_port import Made, ServiceConnector
 
 __all__ = ("Kernel",)
 
@@ -79,7 +80,7 @@ class Kernel:
         self._connections = Connections(self)
         self._contexts: dict[str, Context] = {}
         self._numbering = Numbering(lambda name: name in self._roster.components or name in self._contexts)
-        self._log_budget = SharedBudget(self.name, self._summarize_soon)
+        self._log_budget = SharedBudget(self.name, lambda: self._on_loop(self._summarize_soon))
         self._summary: Cancellable | None = None
         self._timers: Any = None
         self._deadman = Deadman(self)
@@ -182,6 +183,11 @@ class Kernel:
         return MappingProxyType(self._connections.connectors)
 
     @property
+    def service_connectors(self) -> Mapping[str, ServiceConnector]:
+        """The connectors of service ports, by name, in order of connection."""
+        return MappingProxyType(self._connections.service_connectors)
+
+    @property
     def gc_pauses(self) -> Mapping[int, GcPauses]:
         """Garbage collections by generation, while a context with a rate ran: nothing else runs meanwhile."""
         return self._deadman.gc_pauses
@@ -255,6 +261,12 @@ class Kernel:
     # -- connecting ------------------------------------------------------------------------------------------------
 
     @overload
+    async def connect(self, one: Service, two: Service, /, **options: Any) -> ServiceConnector: ...
+
+    @overload
+    async def connect(self, one: Service, two: Service, three: Service, /, *more: Service, **options: Any) -> Made: ...
+
+    @overload
     async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...
 
     @overload
@@ -263,11 +275,12 @@ class Kernel:
     ) -> tuple[Connector, ...]: ...
 
     async def connect(
-        self, one: Port[Any], two: Port[Any], /, *more: Port[Any], **options: Any
-    ) -> Connector | tuple[Connector, ...]:
-        """Connect ports: every out-port with every in-port, all or none.
+        self, one: Port[Any] | Service, two: Port[Any] | Service, /, *more: Port[Any] | Service, **options: Any
+    ) -> Any:
+        """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
 
-        Options (the same keys in system files and profiles; OpenRTM's keys are aliases):
+        Returns the connector, or a tuple of them when more than two ports were given. Options (the same keys in system
+        files and profiles; OpenRTM's keys are aliases):
             dataflow: "push", or "pull": the reader asks, the writer's latest unread sample is taken.
             subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
             push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
@@ -276,9 +289,8 @@ class Kernel:
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
             measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
-
-        Returns:
-            The connector, or a tuple of them when more than two ports were given.
+        Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
+            does not tell. strict: False leaves unbound what nobody answers. name.
 
         Raises:
             WiringError: says which ports or options do not go together and why; nothing was connected.
@@ -287,8 +299,8 @@ class Kernel:
         made = self._connections.make((one, two, *more), options)
         return tuple(made) if more else made[0]
 
-    async def disconnect(self, connector: Connector) -> None:
-        """End a connector: what is queued in it is dropped as disconnected, who waits for room goes on. Idempotent."""
+    async def disconnect(self, connector: Connector | ServiceConnector) -> None:
+        """End a connector: what is queued is dropped as disconnected, who waits goes on, calls end. Idempotent."""
         self._require_open("disconnect")
         self._connections.check_mine(connector)
         self._connections.end(connector)
@@ -366,13 +378,6 @@ class Kernel:
         self.check_thread("call_later")
         return cast("Cancellable", self._timers.call_at(self.clock.monotonic_ns() + round(seconds * 1e9), callback))
 
-    def _lock_ports(self, port: Port[Any]) -> None:
-        """More than one thread will use what hangs on this port."""
-        if isinstance(port, InPort):
-            port._make_locked()
-        for connector in port.connectors:
-            connector.in_._make_locked()
-
     def _context_ended(self, context: Context) -> None:
         if self._contexts.get(context.name) is context:
             del self._contexts[context.name]
@@ -390,9 +395,6 @@ class Kernel:
             self.loop.call_soon_threadsafe(throw, error)
 
     def _summarize_soon(self) -> None:
-        """Log lines of this second were dropped: say so when it is over. From any thread."""
-        self._on_loop(self._arm_summary)
-
-    def _arm_summary(self) -> None:
+        """Log lines of this second were dropped: say so when it is over. In the loop's thread."""
         if not self._closed:
             self._summary = self.call_later(1.0, self._log_budget.summarize)

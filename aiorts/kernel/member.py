@@ -149,6 +149,16 @@ class Member:
                 self.execute = function
 
     @property
+    def where(self) -> str:
+        """In which context and hook, for messages."""
+        return f"{self.context.name}, in {self.hook}"
+
+    @property
+    def tick(self) -> int:
+        """The cycle of its context."""
+        return self.context.ticks
+
+    @property
     def active(self) -> bool:
         """Whether it is executed: active and not about to go to error."""
         return self._state is _ACTIVE and self._failure is None and not self._abandoned

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from aiorts.errors import ClosedError, StateError, TransitionTimeout
 from aiorts.kernel.life import TURN, Action, Done, Steps
+from aiorts.kernel.service_visit import visits
 from aiorts.kernel.tasks import waiting_driver
 
 if TYPE_CHECKING:
@@ -112,7 +113,10 @@ class Requests:
 
     def inside(self) -> bool:
         """Whether a hook calls that this context would wait for: one of its own, or of a component it shares."""
-        driver = waiting_driver(asyncio.current_task())
+        task = asyncio.current_task()
+        if visits(task, self._context):
+            return True
+        driver = waiting_driver(task)
         if driver is None:
             return False
         if driver is self._context._driver:

@@ -20,7 +20,7 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
-from aiorts.kernel.ports import InPort, Port
+from aiorts.kernel.ports import InPort, Port, ServicePort
 from aiorts.kernel.solo import run_alone
 from aiorts.kernel.tasks import current_task, kernel_task, leave_behind, owner_of
 from aiorts.model.lifecycle import HOOKS
@@ -172,6 +172,7 @@ class Roster:
             raise error
 
     async def _leave(self, component: Component) -> BaseException | None:
+        self.vacate(component)
         while component.contexts:
             context = component.contexts[0]
             try:
@@ -179,9 +180,16 @@ class Roster:
             except (TimeoutError, RuntimeError) as error:
                 # One that stopped meanwhile has let go of it.
                 if context in component.contexts:
+                    self.vacate(component, leaving=False)
                     return error
         await self._finalize(component, StopBudget(self._kernel.loop))
         return None
+
+    def vacate(self, component: Component, *, leaving: bool = True) -> None:
+        """It is about to go (or stays after all): calls that it serves end, and no other begins."""
+        for port in component.ports.values():
+            if isinstance(port, ServicePort):
+                port._vacate(leaving)
 
     async def close(self, budget: StopBudget) -> None:
         """Take everybody out, in reverse order; contexts have stopped and nobody comes in any more."""
@@ -220,7 +228,7 @@ class Roster:
             self._leave_out(component)
         component._rt_host.alive = False
         for port in component.ports.values():
-            if isinstance(port, InPort):
+            if isinstance(port, InPort | ServicePort):
                 port._wake_waiter()
         for task in tuple(self.tasks.get(component, ())):
             task.cancel()

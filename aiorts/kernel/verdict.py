@@ -44,5 +44,5 @@ def left_behind(member: Member, hook: str, cancels: int) -> BaseException:
 def not_let_in(member: Member, hook: str) -> BaseException:
     """The error of a hook that did not run, since another context was in its component too long."""
     inside = member.gate.inside
-    where = "another context" if inside is None else f"{inside.context.name}, in {inside.hook}"
+    where = "another context" if inside is None else inside.where
     return HookTimeout(f"{member.component.name}.{hook}: did not run: the component was busy in {where}")

@@ -14,7 +14,7 @@ from aiorts.kernel import crossings
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.connector import Connector
 from aiorts.kernel.ports import InPort, OutPort, Port
-from aiorts.model.options import connector_profile
+from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.policy import Dataflow, Stamp, Subscription
 from aiorts.model.profile import ConnectorProfile
 
@@ -42,6 +42,9 @@ def plan(
     for port in ports:
         _check_alive(kernel, port)
     paths = tuple(port.path for port in ports)
+    for key in options:
+        if key.partition(".")[0] in SERVICE_KEYS:
+            raise WiringError(f"{where}: {key}: is an option of service ports, these are data ports")
     base, limits = connector_profile(where, options, "", paths)
     allow = limits.get("allow_duplicate", False)
     pairs = [(out, in_) for out in outs for in_ in ins]

@@ -18,7 +18,7 @@ from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
 
-__all__ = ("DEFAULT_LENGTH", "MAX_LENGTH", "PORT_KEYS", "connector_profile", "is_yes")
+__all__ = ("DEFAULT_LENGTH", "MAX_LENGTH", "PORT_KEYS", "SERVICE_KEYS", "connector_profile", "is_yes")
 
 DEFAULT_LENGTH: Final = 8
 MAX_LENGTH: Final = 1_000_000
@@ -71,6 +71,9 @@ them."""
 
 PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate")
 """Options that are about the ports, not about the connector."""
+
+SERVICE_KEYS: Final = ("mapping", "strict")
+"""Options of service ports; for data ports they mean nothing, and whoever connects those says so."""
 
 _OWN: Final = (
     "dataflow",
@@ -176,10 +179,10 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
     extra: dict[str, str] = {}
     for given, value in options.items():
         key = given.removeprefix("dataport.")
-        if key in used:
+        if key in used or key in SERVICE_KEYS:
             continue
         if "." not in given and key not in _KNOWN_KEPT:
-            near = get_close_matches(key, _OWN, n=1)
+            near = get_close_matches(key, (*_OWN, *SERVICE_KEYS), n=1)
             hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(_OWN)}"
             raise WiringError(f"{where}: unknown option {given!r}{hint}")
         extra[given] = str(value)

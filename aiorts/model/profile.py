@@ -22,6 +22,9 @@ __all__ = (
     "ContextProfile",
     "ContextStatistics",
     "HookStatistics",
+    "InterfaceProfile",
+    "MethodProfile",
+    "ParameterProfile",
     "PortProfile",
 )
 
@@ -72,8 +75,57 @@ class ConnectorStatistics:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterProfile:
+    """One parameter of a method of a service."""
+
+    name: str
+    type: str = ""
+    """As it is written; empty where it is not."""
+    default: str | None = None
+    """As it is written; None where a value has to be given."""
+    kind: str = "either"
+    """How it is given: "position", "keyword" or "either"."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodProfile:
+    """One method of a service."""
+
+    name: str
+    parameters: tuple[ParameterProfile, ...] = ()
+    returns: str = ""
+    doc: str = ""
+    plain: bool = False
+    """Whether it is a plain `def`, which never waits."""
+
+    def __str__(self) -> str:
+        parts = [
+            f"{parameter.name}{': ' if parameter.type else ''}{parameter.type}"
+            f"{'' if parameter.default is None else ' = ' + parameter.default}"
+            for parameter in self.parameters
+        ]
+        arrow = f" -> {self.returns}" if self.returns else ""
+        return f"{'' if self.plain else 'async '}{self.name}({', '.join(parts)}){arrow}"
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceProfile:
+    """One interface of a service port."""
+
+    name: str
+    """Of the instance: unique in its port."""
+    polarity: str
+    """ "provided" or "required"."""
+    type: str
+    methods: tuple[MethodProfile, ...] = ()
+    bound_to: tuple[str, ...] = ()
+    """Paths of the interfaces at the other ends, in the order of connection."""
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class PortProfile:
-    """What a port is: direction "in" or "out", type name, unit, shape, connectors by name."""
+    """What a port is: direction "in", "out" or "service", type name, unit, shape, connectors by name."""
 
     name: str
     direction: str
@@ -82,6 +134,8 @@ class PortProfile:
     shape: tuple[int, ...] | None = None
     doc: str = ""
     connectors: tuple[str, ...] = ()
+    interfaces: tuple[InterfaceProfile, ...] = ()
+    """Of a service port."""
 
 
 @dataclass(frozen=True, slots=True)

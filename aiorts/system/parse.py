@@ -76,6 +76,7 @@ def parse(text: str, path: Path, overrides: Iterable[str] = ()) -> SystemFile:
     text = text.removeprefix("\ufeff")
     first = min(in_file, key=lambda mistake: (mistake.place(text).line, mistake.place(text).column))
     place = first.place(text)
+    text = text.replace("\r\n", "\n")
     start = sum(len(line) + 1 for line in text.split("\n")[: place.line - 1]) + place.column - 1
     error = SystemFileError(f"{path}:{place.line}:{place.column}: {first.where}: {first.what}")
     raise error.at(text, start, start + place.width)

@@ -34,6 +34,7 @@ class NotToml(SystemFileError):
         self.line, self.column, self.reason, self.text = line, column, reason, text
         super().__init__(f"{path}:{line}:{column}: {reason}")
         if text:
+            text = text.replace("\r\n", "\n")  # as tomllib counts
             self.at(text, sum(len(one) + 1 for one in text.split("\n")[: line - 1]) + column - 1)
 
 

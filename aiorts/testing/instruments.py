@@ -7,15 +7,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.kernel import Component, InPort, OutPort
+from aiorts.kernel import Component, InPort, OutPort, Provided, Required
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
+
+    from aiorts.kernel.ports import ServiceEnd
 
 __all__ = ("Instruments", "Tap", "at_once")
 
 _LENGTH: Final = 1_000_000
 """Samples that may be fed at once; a tap needs as many only where the writer is in another thread."""
+
+_ENOUGH: Final = 60.0
+"""Virtual seconds that a test waits for what it calls."""
 
 
 class Tap:
@@ -54,6 +59,7 @@ class Instruments(Component):
         self.taps: dict[OutPort[Any], Tap] = {}
         self._note = note
         self._feeds: dict[InPort[Any], OutPort[Any]] = {}
+        self._asks: dict[ServiceEnd[Any], Required[Any]] = {}
         self._made = 0
 
     def tap(self, out: OutPort[Any]) -> None:
@@ -84,6 +90,19 @@ class Instruments(Component):
             at_once(self.kernel.connect(out, port, length=_LENGTH))
             self._feeds[port] = out
         return self._feeds[port]
+
+    def provide(self, end: ServiceEnd[Any], fake: object) -> None:
+        """Have `fake` answer a required interface."""
+        provided: Any = Provided[end.interface]  # type: ignore[name-defined] # known when it runs
+        at_once(self.kernel.connect(end, self.add_port(self._name("fake"), provided(fake, concurrent=True))))
+
+    def ask(self, end: ServiceEnd[Any]) -> Required[Any]:
+        """What calls a provided interface."""
+        if end not in self._asks:
+            required: Any = Required[end.interface]  # type: ignore[name-defined] # known when it runs
+            self._asks[end] = self.add_port(self._name("ask"), required(timeout=_ENOUGH))
+            at_once(self.kernel.connect(self._asks[end], end))
+        return self._asks[end]
 
     def _name(self, stem: str) -> str:
         self._made += 1

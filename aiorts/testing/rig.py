@@ -9,12 +9,13 @@ async with Rig(Pid("pid0"), rate=100.0) as rig:
 from __future__ import annotations
 
 from contextlib import contextmanager
+from inspect import iscoroutine
 from typing import TYPE_CHECKING, Any, Self
 
 from aiorts.clock import SimulatedClock, current_clock, to_ns
 from aiorts.contexts import ExternalContext
 from aiorts.errors import ClosedError, ComponentError, StateError, WiringError
-from aiorts.kernel import Component, InPort, Kernel, OutPort
+from aiorts.kernel import Component, InPort, Kernel, OutPort, ServicePort
 from aiorts.kernel.bus import HookFailed, PortAdded
 from aiorts.testing.driving import is_ticked, one_cycle, while_time_passes
 from aiorts.testing.instruments import Instruments, Tap, at_once
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from aiorts.kernel import Connector, Context
-    from aiorts.kernel.ports import Port
+    from aiorts.kernel.ports import Port, ServiceEnd
 
 __all__ = ("Caught", "Rig")
 
@@ -253,6 +254,34 @@ class Rig:
                 if changed is not None:
                     found.append(f"{tap.out.path}: sample {number}: {changed} as written")
         return found
+
+    # -- services --------------------------------------------------------------------------------------------------
+
+    def provide(self, end: str | ServicePort | ServiceEnd[Any], fake: object) -> None:
+        """Have `fake` answer what a component requires: an object with the methods of the interface.
+
+        Raises:
+            DeclarationError: it does not have them. WiringError: nothing is required there, or it is answered already.
+        """
+        self._tools.provide(self._end(end, "required"), fake)
+
+    async def call(self, end: str | ServicePort | ServiceEnd[Any], method: str, *args: Any, **kwargs: Any) -> Any:
+        """Call a method that a component provides; time passes meanwhile, 60 s at the most. Raises as any call does."""
+        answer = getattr(self._tools.ask(self._end(end, "provided")).proxy, method)(*args, **kwargs)
+        return await while_time_passes(self.clock, answer) if iscoroutine(answer) else answer
+
+    def _end(self, end: str | ServicePort | ServiceEnd[Any], polarity: str) -> ServiceEnd[Any]:
+        if isinstance(end, str):
+            path, _, name = end.rpartition(".") if end.count(".") > 1 else (end, "", "")
+            port = self.port(path)
+        else:
+            port, name = (end, "") if isinstance(end, ServicePort) else (end.port, end.instance)
+        ends = port.interfaces if isinstance(port, ServicePort) else ()
+        found = [one for one in ends if one.polarity == polarity and name in ("", one.instance)]
+        if len(found) != 1:
+            among = ", ".join(f"{one.path} ({one.polarity})" for one in ends) or "none"
+            raise WiringError(f"{port.path}: {len(found) or 'no'} {polarity} interfaces here; there are {among}")
+        return found[0]
 
     def _tap(self, out: OutPort[Any]) -> Tap:
         tap = self._tools.taps.get(out)

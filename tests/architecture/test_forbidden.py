@@ -49,6 +49,12 @@ BROAD_EXCEPT = {
     # What an exception of a plugin says of itself may raise in its turn.
     "aiorts/kernel/plugins.py:_text",
     "aiorts/kernel/solo.py:_run",
+    # A provider's method is a component's code as a hook is: in a task of its own, in the caller's step, in a thread.
+    "aiorts/kernel/service_call.py:_serve",
+    "aiorts/kernel/service_proxy.py:run_in_step",
+    "aiorts/kernel/service_thread.py:_serve",
+    # It goes on to the thread that blocks for it.
+    "aiorts/kernel/service_thread.py:run",
     "aiorts/contexts/thread.py:_call",
     # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.
     "aiorts/contexts/thread.py:_run",

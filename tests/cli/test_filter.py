@@ -82,7 +82,7 @@ def test_a_bad_port_or_map_is_one_error_with_a_mark_under_it(
     assert len(error) <= 240
     at = mark.index("^")
     assert quoted[at : at + 1] == options[1][place : place + 1]
-    assert quoted.strip() in options[1]
+    assert quoted.strip().removeprefix("...").removesuffix("...") in options[1]  # long text is cut round the place
 
 
 @pytest.mark.parametrize("text", ["0>1e3>0", "0 > 0", "0>1000-5>0", "0>1+0.5>0", "0>1-5e3>0"])

@@ -108,7 +108,7 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
         (["parts.py:Counter", "--log-format", "xml"], "xml"),
         (["parts.py:Counter", "--log-file", "nix/log"], "no folder 'nix'"),
         (["parts.py:Counter", "--log-file", "."], "is a folder"),
-        (["parts.py:Counter", "--log-file", "a\0b"], "null"),
+        (["parts.py:Counter", "--log-file", "a\0b"], "NUL"),
         (["parts.py:Counter", "--log-file", "parts.py/x"], "Not a directory"),
     ],
 )

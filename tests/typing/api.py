@@ -3,9 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
-from typing import Annotated, Any, assert_type
+from typing import Annotated, Any, Protocol, assert_type
 
-from aiorts import Component, Connector, InPort, Kernel, LifeCycleState, OutPort, Param, PeriodicContext, component
+from aiorts import (
+    Component,
+    Connector,
+    InPort,
+    Kernel,
+    LifeCycleState,
+    OutPort,
+    Param,
+    PeriodicContext,
+    Provided,
+    Required,
+    ServiceConnector,
+    component,
+)
 from aiorts.types import TimedDouble, TimedLong
 
 
@@ -27,6 +40,52 @@ class Pid(Component):
         await self.command.write(TimedLong(0, 1))  # error: not the port's type
         async for one in self.measured:
             assert_type(one, TimedDouble)
+
+
+class Brake(Protocol):
+    async def stop(self, force: float = 1.0) -> float: ...
+
+    def held(self) -> bool: ...
+
+
+class Arm(Component):
+    brake = Required[Brake]()
+
+    async def on_execute(self) -> None:
+        assert_type(self.brake, Required[Brake])
+        assert_type(self.brake.proxy, Brake)
+        assert_type(await self.brake.proxy.stop(2.0), float)
+        assert_type(await self.brake.within(0.1).stop(force=2.0), float)
+        assert_type(self.brake.proxy.held(), bool)
+        assert_type(self.brake.proxies, tuple[Brake, ...])
+        await self.brake.proxy.stop("hard")  # error: not a float
+        await self.brake.proxy.release()  # error: no such method
+        await self.brake.wait_bound()
+
+
+class BrakeRtc(Component):
+    service = Provided[Brake](concurrent=True)
+
+    def stop(self, force: float = 1.0) -> float:
+        return force
+
+    def held(self) -> bool:
+        return True
+
+    def on_execute(self) -> None:
+        assert_type(self.add_port("more", Required[Brake]()), Required[Brake])
+        assert_type(self.add_port("mine", Provided[Brake](self)), Provided[Brake])
+
+
+def blocking(arm: Arm) -> None:
+    assert_type(arm.brake.call_blocking(lambda brake: brake.stop(1.0)), float)
+
+
+async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
+    assert_type(await kernel.connect(arm.brake, brake.service), ServiceConnector)
+    assert_type(await kernel.connect(arm.brake, brake.service, mapping={"brake": "service"}), ServiceConnector)
+    assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), tuple[ServiceConnector, ...])
+    await kernel.connect(arm.brake, arm)  # error: a component is no port
 
 
 class Plain(Component):

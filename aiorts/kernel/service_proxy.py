@@ -1,0 +1,239 @@
+"""What a caller has in its hands, and the end of each call: what is refused, how a failure is told, what is counted.
+
+A provider's plain method runs here, within the caller's own step, when nobody is in the way; all other calls wait, as
+`service_call.py` says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from types import CoroutineType
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from aiorts.errors import (
+    InterfaceMismatch,
+    ServiceCycle,
+    ServiceFailed,
+    ServiceTimeout,
+    ServiceUnavailable,
+    ThreadError,
+)
+from aiorts.kernel.bus import CallFailed, ServiceCalled
+from aiorts.kernel.service_visit import Visit, holder_of
+from aiorts.kernel.tasks import current_task
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.service_ends import Provided, Required
+    from aiorts.kernel.service_wiring import Answer, Link
+
+__all__ = ("Outcome", "failed", "inside", "make_proxy", "refusal", "run_in_step", "settle")
+
+Outcome: TypeAlias = tuple[Any, BaseException | None]
+
+
+class _Proxy:
+    """Stands for the provider; its attributes are the methods of the interface."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    def __repr__(self) -> str:
+        return f"<proxy of {self._path}>"
+
+
+def make_proxy(required: Required[Any], only: Link | None, seconds: float) -> Any:
+    """What answers for the provider that `required` is bound to when it is called, or for that of one link."""
+    proxy = _Proxy(required.path)
+    for name, method in required.spec.methods.items():
+        call = _plain(required, only, name, seconds) if method.plain else _awaited(required, only, name, seconds)
+        call.__name__ = name
+        call.__doc__ = method.doc
+        setattr(proxy, name, call)
+    return proxy
+
+
+def _awaited(required: Required[Any], only: Link | None, name: str, seconds: float) -> Any:
+    async def call(*args: Any, **kwargs: Any) -> Any:
+        link = only or required._sole
+        if link is None or link.closed:
+            raise not_bound(required, name)
+        kernel = link.kernel
+        if not kernel.on_loop_thread():
+            raise ThreadError(
+                f"{link.named(name)}: awaited outside of the kernel's loop; in the thread of a ThreadContext use "
+                "call_blocking, a real-time hook waits for nobody"
+            )
+        answer = link.answers[name]
+        if answer.plain and not link.threaded:
+            provided = link.provided
+            if provided.concurrent or link.gate.open:
+                return run_plain(link, answer, args, kwargs)
+        from aiorts.kernel.service_call import ServiceCall
+
+        return await ServiceCall(link, answer, args, kwargs, seconds).result()
+
+    return call
+
+
+def _plain(required: Required[Any], only: Link | None, name: str, seconds: float) -> Any:
+    def call(*args: Any, **kwargs: Any) -> Any:
+        link = only or required._sole
+        if link is None or link.closed:
+            raise not_bound(required, name)
+        if not link.kernel.on_loop_thread():
+            from aiorts.kernel.service_thread import call_plain
+
+            return call_plain(link, name, args, kwargs, seconds)
+        answer = link.answers[name]
+        if link.threaded or not (link.provided.concurrent or link.gate.open):
+            busy = ServiceUnavailable(
+                f"{link.named(name)}: {link.provided.path.partition('.')[0]} is busy"
+                f"{inside(link.component)}; a plain method does not wait: write `async def` in {required.spec.name}, "
+                "or concurrent=True at the provider"
+            )
+            settle(link, answer, link.kernel.clock.monotonic_ns(), None, busy)
+        return run_plain(link, answer, args, kwargs)
+
+    return call
+
+
+def not_bound(required: Required[Any], name: str) -> ServiceUnavailable:
+    """The error of a call that has nobody to go to."""
+    required._tally.add(0, "refused")
+    return ServiceUnavailable(f"{required.path}.{name}: is not connected; connect it, or await wait_bound()")
+
+
+def refusal(provided: Provided[Any]) -> str:
+    """Why a component serves no calls now; "" when it does."""
+    component = provided.port._component
+    if component._rt_abandoned is not None:
+        return "a hook or method of it was left behind and it never runs again"
+    if provided._vacant:
+        return "it is being removed"
+    if provided.always:
+        return ""
+    members = component._rt_members
+    for member in members:
+        if member.active:
+            return ""
+    if not members:
+        return "its kernel closes" if component._rt_kernel is None or component._rt_kernel._closed else ""
+    states = ", ".join(f"{member.state} in {member.context.name}" for member in members)
+    advice = "reset and activate" if any(member.failure is not None for member in members) else "activate"
+    return f"it is {states}; {advice} it, or declare it always=True"
+
+
+def inside(component: Component) -> str:
+    holder = holder_of(component)
+    return "" if holder is None else f" in {holder.where}"
+
+
+# -- the answer ----------------------------------------------------------------------------------------------------
+
+
+def run_plain(link: Link, answer: Answer, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    """Call a provider's plain method, in the caller's own step."""
+    now_ns = link.now_ns
+    begun_ns = now_ns()
+    reason = refusal(link.provided)
+    if reason:
+        unavailable = ServiceUnavailable(f"{link.named(answer.name)}: {reason}")
+        settle(link, answer, begun_ns, None, unavailable)
+    gate = None if link.provided.concurrent else link.gate
+    if gate is not None:
+        gate.inside = answer.visit
+    value, error = run_in_step(answer, answer.visit, args, kwargs)
+    if gate is not None:
+        gate.inside = None
+        if gate.waiting:
+            gate.pass_on()
+    return settle(link, answer, begun_ns, value, None if error is None else failed(link, answer, args, kwargs, error))
+
+
+def run_in_step(answer: Answer, visit: Visit, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Outcome:
+    """A plain method in the task of the caller; what it starts is its own component's."""
+    task: Any = current_task()
+    value = error = None
+    before: tuple[Any, Any] = (None, None)
+    if task is not None:
+        before = getattr(task, "_aiorts_component", None), getattr(task, "_aiorts_visit", None)
+        task._aiorts_component, task._aiorts_visit = visit.component, visit
+    try:
+        value = answer.function(*args, **kwargs)
+    except BaseException as raised:  # noqa: BLE001 - the border round a provider's method
+        error = raised
+    if task is not None:
+        task._aiorts_component, task._aiorts_visit = before
+    return value, error
+
+
+def failed(
+    link: Link, answer: Answer, args: tuple[Any, ...], kwargs: dict[str, Any], error: BaseException | None
+) -> BaseException | None:
+    """What the caller is told of what a provider's method raised."""
+    if error is None:
+        return None
+    if isinstance(error, GeneratorExit) and asyncio._get_running_loop() is None:
+        raise error  # the loop is gone, and this call with it
+    if isinstance(error, TypeError):
+        try:
+            answer.signature.bind(*args, **kwargs)
+        except TypeError as wrong:
+            return TypeError(f"{link.named(answer.name)}{answer.signature}: {wrong}")
+    if isinstance(error, KeyboardInterrupt):
+        link.kernel._interrupted(error)
+    told = ServiceFailed(f"{link.named(answer.name)}: raised {type(error).__name__}: {error}")
+    told.__cause__ = error
+    if link.provided.failure == "error":
+        for member in tuple(link.component._rt_members):
+            member.context._life.task_failed(member, error)
+    return told
+
+
+def settle(link: Link, answer: Answer, begun_ns: int, value: Any, error: BaseException | None) -> Any:
+    """The end of a call: its result is checked, it is counted, and those who want to know are told."""
+    if error is None:
+        check = answer.check
+        if (check is not None and not check(value)) or value.__class__ is CoroutineType:
+            error = _mismatch(link, answer, value)
+    elapsed_ns = link.now_ns() - begun_ns
+    bus = link.kernel.bus
+    if error is None:
+        link.required._tally.add(elapsed_ns)
+        link.provided._tally.add(elapsed_ns)
+        if bus.calls_wanted:
+            bus.publish(ServiceCalled(link.required.path, link.provided.path, answer.name, elapsed_ns, None))
+        return value
+    outcome = _OUTCOMES.get(type(error), "failures")
+    link.required._tally.add(elapsed_ns, outcome)
+    link.provided._tally.add(elapsed_ns, outcome)
+    if bus.calls_wanted:
+        bus.publish(ServiceCalled(link.required.path, link.provided.path, answer.name, elapsed_ns, error))
+    if outcome in ("failures", "timeouts"):
+        bus.publish(CallFailed(link.required.path, link.provided.path, answer.name, error))
+    try:
+        raise error
+    finally:
+        del error  # it knows this frame by its traceback, and the frame it
+
+
+_OUTCOMES = {
+    ServiceTimeout: "timeouts",
+    ServiceUnavailable: "refused",
+    ServiceCycle: "refused",
+    asyncio.CancelledError: "cancelled",
+    TypeError: "refused",
+}
+
+
+def _mismatch(link: Link, answer: Answer, value: object) -> InterfaceMismatch:
+    if isinstance(value, CoroutineType):
+        value.close()
+        return InterfaceMismatch(
+            f"{link.named(answer.name)}: {link.provided.path} answered with a coroutine; write `async def`"
+        )
+    return InterfaceMismatch(
+        f"{link.named(answer.name)}: {link.provided.path} answered with {type(value).__name__} {value!r:.60}, "
+        f"{link.required.path} takes {answer.returns}"
+    )

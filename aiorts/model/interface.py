@@ -1,0 +1,266 @@
+"""Interfaces of services as values: what a Protocol asks for, what a provider has, and where the two differ.
+
+This file reads and compares; it calls nothing and waits for nothing. An interface consists of methods with named
+parameters: `async def`, which a caller awaits, or plain `def`, which never waits. What is `async def` in the interface
+may be either at the provider; what is plain has to be plain.
+"""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+from aiorts.errors import DeclarationError
+from aiorts.model.profile import MethodProfile, ParameterProfile
+
+__all__ = ("Check", "Interface", "Method", "check_of", "differences", "read_interface", "read_method")
+
+Check: TypeAlias = Callable[[Any], bool]
+
+_EMPTY: Final = inspect.Parameter.empty
+_EITHER: Final = inspect.Parameter.POSITIONAL_OR_KEYWORD
+_POSITION: Final = inspect.Parameter.POSITIONAL_ONLY
+_KEYWORD: Final = inspect.Parameter.KEYWORD_ONLY
+_VAR_POSITION: Final = inspect.Parameter.VAR_POSITIONAL
+_VAR_KEYWORD: Final = inspect.Parameter.VAR_KEYWORD
+_KINDS: Final[dict[Any, str]] = {_EITHER: "either", _POSITION: "position", _KEYWORD: "keyword"}
+_SHALLOW: Final = (list, dict, tuple, set, frozenset)
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One method: its parameters without `self`, with the types that could be resolved."""
+
+    name: str
+    parameters: tuple[inspect.Parameter, ...]
+    returns: Any
+    doc: str
+    plain: bool
+
+    @property
+    def profile(self) -> MethodProfile:
+        """As plain data."""
+        parameters = tuple(
+            ParameterProfile(
+                parameter.name,
+                spelled(parameter.annotation),
+                None if parameter.default is _EMPTY else repr(parameter.default),
+                _KINDS.get(parameter.kind, "either"),
+            )
+            for parameter in self.parameters
+        )
+        return MethodProfile(self.name, parameters, spelled(self.returns), self.doc, self.plain)
+
+    @property
+    def signature(self) -> inspect.Signature:
+        """What a caller may give."""
+        return inspect.Signature(list(self.parameters))
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """The methods of one Protocol, by name, in the order they are written."""
+
+    name: str
+    doc: str
+    methods: Mapping[str, Method]
+
+
+def read_interface(protocol: object) -> Interface:
+    """The methods that a Protocol asks for.
+
+    Raises:
+        DeclarationError: it is no Protocol, or has something that is not a method with named parameters.
+    """
+    if not (isinstance(protocol, type) and getattr(protocol, "_is_protocol", False)):
+        raise DeclarationError(f"{spelled(protocol)}: an interface is a typing.Protocol with methods")
+    name, methods = protocol.__name__, dict[str, Method]()
+    for base in reversed(protocol.__mro__):
+        if base in (object, typing.Protocol, typing.Generic):
+            continue
+        for attribute in inspect.get_annotations(base):
+            if not attribute.startswith("_"):
+                raise DeclarationError(f"{name}.{attribute}: is a value; an interface has methods only")
+        for attribute, value in vars(base).items():
+            if attribute.startswith("_"):
+                continue
+            if not inspect.isfunction(value):
+                raise DeclarationError(f"{name}.{attribute}: is no method (`def` or `async def`) but {value!r:.60}")
+            methods[attribute] = _checked(name, read_method(attribute, value, bound=False))
+    if not methods:
+        raise DeclarationError(f"{name}: an interface needs a method at least")
+    return Interface(name, inspect.getdoc(protocol) or "" if protocol.__doc__ else "", types.MappingProxyType(methods))
+
+
+def _checked(interface: str, method: Method) -> Method:
+    for parameter in method.parameters:
+        if parameter.kind in (_VAR_POSITION, _VAR_KEYWORD):
+            raise DeclarationError(
+                f"{interface}.{method.name}: *{parameter.name}: each parameter needs a name of its own"
+            )
+    return method
+
+
+def read_method(name: str, function: Callable[..., Any], *, bound: bool) -> Method:
+    """What a function is as a method; `bound` has no `self` any more.
+
+    Raises:
+        DeclarationError: it is a generator, or its parameters cannot be known.
+    """
+    if inspect.isgeneratorfunction(function) or inspect.isasyncgenfunction(function):
+        raise DeclarationError(f"{name}: is a generator (it contains `yield`); a method of a service returns once")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError) as error:
+        raise DeclarationError(f"{name}: {function!r:.60}: its parameters cannot be known: {error}") from None
+    hints = _hints(function)
+    given = list(signature.parameters.values())
+    if not bound:
+        given = given[1:]
+    parameters = tuple(one.replace(annotation=hints.get(one.name, one.annotation)) for one in given)
+    returns = hints.get("return", signature.return_annotation)
+    doc = (inspect.getdoc(function) or "") if getattr(function, "__doc__", None) else ""
+    return Method(name, parameters, returns, doc, not inspect.iscoroutinefunction(function))
+
+
+def _hints(function: Callable[..., Any]) -> dict[str, Any]:
+    """The annotations, resolved one by one: one of a name that is not known stays the text that it is."""
+    function = inspect.unwrap(getattr(function, "__func__", function))
+    found: dict[str, Any] = {}
+    for name, hint in getattr(function, "__annotations__", {}).items():
+        holder = types.SimpleNamespace(__annotations__={name: hint})
+        try:
+            found[name] = typing.get_type_hints(holder, getattr(function, "__globals__", {}))[name]
+        except (NameError, TypeError, AttributeError, SyntaxError):
+            found[name] = hint
+    return found
+
+
+def spelled(hint: Any) -> str:
+    """A type as one would write it."""
+    if hint is _EMPTY:
+        return ""
+    if hint is None or hint is type(None):
+        return "None"
+    if isinstance(hint, str):
+        return hint
+    if isinstance(hint, type) and not typing.get_args(hint):
+        return hint.__name__
+    return str(hint).replace("typing.", "")
+
+
+# -- comparing ---------------------------------------------------------------------------------------------------------
+
+
+def differences(wanted: Mapping[str, Method], given: Mapping[str, Method]) -> list[str]:
+    """Why what is `given` cannot answer every call that is `wanted`, a line for each; empty where it can."""
+    found = []
+    for name, method in wanted.items():
+        other = given.get(name)
+        if other is None:
+            found.append(f"there is no method {method.profile}")
+        else:
+            reason = _difference(method, other)
+            if reason:
+                found.append(f"{reason}: wanted {method.profile}, there is {other.profile}")
+    return found
+
+
+def _difference(wanted: Method, given: Method) -> str:
+    if wanted.plain and not given.plain:
+        return f"{wanted.name} may not wait"
+    return _parameters_differ(wanted, given) or (
+        ""
+        if fits(given.returns, wanted.returns)
+        else f"{wanted.name} returns {spelled(given.returns)}, not {spelled(wanted.returns)}"
+    )
+
+
+def _parameters_differ(wanted: Method, given: Method) -> str:
+    any_position = any(parameter.kind is _VAR_POSITION for parameter in given.parameters)
+    any_keyword = any(parameter.kind is _VAR_KEYWORD for parameter in given.parameters)
+    in_order = [parameter for parameter in given.parameters if parameter.kind in (_POSITION, _EITHER)]
+    by_name = {parameter.name: parameter for parameter in given.parameters if parameter.kind in (_EITHER, _KEYWORD)}
+    met: set[str] = set()
+    for index, parameter in enumerate(wanted.parameters):
+        where = f"{wanted.name}, parameter {parameter.name}"
+        if parameter.kind is _KEYWORD:
+            other, anything = by_name.get(parameter.name), any_keyword
+        else:
+            other = in_order[index] if index < len(in_order) else None
+            anything = any_position and (parameter.kind is _POSITION or any_keyword)
+            if other is not None and parameter.kind is _EITHER:
+                if other.kind is _POSITION:
+                    return f"{where}: can be given by position only"
+                if other.name != parameter.name:
+                    return f"{where}: is called {other.name}"
+        if other is None:
+            if not anything or (parameter.kind is _EITHER and parameter.name in by_name):
+                return f"{where}: is not taken"
+            continue
+        if other.name in met:
+            return f"{where}: is given twice, by position and by name"
+        met.add(other.name)
+        if parameter.default is not _EMPTY and other.default is _EMPTY:
+            return f"{where}: has no default"
+        if not fits(parameter.annotation, other.annotation):
+            return f"{where}: is {spelled(other.annotation)}, not {spelled(parameter.annotation)}"
+    for parameter in given.parameters:
+        named = parameter.kind not in (_VAR_POSITION, _VAR_KEYWORD)
+        if named and parameter.name not in met and parameter.default is _EMPTY:
+            return f"{wanted.name}, parameter {parameter.name}: is needed and never given"
+    return ""
+
+
+def fits(one: Any, other: Any) -> bool:
+    """Whether a value of the first type may stand where the second is asked for, as far as that can be known."""
+    if other in (_EMPTY, Any, object) or one in (_EMPTY, Any) or one == other:
+        return True
+    parts, others = _alternatives(one), _alternatives(other)
+    if len(parts) > 1 or len(others) > 1:
+        return all(any(fits(part, another) for another in others) for part in parts)
+    one, other = parts[0], others[0]
+    if isinstance(one, type) and isinstance(other, type) and not (typing.get_args(one) or typing.get_args(other)):
+        if getattr(other, "_is_protocol", False):
+            return True  # structural: not to be known from the class alone
+        return issubclass(one, other) or (other is float and issubclass(one, int))
+    return spelled(one) == spelled(other)
+
+
+def _alternatives(hint: Any) -> list[Any]:
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return list(typing.get_args(hint))
+    return [type(None) if hint is None else hint]
+
+
+# -- checking results --------------------------------------------------------------------------------------------------
+
+
+def check_of(hint: Any) -> Check | None:
+    """Whether a value is of this type; None where that is not checked: Protocols, type variables, names not known."""
+    alternatives = _alternatives(hint)
+    if len(alternatives) > 1:
+        checks = [check_of(alternative) for alternative in alternatives]
+        known = [check for check in checks if check is not None]
+        return (lambda value: any(check(value) for check in known)) if len(known) == len(checks) else None
+    one = alternatives[0]
+    if one is _EMPTY or one is Any or one is object:
+        return None
+    if one is type(None):
+        return lambda value: value is None
+    if one is float:
+        return lambda value: isinstance(value, float | int) and not isinstance(value, bool)
+    if one is int:
+        return lambda value: isinstance(value, int) and not isinstance(value, bool)
+    origin = typing.get_origin(one)
+    if origin in _SHALLOW:
+        kind: Any = origin
+        return lambda value: isinstance(value, kind)
+    if isinstance(one, type) and origin is None and not getattr(one, "_is_protocol", False):
+        exact: Any = one
+        return lambda value: isinstance(value, exact)
+    return None

@@ -1,0 +1,40 @@
+"""What connections of service ports are, and what their calls have come to; frozen, plain data as in `profile.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ("ServiceConnectorProfile", "ServiceStatistics")
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConnectorProfile:
+    """What two service ports agreed on."""
+
+    name: str
+    ports: tuple[str, ...] = ()
+    mapping: tuple[tuple[str, str], ...] = ()
+    """Each required interface with the provided one that answers it, as paths."""
+    strict: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceStatistics:
+    """The calls of one interface; times in nanoseconds, from asking to the answer, all waiting included."""
+
+    calls: int = 0
+    """Calls that have ended, in whatever way."""
+    failures: int = 0
+    """Of these: the provider raised, or answered with a wrong type."""
+    timeouts: int = 0
+    refused: int = 0
+    """Of these: nobody was there, was not active, or would have waited for himself."""
+    cancelled: int = 0
+    """Of these: whoever called was cancelled."""
+    total_ns: int = 0
+    max_ns: int = 0
+
+    @property
+    def mean_ns(self) -> float:
+        """The mean duration; 0 without a call."""
+        return self.total_ns / self.calls if self.calls else 0.0
