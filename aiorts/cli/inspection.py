@@ -159,11 +159,16 @@ def _parameter(spec: Any) -> dict[str, Any]:
     }
 
 
+def _kind(port: dict[str, Any]) -> str:
+    """The type of a data port; of a service port what it provides and requires."""
+    return ", ".join(f"{one['polarity']} {one['type']}" for one in port["interfaces"]) or str(port["type"])
+
+
 def _component_text(drawn: Drawn) -> str:
     profile = drawn.profile
     parts = [_head(profile["type"], profile["doc"], profile)]
     ports = [
-        (_DIRECTIONS[p["direction"]], p["name"], p["type"], p["unit"] or "", _shape(p["shape"]), p["doc"])
+        (_DIRECTIONS[p["direction"]], p["name"], _kind(p), p["unit"] or "", _shape(p["shape"]), p["doc"])
         for p in profile["ports"]
     ]
     if drawn.missing:

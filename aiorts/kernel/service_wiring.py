@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.service_call import ServiceCall
 
-__all__ = ("Answer", "Link", "Plan", "connect")
+__all__ = ("Answer", "Link", "Plan", "connect", "fault_of")
 
 _NOBODY: Final = ("", "nil", "null", None)
 """What a mapping says of an interface that is to stay unbound; the words are OpenRTM's."""
@@ -131,6 +131,18 @@ def connect(kernel: Kernel, given: Sequence[Any], options: Mapping[str, Any]) ->
         pairs.setdefault(tuple(sorted((required.port.path, provided.port.path))), []).append((required, provided))
     _check_limits([port for those in pairs.values() for port in (those[0][0].port, those[0][1].port)])
     return [(f"{those[0][0].port.path}-{those[0][1].port.path}", Plan(those, strict)) for those in pairs.values()]
+
+
+def fault_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> WiringError | None:
+    """What keeps these ports from being connected, said of ports that need not be in a kernel yet."""
+    where = " -> ".join(port.path for port in ports)
+    try:
+        mapping, strict = _options(where, options)
+        ends = [end for port in ports for end in port.interfaces]
+        _Matching(where, ends, mapping, strict=strict, explicit=[]).pairs()
+    except WiringError as error:
+        return error
+    return None
 
 
 class Plan:

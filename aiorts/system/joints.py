@@ -7,7 +7,8 @@ from difflib import get_close_matches
 from typing import Any
 
 from aiorts.errors import SystemFileError, WiringError
-from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports import InPort, OutPort, Port, ServicePort
+from aiorts.kernel.service_wiring import fault_of
 from aiorts.kernel.wiring import pair_faults
 from aiorts.system.adapt import adaptation
 from aiorts.system.draft import Draft
@@ -87,6 +88,10 @@ def _port(
 def _ends(
     found: Survey, drafts: Mapping[str, Draft], connection: ConnectionEntry, ports: list[Port[Any]]
 ) -> Iterator[Said]:
+    services = [port for port in ports if isinstance(port, ServicePort)]
+    if services:
+        yield from _services(connection, ports, services)
+        return
     outs = [port for port in ports if isinstance(port, OutPort)]
     ins = [port for port in ports if isinstance(port, InPort)]
     if not outs or not ins:
@@ -114,6 +119,15 @@ def _ends(
         if stamp is not None and not has_tm(out.type):
             what = f"{out.path} sends {out.type.__name__}, which has no field tm to put it in; take it away"
             yield Said("error", WiringError.code, (*_key(connection), "stamp"), what)
+
+
+def _services(connection: ConnectionEntry, ports: list[Port[Any]], services: list[ServicePort]) -> Iterator[Said]:
+    if len(services) < len(ports):
+        what = f"{' and '.join(port.path for port in ports)}: a data port and a service port; connect like with like"
+        yield Said("error", WiringError.code, _end(connection, 1), what)
+    elif (fault := fault_of(services, connection.options)) is not None:
+        text = str(fault).removeprefix(f"{' -> '.join(port.path for port in ports)}: ")
+        yield Said("error", fault.code, _end(connection, 1), text)
 
 
 def _limits(

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from aiorts.kernel.catalogue import Catalogue
-from aiorts.kernel.ports import OutPort
+from aiorts.kernel.ports import OutPort, ServicePort
 from aiorts.model.policy import Dataflow, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
 from aiorts.system.draft import draft
@@ -94,7 +94,12 @@ def _box(found: Survey, name: str, arrows: tuple[Arrow, ...], also: list[str]) -
         for port in draft(found.types[name], name, found.params[name]).ports.values():
             out = isinstance(port, OutPort)
             unit = f" [{port.unit}]" if port.unit else ""
-            pins[port.name, out] = Pin(port.name, f"{type_name(port.type)}{unit}", out)
+            if isinstance(port, ServicePort):
+                out = any(arrow.source == (name, port.name) for arrow in arrows)
+                kind_ = port.profile.type
+            else:
+                kind_ = f"{type_name(port.type)}{unit}"
+            pins[port.name, out] = Pin(port.name, kind_, out)
     for arrow in arrows:
         for end, out in ((arrow.source, True), (arrow.target, False)):
             if end[0] == name:

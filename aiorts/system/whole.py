@@ -9,7 +9,7 @@ from typing import Any
 
 from aiorts.contexts import EventContext
 from aiorts.errors import StateError
-from aiorts.kernel.ports import OutPort, Port
+from aiorts.kernel.ports import OutPort, Port, ServicePort
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Dataflow, Subscription
 from aiorts.model.profile import ConnectorProfile
@@ -32,7 +32,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
         yield from _open_ports(found, drafts)
     yield from _too_many(found)
     yield from _mutable(found, drafts)
-    yield from _loops(found)
+    yield from _loops(found, drafts)
     yield from _waits(found)
 
 
@@ -50,7 +50,7 @@ def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     for name, draft in drafts.items():
         free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used]
         if free:
-            listed = ", ".join(f"{port.name} ({_way(port)} {type_name(port.type)})" for port in free[:most])
+            listed = ", ".join(f"{port.name} ({_way(port)} {_kind(port)})" for port in free[:most])
             more = f" and {len(free) - most} more" if len(free) > most else ""
             word = "ports have" if len(free) > 1 else "port has"
             text = f"{len(free)} {word} no connection: {listed}{more}"
@@ -58,7 +58,11 @@ def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 
 
 def _way(port: Port[Any]) -> str:
-    return "out" if isinstance(port, OutPort) else "in"
+    return "service" if isinstance(port, ServicePort) else "out" if isinstance(port, OutPort) else "in"
+
+
+def _kind(port: Port[Any]) -> str:
+    return port.profile.type if isinstance(port, ServicePort) else type_name(port.type)
 
 
 def _too_many(found: Survey) -> Iterator[Said]:
@@ -86,7 +90,7 @@ def _mutable(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
 # -- cycles ------------------------------------------------------------------------------------------------------------
 
 
-def _loops(found: Survey) -> Iterator[Said]:
+def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     """Cycles whose members are all in event contexts alone: with one sample in it, such a cycle never rests.
 
     A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle.
@@ -102,6 +106,8 @@ def _loops(found: Survey) -> Iterator[Said]:
         if profile is None or not _wakes(profile[0]):
             continue
         out, *ins = connection.ports
+        if _is_service(drafts, out):
+            continue  # a call waits for its answer, and wakes nobody
         for in_ in ins:
             writer, reader = out.partition(".")[0], in_.partition(".")[0]
             if writer in edges and reader in edges:
@@ -121,6 +127,11 @@ def _loops(found: Survey) -> Iterator[Said]:
             f"put one of them into a periodic context"
         )
         yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
+
+
+def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:
+    component, _, port = path.partition(".")
+    return component in drafts and isinstance(drafts[component].ports.get(port), ServicePort)
 
 
 def _wakes(profile: ConnectorProfile) -> bool:
