@@ -84,6 +84,11 @@ CODES: Final[dict[str, Code]] = {
         "It waits for something that does not come, or takes longer than its context allows.",
         "Wait with a time-out inside the hook, or give the context a longer deadline.",
     ),
+    "E-INTERFACE": Code(
+        "Two service ports do not go together: one asks for what the other does not answer.",
+        "A method is missing, or has other parameters or another result.",
+        "The line names both ports and the difference; compare them with aiorts inspect.",
+    ),
     "E-LINE": Code(
         "A line of standard input is no sample for the port; the other lines are processed.",
         "No JSON, another type, a value out of range; the line is named by its number.",
@@ -123,6 +128,31 @@ CODES: Final[dict[str, Code]] = {
         "A selection names an input that FlexiSelect does not have.",
         "A selector below 0, or not below the number of inputs.",
         "Correct who sends it, or choose --out-of-range hold or none.",
+    ),
+    "E-SERVICE": Code(
+        "A service call could not be made as it was asked for.",
+        "The port is bound to several providers, or to none that fits.",
+        "Call one of its proxies, or connect it to one provider.",
+    ),
+    "E-SERVICE-CYCLE": Code(
+        "Components wait for each other's answer in a circle; the call that closes it is refused.",
+        "A provider calls back to whoever is waiting for it.",
+        "Declare one of the provided interfaces with concurrent=True.",
+    ),
+    "E-SERVICE-FAILED": Code(
+        "The provider of a service raised, or answered with a wrong type.",
+        "Its own code; the line has its message.",
+        "Look at the provider; it is not in error because of it.",
+    ),
+    "E-SERVICE-TIMEOUT": Code(
+        "A service call was not answered within its deadline.",
+        "The provider was busy with its own hooks, or its method takes longer.",
+        "Give the call more time with within(seconds), or provide it with concurrent=True.",
+    ),
+    "E-SERVICE-UNAVAILABLE": Code(
+        "Nobody can answer a service call.",
+        "The provider is absent, not active, in error or being removed, or the port is not connected.",
+        "Activate or reset the provider; wait_bound() waits for a connection.",
     ),
     "E-STATE": Code(
         "The request does not fit the state of a component, context or kernel.",

@@ -131,6 +131,7 @@ def test_what_a_class_declares_is_shown_and_nothing_of_it_is_run(arm: Path, caps
             "shape": [],
             "doc": "where to",
             "connectors": [],
+            "interfaces": [],
         },
         {
             "name": "grip",
@@ -140,6 +141,7 @@ def test_what_a_class_declares_is_shown_and_nothing_of_it_is_run(arm: Path, caps
             "shape": None,
             "doc": "",
             "connectors": [],
+            "interfaces": [],
         },
     ]
     assert profile["params"] == {"speed": 3.0, "mode": "slow", "log_file": "x.log"}
