@@ -38,6 +38,16 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.configuration_events import (
+        ConfigurationSetActivated,
+        ConfigurationSetAdded,
+        ConfigurationSetChanged,
+        ConfigurationSetRemoved,
+        ParameterAdded,
+        ParameterChanged,
+        ParameterRemoved,
+    )
+    from aiorts.kernel.configuring import Configuration
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.running import run
@@ -53,6 +63,11 @@ __all__ = (
     "Component",
     "ComponentAdded",
     "ComponentRemoved",
+    "Configuration",
+    "ConfigurationSetActivated",
+    "ConfigurationSetAdded",
+    "ConfigurationSetChanged",
+    "ConfigurationSetRemoved",
     "Connected",
     "Connector",
     "Context",
@@ -74,6 +89,9 @@ __all__ = (
     "OutPort",
     "Overrun",
     "Param",
+    "ParameterAdded",
+    "ParameterChanged",
+    "ParameterRemoved",
     "ParametersChanged",
     "PeriodicContext",
     "PortAdded",
@@ -96,6 +114,16 @@ _HOMES = {
     "aiorts.contexts": ("EventContext", "ExternalContext", "PeriodicContext", "RealtimeContext", "ThreadContext"),
     "aiorts.errors": ("AiortsError",),
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
+    "aiorts.kernel.configuration_events": (
+        "ConfigurationSetActivated",
+        "ConfigurationSetAdded",
+        "ConfigurationSetChanged",
+        "ConfigurationSetRemoved",
+        "ParameterAdded",
+        "ParameterChanged",
+        "ParameterRemoved",
+    ),
+    "aiorts.kernel.configuring": ("Configuration",),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),

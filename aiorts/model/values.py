@@ -7,6 +7,7 @@
     Path    text or a path, not empty
     Enum    a member, its name, or its value
     tuple   a list or tuple; as text "1, 2", "[1, 2]" or a JSON list (whose texts may hold commas)
+    Mapping a mapping from text; as text "{k0: 1, k1: 2}" or a JSON object; held read-only, in the order given
     X|None  None, or "none" as text where X is not text; all else as X
 
 ValueError and TypeError carry a message for the reader of a parameter's error ("must be a float").
@@ -19,13 +20,23 @@ import json
 import operator
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ("convert_value", "infer_type", "leaf_types", "leaves", "shown", "type_text")
+__all__ = (
+    "convert_value",
+    "element_types",
+    "infer_type",
+    "leaf_types",
+    "leaves",
+    "shown",
+    "type_text",
+    "value_type",
+)
 
 _SHOWN_LENGTH: Final = 80
 _TRUTH: Final = {
@@ -45,6 +56,8 @@ def type_text(kind: Any) -> str:
     inner, optional = _without_none(kind)
     if optional:
         return f"{type_text(inner)} | None"
+    if (item := value_type(kind)) is not None:
+        return f"Mapping[str, {type_text(item)}]"
     if typing.get_origin(kind) is tuple:
         parts = ("..." if part is Ellipsis else type_text(part) for part in typing.get_args(kind))
         return f"tuple[{', '.join(parts)}]"
@@ -62,6 +75,11 @@ def infer_type(default: object) -> Any:
             return kind
     if isinstance(default, tuple | list):
         return _infer_tuple(default)
+    if isinstance(default, Mapping) and default:
+        items = {infer_type(item) for item in default.values()}
+        items = {float} if items == {int, float} else items
+        if len(items) == 1:
+            return types.GenericAlias(Mapping, (str, items.pop()))
     raise TypeError(f"default {shown(default)}: give type=, it cannot be told from the default")
 
 
@@ -76,11 +94,33 @@ def _infer_tuple(default: tuple[object, ...] | list[object]) -> Any:
     return types.GenericAlias(tuple, tuple(kinds))
 
 
+def value_type(kind: Any) -> Any:
+    """X of Mapping[str, X], also where it is optional; None for another type."""
+    inner, _ = _without_none(kind)
+    if typing.get_origin(inner) not in (Mapping, dict):
+        return None
+    key, item = typing.get_args(inner)
+    return item if key is str else None
+
+
+def element_types(kind: Any, count: int) -> tuple[Any, ...] | None:
+    """The types of the elements of a tuple of `count`, also where it is optional; None where it cannot be one."""
+    inner, _ = _without_none(kind)
+    parts = typing.get_args(inner)
+    if typing.get_origin(inner) is not tuple:
+        return None
+    if len(parts) == 2 and parts[1] is Ellipsis:
+        return (parts[0],) * count
+    return parts if len(parts) == count else None
+
+
 def leaf_types(kind: Any) -> tuple[Any, ...]:
     """The scalar types inside a parameter's type; raises TypeError for one that no parameter can have."""
     inner, optional = _without_none(kind)
     if optional:
         return leaf_types(inner)
+    if (item := value_type(kind)) is not None:
+        return leaf_types(item)
     if typing.get_origin(kind) is tuple:
         arguments = typing.get_args(kind)
         if not arguments or arguments == (Ellipsis,):
@@ -89,7 +129,8 @@ def leaf_types(kind: Any) -> tuple[Any, ...]:
     if kind in _SCALARS or (isinstance(kind, type) and issubclass(kind, enum.Enum)):
         return (kind,)
     raise TypeError(
-        f"type {type_text(kind)}: a parameter is bool, int, float, str, Path, an Enum, a tuple[...] of them or | None"
+        f"type {type_text(kind)}: a parameter is bool, int, float, str, Path, an Enum, a tuple[...] or "
+        "Mapping[str, ...] of them, or | None"
     )
 
 
@@ -97,6 +138,9 @@ def leaves(value: object) -> Iterator[object]:
     """The scalars inside a converted value."""
     if isinstance(value, tuple):
         for item in value:
+            yield from leaves(item)
+    elif isinstance(value, Mapping):
+        for item in value.values():
             yield from leaves(item)
     else:
         yield value
@@ -111,6 +155,8 @@ def convert_value(value: object, kind: Any) -> Any:
         return convert_value(value, inner)
     if typing.get_origin(kind) is tuple:
         return _to_tuple(value, kind)
+    if (item := value_type(kind)) is not None:
+        return _to_mapping(value, item)
     convert = _SCALARS.get(kind)
     return _to_enum(value, kind) if convert is None else convert(_plain(value))
 
@@ -217,6 +263,43 @@ def _to_tuple(value: object, kind: Any) -> tuple[Any, ...]:
         except (TypeError, ValueError) as error:
             raise ValueError(f"element {index} ({shown(item)}) {error}") from None
     return tuple(converted)
+
+
+def _to_mapping(value: object, kind: Any) -> Mapping[str, Any]:
+    pairs = value if isinstance(value, Mapping) else _pairs(value)
+    converted = {}
+    for key, item in pairs.items():
+        if not isinstance(key, str):
+            raise TypeError(f"must have texts as keys, got {shown(key)}")
+        try:
+            converted[key] = convert_value(item, kind)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{shown(key)} ({shown(item)}) {error}") from None
+    return types.MappingProxyType(converted)
+
+
+def _pairs(value: object) -> Mapping[str, object]:
+    if not isinstance(value, str):
+        raise TypeError(f"must be a mapping, got {_kind(value)}")
+    text = value.strip()
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise ValueError("must be a mapping, this one is nested too deeply") from None
+    except ValueError:
+        pass  # not JSON: read as bare words below
+    else:
+        if isinstance(found, dict):
+            return found
+    if text[:1] + text[-1:] == "{}":
+        text = text[1:-1]
+    pairs: dict[str, object] = {}
+    for part in text.split(",") if text.strip() else ():
+        key, colon, item = part.partition(":")
+        if not colon or key.strip() in pairs:
+            raise ValueError(f"must be a mapping such as {{a: 1, b: 2}}, got {shown(part.strip())}")
+        pairs[key.strip()] = item.strip()
+    return pairs
 
 
 def _items(value: object) -> list[object]:
