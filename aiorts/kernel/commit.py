@@ -6,6 +6,9 @@ for the loop when ports come or go.
 
 from __future__ import annotations
 
+import inspect
+import keyword
+import logging
 import threading
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -13,7 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import AiortsError, ClosedError, ConfigurationError
-from aiorts.kernel.configuration_events import configuration_events
+from aiorts.kernel.configuration_events import ParameterAdded, configuration_events
 from aiorts.kernel.port_groups import PortPlan, plan_ports
 from aiorts.model.sets import ConfigurationState, same, values_in_force
 
@@ -25,6 +28,7 @@ __all__ = ("Edit", "commit", "try_out")
 
 Edit = Callable[[ConfigurationState], ConfigurationState]
 """What makes the wished state of the present one; raises ConfigurationError."""
+_LOG = logging.getLogger("aiorts.kernel")
 _LOOP_PATIENCE = 5.0
 """Real seconds that a context's thread waits for the loop to change ports."""
 
@@ -58,6 +62,8 @@ class _Change:
         self._component = component
         self._old = component._rt_params._state
         self._new = edit(self._old)
+        for name in self._new.specs.keys() - self._old.specs.keys():
+            _check_free(component, name)
         self._use = self._judge()
         self._ports: PortPlan | None = None
         if _overrides(component, "ports_for"):
@@ -157,6 +163,9 @@ class _Change:
         if kernel is None:
             return
         events = tuple(configuration_events(name, self._old, self._new))
+        for event in events:
+            if isinstance(event, ParameterAdded) and event.remark:
+                _LOG.info("%s.%s: %s", name, event.parameter, event.remark)
         if events:
             kernel._on_loop(partial(_publish, kernel.bus, events))
 
@@ -164,6 +173,16 @@ class _Change:
 def _publish(bus: Bus, events: Iterable[Event]) -> None:
     for event in events:
         bus.publish(event)
+
+
+def _check_free(component: Component, name: str) -> None:
+    """A parameter becomes an attribute: it must be able to, and take the place of nothing."""
+    if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
+        raise ConfigurationError(
+            f"{component.name}.{name}: a parameter is an attribute of the component; its name cannot be used as one"
+        )
+    if name in vars(component) or inspect.getattr_static(type(component), name, None) is not None:
+        raise ConfigurationError(f"{component.name}.{name}: the component has something of that name already")
 
 
 def _overrides(component: Component, method: str) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 
 from aiorts.kernel.bus import Event, ParametersChanged
 from aiorts.model.sets import ConfigurationState, same
+from aiorts.model.standard_names import remark_on
 
 __all__ = (
     "ConfigurationSetActivated",
@@ -35,6 +36,8 @@ class ParameterAdded(Event):
     parameter: str
     type: str
     unit: str
+    remark: str = ""
+    """What is to be said of its name: that it is no standard name, and which are near."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ def configuration_events(component: str, old: ConfigurationState, new: Configura
     """What there is to tell when `new` took the place of `old`."""
     for name, spec in new.specs.items():
         if name not in old.specs:
-            yield ParameterAdded(component, name, spec.type_text, spec.unit)
+            yield ParameterAdded(component, name, spec.type_text, spec.unit, remark_on(spec))
     for name in old.specs:
         if name not in new.specs:
             yield ParameterRemoved(component, name)

@@ -17,6 +17,7 @@ from aiorts.kernel.between_cycles import between_cycles, soon
 from aiorts.kernel.commit import Edit, commit
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.model.configuration_profile import ConfigurationProfile, configuration_profile
 from aiorts.model.sets import DEFAULT, ConfigurationState
 
 if TYPE_CHECKING:
@@ -59,6 +60,11 @@ class Configuration:
         """The values in force at this moment; the mapping itself never changes."""
         return self._state.values
 
+    @property
+    def profile(self) -> ConfigurationProfile:
+        """Parameters, what is allowed, sets and the values in force, as plain data."""
+        return configuration_profile(self._state, type(self._component)._rt_parameter_specs)
+
     def __repr__(self) -> str:
         return f"<Configuration {self._component.name} {self.active} of {', '.join(self.sets)}>"
 
@@ -68,11 +74,13 @@ class Configuration:
 
     async def add(self, name: str, values: Mapping[str, object], *, replace: bool = False) -> None:
         """Add a set; with `replace` it may be there already, be it the active one."""
-        await self._apply(lambda state: state.added(name, values, self._component.name, replace=replace))
+        owner = self._component.name
+        checked = self._state.added(name, values, owner, replace=replace).sets[name]
+        await self._apply(lambda state: state.added(name, checked, owner, replace=replace))
 
     async def change(self, name: str, values: Mapping[str, object]) -> None:
         """Change values of a set; those of the active set are in force then."""
-        await self._apply(lambda state: state.changed(values, name, self._component.name))
+        await self._change(values, name)
 
     async def remove(self, name: str) -> None:
         """Remove a set, which is neither "default" nor active."""
@@ -80,7 +88,9 @@ class Configuration:
 
     async def replace(self, sets: Mapping[str, Mapping[str, object]], active: str = DEFAULT) -> None:
         """Have these sets and no others; what the new "default" does not name is as declared."""
-        await self._apply(lambda state: state.replaced(sets, active, self._component.name))
+        owner = self._component.name
+        checked = self._state.replaced(sets, active, owner).sets
+        await self._apply(lambda state: state.replaced(checked, active, owner))
 
     def activate_soon(self, name: str) -> None:
         """Ask for another active set and do not wait: for hooks that are plain `def`, and those in a thread."""
@@ -88,13 +98,26 @@ class Configuration:
 
     def change_soon(self, **changes: object) -> None:
         """Ask for other values in the active set and do not wait: for hooks that are plain `def`, and in a thread."""
-        self._apply_soon(lambda state: state.changed(changes, None, self._component.name))
+        checked, owner = self._converted(changes, None), self._component.name
+        self._apply_soon(lambda state: state.changed(checked, None, owner))
 
     # -- how it is done --------------------------------------------------------------------------------------------
 
     @property
     def _state(self) -> ConfigurationState:
         return self._component._rt_params._state
+
+    def _converted(self, changes: Mapping[str, object], name: str | None) -> dict[str, Any]:
+        """The values as parameters hold them: what the caller does with a list afterwards is his own affair."""
+        wished = self._state.changed(changes, name, self._component.name)
+        held = wished.sets[wished.active if name is None else name]
+        return {parameter: held[parameter] for parameter in changes}
+
+    async def _change(self, changes: Mapping[str, object], name: str | None, what: str = "configuration") -> None:
+        if (kernel := self._component._rt_kernel) is not None:
+            kernel.check_thread(f"{self._component.name}.{what}")
+        checked, owner = self._converted(changes, name), self._component.name
+        await self._apply(lambda state: state.changed(checked, name, owner))
 
     async def _apply(self, edit: Edit, what: str = "configuration") -> None:
         component, kernel = self._component, self._component._rt_kernel
@@ -157,10 +180,35 @@ class Configurable:
             ConfigurationError: names every change that was refused; the old values stay.
             TransitionTimeout: no cycle ended within 5 s; the old values stay.
         """
+        await self.configuration._change(changes, None, "configure")
+
+    async def add_param(self, name: str, param: object) -> None:
+        """Add a parameter, `Param(...)`, as if the class declared it: a property that only this instance has.
+
+        It takes effect as `configure` does, at its default in every set. A name that is not one of the standard names
+        is allowed, and reported with those near to it.
+
+        Raises:
+            ConfigurationError: there is something of that name already. DeclarationError: not a Param.
+        """
         configuration = self.configuration
-        await configuration._apply(
-            lambda state: state.changed(changes, None, configuration._component.name), "configure"
-        )
+        owner = configuration._component.name
+        if not isinstance(param, Declared):
+            raise DeclarationError(f"{owner}.{name}: expected Param(...), got {param!r:.80}")
+        spec = param.named(name, owner)
+        await configuration._apply(lambda state: state.with_parameter(spec, owner), "add_param")
+
+    async def remove_param(self, name: str) -> None:
+        """Take away a parameter that was added at run time, out of every set, as `configure` does.
+
+        Raises:
+            ConfigurationError: there is none, or the class declares it.
+        """
+        configuration = self.configuration
+        owner = configuration._component.name
+        if name in type(configuration._component)._rt_parameter_specs:
+            raise ConfigurationError(f"{owner}.{name}: is declared by its class; only what was added can be removed")
+        await configuration._apply(lambda state: state.without_parameter(name, owner), "remove_param")
 
     # -- for those who write one -----------------------------------------------------------------------------------
 

@@ -20,6 +20,7 @@ from aiorts.kernel.bus import Bus
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.closing import close
 from aiorts.kernel.component import Component
+from aiorts.kernel.configuration_files import ConfigurationFiles
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
@@ -44,7 +45,7 @@ C = TypeVar("C", bound=Component)
 X = TypeVar("X", bound=Context)
 
 
-class Kernel:
+class Kernel(ConfigurationFiles):
     """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
 
     Args:

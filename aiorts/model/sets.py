@@ -28,7 +28,15 @@ _NO_VALUES: Final[Values] = MappingProxyType({})
 
 def same(one: object, other: object) -> bool:
     """Whether two values of a parameter are one and the same: 0.0 is not -0.0, and NaN is NaN."""
-    return type(one) is type(other) and repr(one) == repr(other)
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, float):
+        return repr(one) == repr(other)
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return list(one) == list(other) and all(same(value, other[key]) for key, value in one.items())
+    return one == other
 
 
 def check_set_name(name: object) -> str:
@@ -177,7 +185,7 @@ def _hint(name: object, known: Mapping[str, Any]) -> str:
 class Difference:
     """One thing that differs between two configurations: `old` is None where it was added, `new` where it was removed.
 
-    `kind` is "added", "removed" or "changed"; `what` is "set", "value" or "active".
+    `kind` is "added", "removed" or "changed"; `what` is "component", "set", "value" or "active".
     """
 
     kind: str
@@ -191,23 +199,25 @@ class Difference:
     def __str__(self) -> str:
         """One line: "pid0 stiff.gain: 2.0 -> 5.0"."""
         place = f"{self.component} {'.'.join(part for part in (self.set, self.parameter) if part) or self.what}"
-        if self.what == "set":
-            return f"{place}: set {self.kind}"
+        if self.what in ("set", "component"):
+            return f"{place if self.set else self.component}: {self.what} {self.kind}"
         old = "not there" if self.kind == "added" else repr(self.old)
         new = "not there" if self.kind == "removed" else repr(self.new)
         return f"{place}: {old} -> {new}"
 
 
-def differences(component: str, old: ConfigurationState, new: ConfigurationState) -> tuple[Difference, ...]:
-    """What changes when `new` takes the place of `old`: sets, their values, and which one is active."""
+def differences(
+    component: str, old: Mapping[str, Values], new: Mapping[str, Values], active: tuple[str, str] = (DEFAULT, DEFAULT)
+) -> tuple[Difference, ...]:
+    """What changes when the sets `new` take the place of `old`; `active` are the old and the new active set."""
     found = []
-    for name in {**old.sets, **new.sets}:
-        before, after = old.sets.get(name), new.sets.get(name)
+    for name in {**old, **new}:
+        before, after = old.get(name), new.get(name)
         if before is None or after is None:
             found.append(Difference("added" if before is None else "removed", "set", component, name))
         found += _value_differences(component, name, before or _NO_VALUES, after or _NO_VALUES)
-    if old.active != new.active:
-        found.append(Difference("changed", "active", component, old=old.active, new=new.active))
+    if active[0] != active[1]:
+        found.append(Difference("changed", "active", component, old=active[0], new=active[1]))
     return tuple(found)
 
 

@@ -31,8 +31,10 @@ __all__ = (
     "convert_value",
     "element_types",
     "infer_type",
+    "is_optional",
     "leaf_types",
     "leaves",
+    "parse_type",
     "shown",
     "type_text",
     "value_type",
@@ -47,7 +49,10 @@ _TRUTH: Final = {
 
 def shown(value: object) -> str:
     """The value as it stands in a message: never longer than a line."""
-    text = str(value) if isinstance(value, Path) else repr(value)
+    try:
+        text = str(value) if isinstance(value, Path) else repr(value)
+    except ValueError:  # of a whole number with thousands of digits
+        text = f"<{type(value).__name__} too long to be shown>"
     return text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
 
 
@@ -92,6 +97,53 @@ def _infer_tuple(default: tuple[object, ...] | list[object]) -> Any:
     if len(set(kinds)) == 1:
         return types.GenericAlias(tuple, (kinds[0], Ellipsis))
     return types.GenericAlias(tuple, tuple(kinds))
+
+
+def is_optional(kind: Any) -> bool:
+    """Whether None is a value of the type."""
+    return _without_none(kind)[1]
+
+
+def parse_type(text: str) -> Any:
+    """The type that `type_text` writes so; ValueError for an Enum and for what is no parameter's type."""
+    found = _parse_type(text.strip()) if len(text) <= _LONGEST_TYPE else None
+    if found is None:
+        raise ValueError(
+            f"type {shown(text)}: expected bool, int, float, str, Path, tuple[...] or Mapping[str, ...] of them, or | "
+            "None"
+        )
+    return found
+
+
+def _parse_type(text: str) -> Any:
+    if text.endswith("| None"):
+        inner = _parse_type(text[:-6].strip())
+        return None if inner is None or is_optional(inner) else inner | None
+    if text in _BY_NAME:
+        return _BY_NAME[text]
+    if text.startswith("Mapping[str,") and text.endswith("]"):
+        item = _parse_type(text[12:-1].strip())
+        return None if item is None else types.GenericAlias(Mapping, (str, item))
+    if not (text.startswith("tuple[") and text.endswith("]")):
+        return None
+    parts = _split(text[6:-1])
+    if len(parts) == 2 and parts[1] == "...":
+        item = _parse_type(parts[0])
+        return None if item is None else types.GenericAlias(tuple, (item, Ellipsis))
+    items = [_parse_type(part) for part in parts]
+    return None if None in items or not items else types.GenericAlias(tuple, tuple(items))
+
+
+def _split(text: str) -> list[str]:
+    """The parts between commas that stand in no brackets."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "[") - (character == "]")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
 
 
 def value_type(kind: Any) -> Any:
@@ -335,3 +387,5 @@ _SCALARS: Final[dict[Any, Callable[[object], Any]]] = {
     str: _to_str,
     Path: _to_path,
 }
+_BY_NAME: Final = {kind.__name__: kind for kind in _SCALARS}
+_LONGEST_TYPE: Final = 500

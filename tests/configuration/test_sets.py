@@ -480,6 +480,35 @@ async def test_a_change_whose_moment_does_not_come_is_withdrawn() -> None:
 
 
 @simulated
+async def test_a_value_is_what_it_was_when_the_change_was_asked_for() -> None:
+    class Listed(Component):
+        numbers = Param((1,))
+
+        async def on_execute(self) -> None:
+            await asyncio.sleep(0.05)
+
+    async with Kernel() as kernel:
+        listed = await kernel.add(Listed("listed"))
+        await kernel.start(PeriodicContext(10.0), listed, activate=True)
+        await asyncio.sleep(0.01)
+        one, other, third = [2], [3], [4]
+        asked = [
+            asyncio.create_task(listed.configure(numbers=one)),
+            asyncio.create_task(listed.configuration.add("a", {"numbers": other})),
+            asyncio.create_task(listed.configuration.change("default", {"numbers": third})),
+        ]
+        await asyncio.sleep(0)
+        for numbers in (one, other, third):
+            numbers.append(99)
+        await asyncio.gather(*asked)
+        assert (listed.numbers, listed.configuration.sets["a"]["numbers"]) == ((4,), (3,))
+        await listed.configure(numbers=(10**5000,))  # too long for a message, not for a parameter
+        with pytest.raises(ConfigurationError, match="too long to be shown"):
+            await listed.configure(numbers=10**5000)
+        assert listed.state == "active"
+
+
+@simulated
 async def test_changes_come_from_the_kernels_thread_and_to_living_components() -> None:
     async with Kernel() as kernel:
         arm = await kernel.add(Arm("arm"))
