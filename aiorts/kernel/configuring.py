@@ -117,32 +117,31 @@ class Configuration:
         if (kernel := self._component._rt_kernel) is not None:
             kernel.check_thread(f"{self._component.name}.{what}")
         checked, owner = self._converted(changes, name), self._component.name
-        await self._apply(lambda state: state.changed(checked, name, owner))
+        await self._put(lambda state: state.changed(checked, name, owner))
 
     async def _apply(self, edit: Edit, what: str = "configuration") -> None:
-        component, kernel = self._component, self._component._rt_kernel
+        kernel = self._component._rt_kernel
         if kernel is not None:
-            kernel.check_thread(f"{component.name}.{what}")
-        change = self._checked(edit)
-        if kernel is None:
-            if (error := change()) is not None:
-                raise error
-        else:
+            kernel.check_thread(f"{self._component.name}.{what}")
+        edit(self._state)  # who asks for nonsense hears it at once
+        await self._put(edit)
+
+    async def _put(self, edit: Edit) -> None:
+        component, kernel = self._component, self._component._rt_kernel
+        change = partial(commit, component, edit)
+        if kernel is not None:
             await between_cycles(kernel, component, change)
+        elif (error := change()) is not None:
+            raise error
 
     def _apply_soon(self, edit: Edit) -> None:
         component, kernel = self._component, self._component._rt_kernel
-        change = self._checked(edit)
-        if kernel is None:
-            if (error := change()) is not None:
-                raise error
-        else:
-            soon(kernel, component, change)
-
-    def _checked(self, edit: Edit) -> Callable[[], BaseException | None]:
-        """Who asks for nonsense hears it at once; the state it is made of is the one at its own moment."""
         edit(self._state)
-        return partial(commit, self._component, edit)
+        change = partial(commit, component, edit)
+        if kernel is not None:
+            soon(kernel, component, change)
+        elif (error := change()) is not None:
+            raise error
 
 
 class Configurable:

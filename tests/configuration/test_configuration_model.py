@@ -86,8 +86,6 @@ class Model:
 
     def accepts(self, sets: dict[str, dict[str, int]]) -> bool:
         for name, values in sets.items():
-            if values.keys() - sets["default"].keys():
-                return False
             whole = self.in_force(sets, name)
             if not (0 <= whole["a"] <= 9 and 0 <= whole["b"] <= 10 and whole["a"] <= whole["b"]) or whole["c"] == 7:
                 return False
@@ -97,7 +95,8 @@ class Model:
         """Do it, or leave everything; whether it was done."""
         sets, active = {key: dict(held) for key, held in self.sets.items()}, self.active
         takes_values = what in ("configure", "change", "add", "put")
-        if takes_values and any(not isinstance(value, int) for value in values.values()):
+        known = self.sets["default"].keys()
+        if takes_values and any(key not in known or not isinstance(value, int) for key, value in values.items()):
             return False
         if what == "configure":
             sets[active].update(values)
