@@ -34,6 +34,7 @@ class ParameterAdded(Event):
 
     component: str
     parameter: str
+    value: Any
     type: str
     unit: str
     remark: str = ""
@@ -101,7 +102,7 @@ def configuration_events(component: str, old: ConfigurationState, new: Configura
     """What there is to tell when `new` took the place of `old`."""
     for name, spec in new.specs.items():
         if name not in old.specs:
-            yield ParameterAdded(component, name, spec.type_text, spec.unit, remark_on(spec))
+            yield ParameterAdded(component, name, new.values[name], spec.type_text, spec.unit, remark_on(spec))
     for name in old.specs:
         if name not in new.specs:
             yield ParameterRemoved(component, name)

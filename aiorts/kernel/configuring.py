@@ -92,6 +92,12 @@ class Configuration:
         checked = self._state.replaced(sets, active, owner).sets
         await self._apply(lambda state: state.replaced(checked, active, owner))
 
+    async def merge(self, sets: Mapping[str, Mapping[str, object]], active: str | None = None) -> None:
+        """Change values of "default", add or replace other sets, and activate one, all in one step."""
+        owner, now = self._component.name, self._state.merged(sets, active, self._component.name)
+        checked = {name: _only(now.sets[name], values) for name, values in sets.items()}
+        await self._apply(lambda state: state.merged(checked, active, owner))
+
     def activate_soon(self, name: str) -> None:
         """Ask for another active set and do not wait: for hooks that are plain `def`, and those in a thread."""
         self._apply_soon(lambda state: state.activated(name, self._component.name))
@@ -111,7 +117,7 @@ class Configuration:
         """The values as parameters hold them: what the caller does with a list afterwards is his own affair."""
         wished = self._state.changed(changes, name, self._component.name)
         held = wished.sets[wished.active if name is None else name]
-        return {parameter: held[parameter] for parameter in changes}
+        return _only(held, changes)
 
     async def _change(self, changes: Mapping[str, object], name: str | None, what: str = "configuration") -> None:
         if (kernel := self._component._rt_kernel) is not None:
@@ -142,6 +148,10 @@ class Configuration:
             soon(kernel, component, change)
         elif (error := change()) is not None:
             raise error
+
+
+def _only(held: Mapping[str, Any], named: Mapping[str, object]) -> dict[str, Any]:
+    return {parameter: held[parameter] for parameter in named}
 
 
 class Configurable:

@@ -113,16 +113,24 @@ class ConfigurationState:
         self, sets: Mapping[str, Mapping[str, object]], active: str = DEFAULT, owner: str = ""
     ) -> ConfigurationState:
         """With these sets and no others; what `sets["default"]` does not name is as declared."""
-        fresh = ConfigurationState.of(self.specs)
-        faults = []
+        return ConfigurationState.of(self.specs).merged(sets, active, owner)
+
+    def merged(
+        self, sets: Mapping[str, Mapping[str, object]], active: str | None = None, owner: str = ""
+    ) -> ConfigurationState:
+        """With these values in "default", and these other sets in the place of those of the same name, or added."""
+        merged, faults = self, []
         for name, values in sets.items():
             try:
-                fresh = fresh.changed(values, DEFAULT, owner) if name == DEFAULT else fresh.added(name, values, owner)
+                if name == DEFAULT:
+                    merged = merged.changed(values, DEFAULT, owner)
+                else:
+                    merged = merged.added(name, values, owner, replace=True)
             except (ConfigurationError, InvalidNameError) as error:
                 faults.append(str(error))
         if faults:
             raise ConfigurationError("\n".join(faults))
-        return fresh.activated(active, owner)
+        return merged if active is None else merged.activated(active, owner)
 
     # -- parameters ------------------------------------------------------------------------------------------------
 

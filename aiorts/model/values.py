@@ -200,6 +200,9 @@ def leaves(value: object) -> Iterator[object]:
 
 def convert_value(value: object, kind: Any) -> Any:
     """The value as `kind`; raises ValueError or TypeError with a message that says what it must be."""
+    convert = _SCALARS.get(kind)
+    if convert is not None:
+        return convert(_plain(value))
     inner, optional = _without_none(kind)
     if optional:
         if value is None or (inner is not str and isinstance(value, str) and value.strip().lower() == "none"):
@@ -209,8 +212,7 @@ def convert_value(value: object, kind: Any) -> Any:
         return _to_tuple(value, kind)
     if (item := value_type(kind)) is not None:
         return _to_mapping(value, item)
-    convert = _SCALARS.get(kind)
-    return _to_enum(value, kind) if convert is None else convert(_plain(value))
+    return _to_enum(value, kind)
 
 
 def _without_none(kind: Any) -> tuple[Any, bool]:

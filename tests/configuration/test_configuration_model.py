@@ -85,7 +85,7 @@ class Model:
         return {**sets["default"], **sets[name]}
 
     def accepts(self, sets: dict[str, dict[str, int]]) -> bool:
-        for name, values in sets.items():
+        for name in sets:
             whole = self.in_force(sets, name)
             if not (0 <= whole["a"] <= 9 and 0 <= whole["b"] <= 10 and whole["a"] <= whole["b"]) or whole["c"] == 7:
                 return False
@@ -144,7 +144,7 @@ class Reader:
                 assert self.active == event.old
                 self.active = event.new
             case ParameterAdded():
-                self.values[event.parameter] = 5
+                self.values[event.parameter] = event.value
             case ParameterRemoved():
                 del self.values[event.parameter]
             case ParameterChanged():

@@ -94,6 +94,22 @@ async def test_replacing_all_sets_leaves_what_is_not_named_as_declared() -> None
         }
 
 
+@simulated
+async def test_merging_changes_adds_and_activates_in_one_step() -> None:
+    arm = Arm("arm")
+    # Neither half would do alone: what a system file says of a component is put in force as one.
+    await arm.configuration.merge({"hard": {"low": 60.0}, "default": {"high": 70.0}, "stiff": {"mode": "fast"}}, "hard")
+    async with Kernel() as kernel:
+        await kernel.add(arm)
+        assert (arm.low, arm.high, arm.mode, arm.configuration.active) == (60.0, 70.0, "slow", "hard")
+        assert {name: dict(values) for name, values in arm.configuration.sets.items()} == {
+            "default": {"low": 1.0, "high": 70.0, "mode": "slow", "count": 4},
+            "stiff": {"mode": "fast"},
+            "fast": {"mode": "fast"},
+            "hard": {"low": 60.0},
+        }
+
+
 @pytest.mark.parametrize(
     ("method", "arguments", "why"),
     [
@@ -112,6 +128,9 @@ async def test_replacing_all_sets_leaves_what_is_not_named_as_declared() -> None
         ("remove", ("nothing",), "no set 'nothing'"),
         ("replace", ({"a": {"low": -1}, "b": {"x": 1}},), r"(?s)arm \(set a\).low.*arm \(set b\).x"),
         ("replace", ({}, "stiff"), "no set 'stiff'"),
+        ("merge", ({"default": {"low": 5.0}, "new": {"mode": "x"}},), r"\(set new\).mode = 'x'"),
+        ("merge", ({"new": {}}, "nwe"), "no set 'nwe'"),
+        ("merge", ({"default": {"high": 0.5}},), "low 1.0 is above high 0.5"),
     ],
 )
 @simulated
@@ -151,6 +170,11 @@ def test_sets_of_a_class_are_checked_where_it_is_written() -> None:
         with pytest.raises(DeclarationError, match=why):
             type("Wrong", (Component,), {"gain": Param(1.0, ge=0.0), "configurations": declared})
 
+    for taken in ("configuration", "configure", "params", "add_param", "remove_param"):
+        with pytest.raises(DeclarationError, match=f"Component has a {taken} of its own"):
+            type("Wrong", (Component,), {taken: Param(1)})
+    with pytest.raises(DeclarationError, match="expected sets by name"):
+        type("Wrong", (Component,), {"configurations": Param(1)})
     with pytest.raises(DeclarationError, match="plain `def`"):
 
         class Waits(Component):
