@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, assert_type
+from typing import Any, ClassVar, assert_type
 
-from aiorts import Component, Connector, InPort, Kernel, LifeCycleState, OutPort, Param, PeriodicContext
+from aiorts import (
+    Component,
+    Configuration,
+    Connector,
+    InPort,
+    Kernel,
+    LifeCycleState,
+    OutPort,
+    Param,
+    ParameterChanged,
+    PeriodicContext,
+)
 from aiorts.types import TimedDouble, TimedLong
 
 
@@ -27,6 +38,26 @@ class Pid(Component):
         await self.command.write(TimedLong(0, 1))  # error: not the port's type
         async for one in self.measured:
             assert_type(one, TimedDouble)
+
+
+def even(value: int) -> None:
+    """Refuses an odd number."""
+
+
+class Tuned(Component):
+    count = Param(4, constraint="x>=0", validator=even)
+    inputs = Param(1)
+    word = Param("a", validator=even)  # error: a validator of another type
+    configurations: ClassVar = {"many": {"count": 40}}
+
+    def check_configuration(self, values: Mapping[str, Any]) -> None:
+        assert_type(self.count, int)
+
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[TimedLong]]:
+        return {"in0": InPort(TimedLong)}
+
+    def on_execute(self) -> None:
+        self.configuration.activate_soon("many")
 
 
 class Plain(Component):
@@ -55,3 +86,14 @@ async def main() -> None:
         value: Any = pid.params["gain"].value
         pid.gain = "fast"  # error: not a float
         del value
+        tuned = await kernel.create(Tuned)
+        assert_type(tuned.configuration, Configuration)
+        assert_type(tuned.configuration.active, str)
+        assert_type(tuned.configuration.sets, Mapping[str, Mapping[str, Any]])
+        await tuned.configuration.change("many", {"count": 5})
+        await tuned.configuration.activate(5)  # error: not a name
+        await tuned.add_param("mass", Param(1.0, unit="kg"))
+        kernel.bus.subscribe(ParameterChanged, lambda event: print(event.old, event.new, event.set))
+        await kernel.save_configuration("conf.toml", tuned)
+        for difference in await kernel.diff_configuration("conf.toml"):
+            assert_type(difference.kind, str)
