@@ -209,6 +209,8 @@ def _asked(component: Component, what: str, function: Callable[..., Any], *args:
     """What the component's own code says; whatever it raises refuses the change."""
     try:
         return function(*args)
+    except ConfigurationError:
+        raise  # it says all that is to be said, and may carry a place
     except BaseException as error:  # the border round a component's check
         if isinstance(error, KeyboardInterrupt) and component._rt_kernel is not None:
             component._rt_kernel._interrupted(error)

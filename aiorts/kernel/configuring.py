@@ -238,6 +238,13 @@ class Configurable:
         """
         return {}
 
+    def _rt_put(self, params: Mapping[str, object]) -> None:
+        """Put values in force while the component runs nowhere, and make the ports that go with them."""
+        component = self.configuration._component
+        refused = commit(component, lambda state: state.changed(params, None, component.name))
+        if refused is not None:
+            raise refused
+
 
 Configurable._rt_defaults = {
     "check_configuration": Configurable.check_configuration,

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
 from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
-from aiorts.kernel.commit import commit
 from aiorts.kernel.component import Component
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
@@ -90,8 +89,7 @@ class Roster:
         if not component._rt_named:
             component._rt_rename(kernel._free_name(type(component).__name__))
         self._check_free(component)
-        if (refused := commit(component, lambda state: state.changed(params, None, component.name))) is not None:
-            raise refused
+        component._rt_put(params)
         component._rt_kernel = kernel
         component._rt_host.kernel = kernel
         self.components[component.name] = component

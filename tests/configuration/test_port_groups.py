@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -253,6 +254,9 @@ async def test_ports_of_a_component_in_a_thread_change_while_the_thread_stands_s
         context = ThreadContext(500.0) if kind == "thread" else RealtimeContext(500.0, priority=None, lock_memory=False)
         await kernel.start(context, many, activate=True)
         kept = await kernel.connect(source.out, many.ports["in0"], length=1000)
+        threads: set[int] = set()
+        kernel.bus.subscribe(PortAdded, lambda event: threads.add(threading.get_ident()))
+        kernel.bus.subscribe(PortRemoved, lambda event: threads.add(threading.get_ident()))
         sent = 0
         for number in range(30):
             await many.configure(inputs=1 + number % 4)
@@ -270,6 +274,7 @@ async def test_ports_of_a_component_in_a_thread_change_while_the_thread_stands_s
         await context.stop()
         assert many.got["in0"] == list(range(sent))
         assert (many.state, many.last_error) == (None, None)
+        assert threads == {threading.get_ident()}
         assert all(connector.statistics.balanced for connector in kernel.connectors.values())
 
 

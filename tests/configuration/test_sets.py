@@ -330,7 +330,7 @@ async def test_an_inactive_component_is_changed_at_once_though_its_neighbour_hol
         busy.pause = 0.5
         context = await kernel.start(PeriodicContext(1.0), busy, idle)
         await context.activate(busy)
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(1.1)
         began = asyncio.get_running_loop().time()
         await idle.configure(high=3.0)
         await idle.configuration.activate("stiff")
@@ -471,6 +471,27 @@ async def test_a_function_that_takes_over_is_part_of_the_change() -> None:
         assert table.rows == (6, 8)
         await table.configuration.activate("other")
         assert table.rows == (18,)
+
+
+@simulated
+async def test_a_configuration_error_of_the_component_itself_arrives_as_it_was_raised() -> None:
+    class Placed(ConfigurationError):
+        place = 7
+
+    class Typed(Component):
+        text = Param("")
+
+        def check_configuration(self, values: Mapping[str, Any]) -> None:
+            if values["text"] == "bad":
+                raise Placed("look at character 7")
+
+    async with Kernel() as kernel:
+        typed = await kernel.add(Typed("typed"))
+        with pytest.raises(Placed, match=r"^look at character 7$"):
+            await typed.configure(text="bad")
+        with pytest.raises(Placed):
+            await kernel.add(Typed("other"), text="bad")
+        assert (typed.text, list(kernel.components)) == ("", ["typed"])
 
 
 @simulated
