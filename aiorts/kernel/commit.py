@@ -10,15 +10,17 @@ import inspect
 import keyword
 import logging
 import threading
-from collections.abc import Callable, Iterable
+import traceback
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from aiorts.errors import AiortsError, ClosedError, ConfigurationError
 from aiorts.kernel.configuration_events import ParameterAdded, configuration_events
 from aiorts.kernel.port_groups import PortPlan, plan_ports
 from aiorts.model.sets import ConfigurationState, same, values_in_force
+from aiorts.model.values import shown
 
 if TYPE_CHECKING:
     from aiorts.kernel.bus import Bus, Event
@@ -67,8 +69,7 @@ class _Change:
         self._use = self._judge()
         self._ports: PortPlan | None = None
         if _overrides(component, "ports_for"):
-            wanted = _asked(component, "ports_for", component.ports_for, self._new.values)
-            plan = plan_ports(component, wanted)
+            plan = plan_ports(component, _asked(component, "ports_for", _wanted_ports, component, self._new.values))
             self._ports = None if plan.idle else plan
 
     def _judge(self) -> Callable[[], object] | None:
@@ -81,7 +82,7 @@ class _Change:
                 validator = new.specs[parameter].validator
                 if validator is None or (not first and parameter in before and same(before[parameter], value)):
                     continue
-                _asked(component, f"{parameter} = {value!r:.80}", validator, value)
+                _asked(component, f"{parameter} = {shown(value)}", _approve, validator, value)
         if not _overrides(component, "check_configuration"):
             return None
         for name in new.sets:
@@ -92,9 +93,7 @@ class _Change:
             component, "check_configuration", component.check_configuration, new.values
         )
         if use is not None and not callable(use):
-            raise ConfigurationError(
-                f"{component.name}.check_configuration returned {use!r:.80}; expected a function or None"
-            )
+            _asked(component, "check_configuration", _refuse_result, use, "a function or None")
         return use
 
     # -- in force --------------------------------------------------------------------------------------------------
@@ -146,7 +145,9 @@ class _Change:
     def _put_values(self) -> None:
         self._set(self._old, self._new)
         if self._use is not None:
-            self._use()
+            result = self._use()
+            if inspect.iscoroutine(result):
+                _refuse_result(result, "None")
 
     def _set(self, old: ConfigurationState, new: ConfigurationState) -> None:
         component = self._component
@@ -205,6 +206,38 @@ def _claimed(chance: list[bool]) -> bool:
         return False
 
 
+def _wanted_ports(component: Component, values: Mapping[str, Any]) -> dict[str, Any]:
+    found = component.ports_for(values)
+    if not isinstance(found, Mapping):
+        _refuse_result(found, "ports by name")
+    return dict(found)
+
+
+def _approve(validator: Callable[[Any], object], value: object) -> None:
+    """A validator raises, or is a question that is answered with False; a coroutine is neither."""
+    result = validator(value)
+    if result is False:
+        raise ValueError("its validator says no")
+    if inspect.iscoroutine(result):
+        _refuse_result(result, "None")
+
+
+def _refuse_result(result: object, expected: str) -> NoReturn:
+    got = type(result).__name__
+    if inspect.iscoroutine(result):
+        result.close()
+        got = "a coroutine, which nobody awaits"
+    raise ValueError(f"expected {expected}, got {got}")
+
+
+def _text_of(error: BaseException) -> str:
+    """What it says, without its class where that says nothing; its `__str__` may be as bad as what raised it."""
+    text = "".join(traceback.format_exception_only(error)).strip()
+    if isinstance(error, ValueError):
+        return text.partition(": ")[2] or "refused"
+    return f"raised {text}"
+
+
 def _asked(component: Component, what: str, function: Callable[..., Any], *args: Any) -> Any:
     """What the component's own code says; whatever it raises refuses the change."""
     try:
@@ -214,5 +247,4 @@ def _asked(component: Component, what: str, function: Callable[..., Any], *args:
     except BaseException as error:  # the border round a component's check
         if isinstance(error, KeyboardInterrupt) and component._rt_kernel is not None:
             component._rt_kernel._interrupted(error)
-        said = str(error) if isinstance(error, ValueError) else f"raised {type(error).__name__}: {error}"
-        raise ConfigurationError(f"{component.name}: {what}: {said}; nothing was changed") from error
+        raise ConfigurationError(f"{component.name}: {what}: {_text_of(error)}; nothing was changed") from error

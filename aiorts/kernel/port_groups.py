@@ -91,15 +91,13 @@ class PortPlan:
         live.update(ports)
 
 
-def plan_ports(component: Component, wanted: object) -> PortPlan:
+def plan_ports(component: Component, wanted: Mapping[str, Any]) -> PortPlan:
     """What to do so that the group is as `wanted`; a port that is to stay is recognised by name and declaration.
 
     Raises:
         ConfigurationError: a port cannot be made.
     """
     name = component.name
-    if not isinstance(wanted, Mapping):
-        raise ConfigurationError(f"{name}: ports_for returned {wanted!r:.80}; expected names and InPort or OutPort")
     old = _standing(component)
     group: dict[str, Port[Any]] = {}
     for port_name, declared in wanted.items():
@@ -116,7 +114,7 @@ def plan_ports(component: Component, wanted: object) -> PortPlan:
             )
         except AiortsError as error:
             raise ConfigurationError(f"{name}.{port_name!s:.80}: the port cannot be made: {error}") from error
-    return PortPlan(component, group, dict(wanted))
+    return PortPlan(component, group, wanted)
 
 
 def _standing(component: Component) -> dict[str, Port[Any]]:

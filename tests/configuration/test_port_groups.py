@@ -172,7 +172,7 @@ class Faulty(Component):
         ("type", "has no field tm"),
         ("thing", "expected a new InPort"),
         ("bound", "expected a new InPort"),
-        ("list", "ports_for returned"),
+        ("list", "ports_for: expected ports by name, got list"),
         ("use", "raised RuntimeError: cannot be used"),
     ],
 )

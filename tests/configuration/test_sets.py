@@ -385,6 +385,49 @@ async def test_a_hook_in_a_thread_changes_its_component_without_waiting() -> Non
 
 
 @simulated
+async def test_the_last_hook_of_a_component_changes_it_after_the_hook_and_before_others_do() -> None:
+    left = asyncio.Event()
+
+    class Leaving(Arm):
+        async def on_deactivated(self) -> None:
+            await self.configure(high=3.0)
+            assert self.high == 2.0
+            left.set()
+
+    async with Kernel() as kernel:
+        arm = await kernel.add(Leaving("arm"))
+        context = await kernel.start(ExternalContext(), arm, activate=True)
+        told: list[float] = []
+        kernel.bus.subscribe(ParameterChanged, lambda event: told.append(event.new))
+
+        async def other() -> None:
+            await left.wait()
+            await arm.configure(high=4.0)
+
+        await asyncio.gather(context.deactivate(), other())
+        assert (arm.high, told, arm.last_error) == (4.0, [3.0, 4.0], None)
+
+
+@pytest.mark.anyio
+async def test_an_inactive_component_in_a_thread_is_changed_by_its_thread() -> None:
+    class Checked(Component):
+        value = Param(0)
+        threads: ClassVar[list[int]] = []
+
+        def check_configuration(self, values: Mapping[str, Any]) -> None:
+            self.threads.append(threading.get_ident())
+
+        def on_startup(self) -> None:
+            self.thread = threading.get_ident()
+
+    async with Kernel() as kernel:
+        checked = await kernel.add(Checked("checked"))
+        await kernel.start(ThreadContext(100.0), checked)
+        await checked.configure(value=1)
+        assert checked.threads == [threading.get_ident(), checked.thread]
+
+
+@simulated
 async def test_a_queued_change_that_is_refused_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     class Crossing(Arm):
         async def on_execute(self) -> None:
@@ -402,6 +445,11 @@ async def test_a_queued_change_that_is_refused_is_logged(caplog: pytest.LogCaptu
             assert arm.low == 1.0
             assert "low 50.0 is above high 2.0" in caplog.messages[-1]
             assert len(caplog.messages) == number + 1
+
+
+class Unspeakable(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("not even this")
 
 
 @pytest.mark.fault("B22")
@@ -423,6 +471,7 @@ async def test_whatever_a_validator_does_the_old_set_stays_and_the_context_lives
         lambda: (_ for _ in ()).throw(KeyboardInterrupt()),
         lambda: (_ for _ in ()).throw(StopIteration()),
         lambda: (_ for _ in ()).throw(GeneratorExit()),
+        lambda: (_ for _ in ()).throw(Unspeakable()),
     ]
     async with Kernel(contain_interrupts=True) as kernel:
         tricky = await kernel.add(Tricky("tricky"))
@@ -433,7 +482,56 @@ async def test_whatever_a_validator_does_the_old_set_stays_and_the_context_lives
                 await tricky.configure(other=1, what=number)
             assert (tricky.what, tricky.other) == (0, 0)
             await context.tick()
-        assert (tricky.ran, tricky.state, heard) == (6, "active", [])
+        assert (tricky.ran, tricky.state, heard) == (7, "active", [])
+
+
+async def later(value: object) -> None:
+    """A check that nobody would await."""
+
+
+@pytest.mark.parametrize(
+    ("answer", "why"),
+    [
+        (lambda value: value < 5, "p = 9: its validator says no"),
+        (lambda value: later(value) if value == 9 else None, "p = 9: expected None, got a coroutine, which nobody"),
+        (lambda value: (_ for _ in ()).throw(ValueError()) if value == 9 else None, "p = 9: refused; nothing"),
+    ],
+)
+@simulated
+async def test_a_validator_may_be_a_question_but_no_coroutine(answer: Any, why: str) -> None:
+    class Asked(Component):
+        p = Param(1, validator=answer)
+
+    async with Kernel() as kernel:
+        asked = await kernel.add(Asked("asked"))
+        await asked.configure(p=2)
+        with pytest.raises(ConfigurationError, match=why):
+            await asked.configure(p=9)
+        assert asked.p == 2
+
+
+@pytest.mark.parametrize(
+    ("result", "why"),
+    [
+        (5, "check_configuration: expected a function or None, got int"),
+        (lambda: later(1), "putting the configuration in force: expected None, got a coroutine"),
+    ],
+)
+@simulated
+async def test_what_a_check_returns_is_looked_at(result: Any, why: str) -> None:
+    class Odd(Component):
+        p = Param(1)
+
+        def check_configuration(self, values: Mapping[str, Any]) -> Any:
+            return result if values["p"] == 9 else None
+
+    async with Kernel() as kernel:
+        odd = await kernel.add(Odd("odd"))
+        with pytest.raises(ConfigurationError, match=why):
+            await odd.configure(p=9)
+        assert odd.p == 1
+        with pytest.raises(ConfigurationError, match="too long to be shown"):
+            await kernel.add(Arm("arm"), count=10**5000 + 1)  # its validator is asked, and its value cannot be shown
 
 
 @simulated
