@@ -6,8 +6,8 @@ pay for the kernel.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
+TYPE_CHECKING = False
+"""What `typing` calls so; importing that would take as long as all else until the command line can take Ctrl-C."""
 
 if TYPE_CHECKING:
     from anyio import WouldBlock
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         ParameterRemoved,
     )
     from aiorts.kernel.configuring import Configuration
+    from aiorts.kernel.function import component
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.running import run
@@ -105,6 +106,7 @@ __all__ = (
     "ThreadContext",
     "ThreadsExhausted",
     "WouldBlock",
+    "component",
     "run",
 )
 
@@ -125,6 +127,7 @@ _HOMES = {
     ),
     "aiorts.kernel.configuring": ("Configuration",),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
+    "aiorts.kernel.function": ("component",),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),
@@ -138,6 +141,8 @@ _MODULES = frozenset(("clock", "contexts", "errors", "kernel", "model", "system"
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
+        from importlib import import_module
+
         if name in _MODULES:
             return import_module(f"{__name__}.{name}")
         if name not in _HOME:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import importlib
 import json
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import repeat
 from time import perf_counter_ns
+from types import MappingProxyType
 from typing import Any, Final
 
 import msgpack  # type: ignore[import-untyped]
@@ -19,14 +20,19 @@ from aiorts.bench import machine
 from aiorts.bench.case import COST, RATE, Aim, Case, Measure, Reading
 from aiorts.bench.registry import Bench, Options
 from aiorts.bench.report import Report
+from aiorts.errors import PluginError
+from aiorts.kernel.plugins import extensions
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, to_plain
-from aiorts.wire import MsgpackCodec
+from aiorts.wire import MsgpackCodec, find_codec
 
 __all__ = ("BENCH", "PAYLOADS", "Payload", "cases")
 
 _SIZE: Final = Measure("frame", "B")
 _ENCODE: Final = Measure("encode", "ns")
 _DECODE: Final = Measure("decode", "ns")
+_OURS: Final = "msgpack"
+"""What our own codec is called among the codecs that packages offer."""
+_WHAT: Final = {"aiorts": "record, checked on both sides"}
 _COLUMNS: Final = (_ENCODE, _DECODE, _SIZE, RATE)
 
 Pair = tuple[Callable[[Any], Any], Callable[[Any], Any]]
@@ -98,15 +104,31 @@ def _codecs() -> dict[str, tuple[Pair, str]]:
     return found
 
 
-def cases() -> tuple[Case, ...]:
-    """Every payload through every codec; aiorts beside msgpack of the same tuple."""
+def _of_plugins() -> tuple[dict[str, tuple[Pair, str]], tuple[str, ...]]:
+    """The codecs that plugins offer, and what to say of those that cannot be had."""
+    found: dict[str, tuple[Pair, str]] = {}
+    notes = []
+    for name in extensions("codecs"):
+        if name == _OURS:
+            continue
+        try:
+            codec = find_codec(name)
+        except PluginError as error:
+            notes.append(f"left out: {error}")
+        else:
+            found[name if name not in _codecs() else f"{name} of a plugin"] = (codec.encode, codec.decode), "record"
+    return found, tuple(notes)
+
+
+def cases(others: Mapping[str, tuple[Pair, str]] = MappingProxyType({})) -> tuple[Case, ...]:
+    """Every payload through every codec, `others` too; aiorts beside msgpack of the same tuple."""
     made = []
     for payload in PAYLOADS:
-        for name, (pair, form) in _codecs().items():
+        for name, (pair, form) in {**_codecs(), **others}.items():
             value = getattr(payload, form)
             check = partial(_equal, value) if form != "record" else partial(_same_record, value)
             aims = tuple(Aim(f"{base}, {payload.name}") for base in ("msgpack", "pickle 5")) if name == "aiorts" else ()
-            what = "record, checked on both sides" if name == "aiorts" else "the same values, nothing checked"
+            what = _WHAT.get(name, "record, a plugin's codec" if name in others else "the same values, nothing checked")
             run = partial(_run, pair, value, check)
             made.append(Case(f"{name}, {payload.name}", what, COST, run, payload.messages, aims, columns=_COLUMNS))
     return tuple(made)
@@ -123,10 +145,11 @@ def _same_record(sent: Any, back: Any) -> bool:
 def report(options: Options) -> Report:
     """The bench."""
     described = machine.describe()
-    rows = options.rows(cases())
-    left_out = () if any(row.case.name.startswith("msgspec") for row in rows) else ("msgspec is not installed",)
+    others, notes = _of_plugins()
+    rows = options.rows(cases(others))
+    missing = () if any(row.case.name.startswith("msgspec") for row in rows) else ("msgspec is not installed",)
     how = "Cost is one encode and one decode; JSON carries arrays as lists of numbers and octets as text."
-    return options.report("codec", rows, described, notes=left_out, how=how)
+    return options.report("codec", rows, described, notes=(*missing, *notes), how=how)
 
 
 BENCH: Final = Bench(

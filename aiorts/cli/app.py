@@ -5,17 +5,22 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from aiorts import __version__
-from aiorts.cli.report import report
+from aiorts.cli.plugins_option import catalogue_of, plugins_option
+from aiorts.cli.report import printed, report
 from aiorts.errors import AiortsError, PluginError
 
-__all__ = ("BROKEN_PIPE", "aiorts", "run_command")
+if TYPE_CHECKING:
+    from aiorts import Extension
+
+__all__ = ("BROKEN_PIPE", "aiorts", "own_commands", "run_command")
 
 BROKEN_PIPE: Final = 141
 """128 + SIGPIPE: what a shell says of a command whose reader has gone."""
@@ -27,15 +32,21 @@ _COMMANDS: Final = {
 }
 
 
+_SHOWN: Final = 60
+"""Components that the help names."""
+_EXTENSION: Final = "aiorts.extension"
+"""Where a context keeps who offers the command that runs, if a plugin does."""
+
+
 class _LazyGroup(click.Group):
     """A group that knows the names and one line of help of its commands without importing them."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return [*_COMMANDS, *(name for kind in ("commands", "components") for name in _offered(kind))]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
-            return _component_command(cmd_name)
+            return _of_plugin(ctx, cmd_name)
         module, _, attribute = _COMMANDS[cmd_name][0].partition(":")
         try:
             command: Any = getattr(importlib.import_module(module), attribute)
@@ -47,39 +58,71 @@ class _LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
-        if name not in _COMMANDS and not name.startswith("-") and name not in (filters := _filters()):
-            near = get_close_matches(name, (*_COMMANDS, *filters), n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join((*_COMMANDS, *filters))}"
+        if name not in _COMMANDS and not name.startswith("-") and name not in (names := self.list_commands(ctx)):
+            near = get_close_matches(name[:60], names, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:_SHOWN])}"
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; what one of a plugin raises is one line that names the plugin, and exit status 1."""
+        try:
+            return super().invoke(ctx)
+        except (AiortsError, click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+            raise
+        except Exception as error:
+            extension = ctx.meta.get(_EXTENSION)
+            if extension is not None and not ctx.params["debug"]:
+                cause = traceback.format_exception_only(error)[-1].strip()
+                advice = f"`aiorts --debug {extension.name}` shows the traceback"
+                report("E-PLUGIN", f"command {extension.name!r} of {extension.source}: {cause}; {advice}")
+                return 1
+            raise
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list below "Commands" of the help; nothing is imported for it."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, help_text) for name, (_, help_text) in _COMMANDS.items()])
+        if commands := {name: one for name, one in _offered("commands").items() if name not in _COMMANDS}:
+            with formatter.section("Commands of plugins"):
+                formatter.write_dl([(name, f"Of {printed(several[0].source)}.") for name, several in commands.items()])
+        with formatter.section("Components, as filters"):
+            names = [name for name in _offered("components") if name not in commands and name not in _COMMANDS]
+            more = f" and {len(names) - _SHOWN} more, see aiorts plugins" if len(names) > _SHOWN else ""
+            formatter.write_text(f"{', '.join(names[:_SHOWN])}{more}")
 
 
-def _filters() -> dict[str, str]:
-    """Components that are installed, by the name of their command."""
-    from aiorts import Catalogue
-
-    return {name.lower(): name for name in Catalogue().extensions("components")}
+def own_commands() -> tuple[str, ...]:
+    """The names that come before those of plugins."""
+    return tuple(_COMMANDS)
 
 
-def _component_command(name: str) -> click.Command | None:
-    component = _filters().get(name)
-    if component is None:
+def _of_plugin(ctx: click.Context, name: str) -> click.Command | None:
+    from aiorts.cli.offered import command_named
+
+    found = command_named(name, catalogue_of())
+    if found is None:
         return None
-    from aiorts.cli.filter import command_of, load_component
+    command, extension = found
+    if extension.kind == "commands":
+        ctx.meta[_EXTENSION] = extension
+    return command
 
-    return command_of(name, load_component(component))
+
+def _offered(kind: str) -> dict[str, tuple[Extension, ...]]:
+    from aiorts.cli.offered import offered
+
+    return offered(catalogue_of(), kind)
 
 
 @click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, "-V", "--version", prog_name="aiorts", message="%(prog)s %(version)s")
-def aiorts() -> None:
+@plugins_option
+@click.option("--debug", is_flag=True, help="Show tracebacks of commands that plugins offer.")
+def aiorts(debug: bool) -> None:
     """RT-Middleware for Python: robot software as components on an asyncio microkernel.
 
-    Every installed component is a command as well, in lower case: a Unix filter for JSON lines, as in
+    Every component that is installed is a command as well, in lower case: a Unix filter for JSON lines, as in
     `aiorts flexiconst -p TimedDouble -c 6.2 -r 50 --count 5 | aiorts flexidump -p TimedDouble`.
     """
 

@@ -14,11 +14,13 @@ from typing import Any, Final
 import click
 
 from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, StateChanged
+from aiorts.cli.ends import Ends
 from aiorts.cli.report import report, report_error
 from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
+from aiorts.cli.type_modules import import_types
 from aiorts.errors import AiortsError, ConfigurationError
-from aiorts.system import StandardInput, StandardOutput
+from aiorts.system import FrameInput, StandardInput
 from aiorts.types import type_name
 
 __all__ = ("command_of", "load_component")
@@ -28,13 +30,14 @@ _OURS: Final = (
     click.Option(["--count"], type=click.IntRange(min=1), metavar="N", help="End after N samples."),
     click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
     click.Option(["--loop"], type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop."),
+    click.Option(["--codec"], metavar="NAME", help="Binary frames of this codec in place of JSON lines."),
     click.Option(["--debug"], is_flag=True, help="Say what the component says, and show tracebacks."),
 )
 
 
 def load_component(name: str) -> type[Component]:
-    """The class that is installed under this name. PluginError when it cannot be had."""
-    return Catalogue().find("components", name).load_class(Component)
+    """The class that is offered under this name. PluginError when it cannot be had."""
+    return Catalogue.default().find("components", name).load_class(Component)
 
 
 def command_of(name: str, cls: type[Component]) -> click.Command:
@@ -64,8 +67,9 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
     return [
         click.Option(
             [*option.flags, f"option{number}"],
-            is_flag=option.kind == "flag",
-            multiple=option.kind == "repeat",
+            # None, not False: with False click takes a value that begins with "-" for the next option.
+            is_flag=True if option.kind == "flag" else None,
+            multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
             required=option.required,
             help=option.help,
             metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
@@ -76,7 +80,7 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
 
 def _from_parameters(cls: type[Component]) -> list[click.Option]:
     return [
-        click.Option([f"--{name.replace('_', '-')}", f"param_{name}"], help=parameter.spec.doc, metavar="VALUE")
+        click.Option([_flag(name), f"param_{name}"], help=parameter.spec.doc, metavar="VALUE")
         for name, parameter in cls("draft").params.items()
     ]
 
@@ -89,6 +93,10 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
         value = given[f"option{number}"]
         if value in (None, False, ()):
             continue
+        if option.kind not in ("flag", "repeat"):
+            if len(value) > 1:
+                raise ConfigurationError(f"{option.flags[-1]}: given {len(value)} times; give it once")
+            value = value[0]
         if option.action:
             actions.append(option)
         elif option.param:
@@ -96,7 +104,9 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
         elif "--type-mod" in option.flags:
             modules = value
     params |= {
-        name.removeprefix("param_"): value for name, value in given.items() if value and name.startswith("param_")
+        name.removeprefix("param_"): value
+        for name, value in given.items()
+        if value is not None and name.startswith("param_")
     }
     return params, actions, modules
 
@@ -105,18 +115,18 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
 
 
 def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], common: Mapping[str, Any]) -> int:
-    params, actions, modules = _chosen(table, given)
     try:
-        _import_types(modules)
+        params, actions, modules = _chosen(table, given)
+        import_types(modules)
+        _check(cls, table, params)
         for option in actions:
             click.echo(getattr(cls, option.action)(**params))
         if actions:
             return 0
-        cls("draft").params.check(params)
     except AiortsError as error:
         report_error(error, verbose=False)
         return 2
-    filter_ = _Filter(cls, params, common.get("count"))
+    filter_ = _Filter(cls, params, common.get("count"), Ends(common.get("codec")))
     debug = common["debug"]
     options = checked(Options(common["loop"], common.get("duration"), verbose=debug, debug=debug))
     stopper = Stopper()
@@ -124,24 +134,32 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         return execute(filter_.make, 1, options, stopper) or filter_.status
 
 
-def _import_types(modules: str) -> None:
-    import importlib
-
-    for name in filter(None, (part.strip() for part in modules.split(","))):
+def _check(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> None:
+    """ConfigurationError names the option whose value its parameter does not take."""
+    flags = {option.param: option.flags[-1] for option in table}
+    draft = cls("draft")
+    for name, value in params.items():
         try:
-            importlib.import_module(name)
-        except ImportError as error:
-            raise ConfigurationError(f"--type-mod {name}: {error}") from error
+            draft.params.check({name: value})
+        except ConfigurationError as error:
+            cause = str(error).removeprefix(f"draft.{name} = ")
+            cause = cause.rpartition("; ")[0] if cause.endswith(" kept") else cause
+            raise ConfigurationError(f"{flags.get(name, _flag(name))} {cause}") from None
+
+
+def _flag(parameter: str) -> str:
+    return f"--{parameter.replace('_', '-')}"
 
 
 class _Filter:
     """The system of one component, standard input and standard output."""
 
-    def __init__(self, cls: type[Component], params: Mapping[str, Any], count: int | None) -> None:
+    def __init__(self, cls: type[Component], params: Mapping[str, Any], count: int | None, ends: Ends) -> None:
         self._cls = cls
+        self._ends = ends
         self._params = params
         self._count = count
-        self._input: StandardInput | None = None
+        self._input: StandardInput | FrameInput | None = None
         self._failed = False
 
     @property
@@ -157,14 +175,13 @@ class _Filter:
         kernel.bus.subscribe(StateChanged, lambda event: self._watch(kernel, event, component.name))
         parts: list[Component] = [component]
         if outs:
-            sink = StandardOutput("stdout", outs, count=self._count, done=kernel.request_stop)
-            await kernel.add(sink)
+            sink = await kernel.add(self._ends.sink(outs, count=self._count, done=kernel.request_stop))
             for name in outs:
                 await kernel.connect(component.ports[name], sink.ports[name], **_WAYS)
             parts.insert(0, sink)
         if ins:
             count = None if outs else self._count
-            self._input = await kernel.add(StandardInput("stdin", ins, _complain, count=count))
+            self._input = await kernel.add(self._ends.source(ins, _complain, count=count))
             for name in ins:
                 await kernel.connect(self._input.ports[name], component.ports[name], **_WAYS)
             parts.append(self._input)
@@ -173,7 +190,7 @@ class _Filter:
             await kernel.start(EventContext(), part, activate=True)
 
     def _watch(self, kernel: Kernel, event: StateChanged, name: str) -> None:
-        if event.component == name and event.new is LifeCycleState.ERROR:
+        if event.component in (name, "stdin", "stdout") and event.new is LifeCycleState.ERROR:
             self._failed = True
             kernel.request_stop()
 

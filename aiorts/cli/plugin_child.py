@@ -1,4 +1,4 @@
-"""Imports one extension and says what is wrong with it, as a JSON list: a child of `aiorts plugins --check`.
+"""Imports one extension and says what is wrong with it, in a file: a child of `aiorts plugins --check`.
 
 A process of its own: an import may hang, end the interpreter, write to any stream, or change what others rely on.
 """
@@ -13,57 +13,116 @@ import signal
 import sys
 import tempfile
 import time
+from importlib.machinery import PathFinder
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import aiorts
 from aiorts.errors import PluginError
+from aiorts.kernel.plugins import cause_of
 
-__all__ = ("main",)
+__all__ = ("ANSWER", "END", "HOME", "main")
 
-_RELIED_ON: Final = (
-    (builtins, ("print", "open", "input", "__import__")),
-    (time, ("time", "time_ns", "monotonic", "monotonic_ns", "sleep")),
-    (asyncio, ("sleep", "run", "create_task", "get_running_loop", "Task", "Future")),
-    (os, ("read", "write", "_exit")),
-    (sys, ("stdout", "stderr", "excepthook", "exit")),
+ANSWER: Final = "answer"
+"""The file in the folder that was named: the faults and `END`, with a NUL between them."""
+END: Final = "."
+HOME: Final = "home"
+"""The file that says which file is imported; there before that begins."""
+_VALUES: Final = (
+    (sys, ("stdout", "stderr", "stdin", "excepthook", "displayhook", "argv", "modules")),
+    (asyncio, ("sleep", "run", "create_task")),
+    (builtins, ("print", "open", "__import__")),
+    (time, ("sleep", "monotonic", "time")),
 )
-"""What an import must leave as it is."""
+"""What an import must leave as it is, whatever else is looked at."""
 
 
-def main(asked: str) -> None:
-    """Import what `asked` (kind, name, target, source, folder as JSON) names and write the faults."""
-    from aiorts import Extension
-
-    kind, name, target, source, folder = json.loads(asked)
-    answer = os.dup(1)
-    with tempfile.TemporaryFile() as said:
+def main(asked: str, folder: str) -> None:
+    """Import what `asked` (kind, name, target, source, folder as JSON) names and write the faults into `folder`."""
+    kind, name, target, source, home = json.loads(asked)
+    extension = aiorts.Extension(kind, name, target, source, Path(home) if home else None)
+    _ = (aiorts.Component, aiorts.Kernel, aiorts.EventContext)  # loaded before, so that a change of them is seen
+    Path(folder, HOME).write_text(_home(extension), encoding="utf-8", errors="backslashreplace")
+    answer = os.open(Path(folder, ANSWER), os.O_WRONLY | os.O_CREAT)
+    write, leave = os.write, os._exit  # as they are now: the import may put anything in their place
+    faults: list[str] = []
+    with tempfile.TemporaryFile(dir=folder) as said:
         os.dup2(said.fileno(), 1)
         os.dup2(said.fileno(), 2)
-        before, handlers = _state(), _handlers()
-        faults = []
+        before, handlers, place, search = _callables(), _handlers(), os.getcwd(), list(sys.path)
         try:
-            Extension(kind, name, target, source, Path(folder) if folder else None).load()
+            found = extension.load()
         except PluginError as error:
-            faults.append(str(error.__cause__ or error) if error.__cause__ is None else _cause(error.__cause__))
-        faults += [f"changes {what}" for what, is_same in _compared(before).items() if not is_same]
+            faults.append(str(error) if error.__cause__ is None else cause_of(error.__cause__))
+        else:
+            faults += _unfit(extension, found)
+        faults += [f"changes {what}" for what in _changed(before)[:3]]
         if _handlers() != handlers:
             faults.append("takes signals")
+        if os.getcwd() != place:
+            faults.append("changes the working directory")
+        if sys.path[: len(search)] != search:
+            faults.append("puts itself before others in sys.path")
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
         if os.fstat(said.fileno()).st_size:
             faults.append("writes to standard output or error while it is imported")
-    os.write(answer, json.dumps(faults).encode())
-    os._exit(0)  # threads that the import has left must not keep us
+    write(answer, "\0".join((*faults, END)).encode("utf-8", "backslashreplace"))
+    leave(0)  # threads that the import has left must not keep us
 
 
-def _cause(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
+def _home(extension: aiorts.Extension) -> str:
+    """The file that will be imported, as far as that is known without importing anything; "" when it is not."""
+    module = extension.target.partition(":")[0].strip()
+    if extension.folder is not None and module.endswith(".py"):
+        return str(extension.folder / module)
+    top, *below = module.split(".")
+    folders = [] if extension.folder is None else [str(extension.folder / "src"), str(extension.folder)]
+    try:
+        spec = PathFinder.find_spec(top, [*folders, *sys.path])
+        origin = Path(spec.origin) if spec is not None and spec.origin else None
+    except (ImportError, ValueError, OSError):
+        return ""
+    if origin is None or not below:
+        return str(origin or "")
+    place = origin.parent.joinpath(*below)
+    return next((str(file) for file in (place.with_suffix(".py"), place / "__init__.py") if file.exists()), str(origin))
 
 
-def _state() -> dict[str, object]:
-    return {f"{module.__name__}.{name}": getattr(module, name) for module, names in _RELIED_ON for name in names}
+def _unfit(extension: aiorts.Extension, found: Any) -> list[str]:
+    """What keeps it from being used as what it is offered for."""
+    from aiorts.cli.plugin_kinds import fault_of
+
+    fault = fault_of(extension, found)
+    return [fault] if fault else []
 
 
-def _compared(before: dict[str, object]) -> dict[str, bool]:
-    return {what: value is before[what] for what, value in _state().items()}
+_METHODS: Final = (property, classmethod, staticmethod)
+
+
+def _callables() -> dict[str, object]:
+    """Every function and class of every module that is loaded, and the methods of ours."""
+    found: dict[str, object] = {
+        f"{module.__name__}.{name}": getattr(module, name) for module, names in _VALUES for name in names
+    }
+    for module_name, module in tuple(sys.modules.items()):
+        if module_name == __name__:
+            continue
+        for name, value in tuple(vars(module).items()):
+            if not callable(value):
+                continue
+            found[f"{module_name}.{name}"] = value
+            if isinstance(value, type) and value.__module__ == module_name and module_name.startswith("aiorts."):
+                methods = [(key, one) for key, one in vars(value).items() if callable(one) or isinstance(one, _METHODS)]
+                found.update({f"{module_name}.{name}.{key}": method for key, method in methods})
+    return found
+
+
+def _changed(before: dict[str, object]) -> list[str]:
+    after = _callables()
+    changed = [what for what, value in before.items() if what in after and after[what] is not value]
+    return changed + [what for what in after.keys() - before.keys() if what.rpartition(".")[0] in before]
 
 
 def _handlers() -> list[object]:
@@ -71,4 +130,4 @@ def _handlers() -> list[object]:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], sys.argv[2])

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
 import json
-import signal
-import subprocess
-import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
 import click
 
 from aiorts import Catalogue, Extension
+from aiorts.cli.offered import clashes
+from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.report import printed, report
 
 __all__ = ("plugins",)
+
+_WORDS: Final = {"benches": "bench"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,8 @@ class _Finding:
     target: str
     source: str
     verdict: str = ""
+    file: str = ""
+    """The file of the module, when it was tried."""
 
 
 @click.command(short_help="List what plugins offer.")
@@ -37,61 +42,75 @@ class _Finding:
 def plugins(check: bool, folders: tuple[Path, ...], limit: float, as_json: bool) -> int:
     """List the components, contexts, codecs, transports, commands, benches and types that can be used.
 
-    Nothing is imported, but with --check. Exit status 1 when something is broken.
+    Nothing is imported, but with --check. Exit status 1 when something is broken, or a name is offered twice.
     """
-    catalogue = Catalogue(folders)
-    findings = [
-        _Finding(kind, name, one.target, one.source, _verdict(one, len(offers), limit) if check else "")
-        for kind in Catalogue.KINDS
-        for name, offers in catalogue.extensions(kind).items()
-        for one in offers
+    catalogue = catalogue_of(folders)
+    offers = [
+        (one, several) for kind in Catalogue.KINDS for several in catalogue.extensions(kind).values() for one in several
     ]
-    broken = bool(catalogue.problems) or any(finding.verdict not in ("", "ok") for finding in findings)
+    told = [("", "")] * len(offers)
+    if check:
+        from aiorts.cli.plugin_check import verdicts
+
+        told = [
+            (_with_rivals(verdict, *offer), file)
+            for (verdict, file), offer in zip(verdicts([one for one, _ in offers], limit), offers, strict=True)
+        ]
+    findings = [
+        _Finding(one.kind, one.name, one.target, one.source, verdict, file)
+        for (one, _), (verdict, file) in zip(offers, told, strict=True)
+    ]
+    problems = list(_problems(catalogue))
+    broken = bool(problems) or any(finding.verdict not in ("", "ok") for finding in findings)
     if as_json:
-        problems = [asdict(problem) for problem in catalogue.problems]
-        click.echo(json.dumps({"extensions": [asdict(one) for one in findings], "problems": problems}, indent=1))
+        told_problems = [{"source": source, "reason": reason} for source, reason in problems]
+        click.echo(json.dumps({"extensions": [asdict(one) for one in findings], "problems": told_problems}, indent=1))
     else:
         click.echo(_table(findings))
-    for problem in catalogue.problems:
-        report("E-PLUGIN", f"{problem.source}: {problem.reason}")
+    for source, reason in problems:
+        report("E-PLUGIN", f"{source}: {reason}")
     return int(broken)
+
+
+def _with_rivals(verdict: str, extension: Extension, several: tuple[Extension, ...]) -> str:
+    """The verdict, and who else offers the name, which makes it nobody's."""
+    if len(several) == 1:
+        return verdict
+    others = " and ".join(f"{one.target} ({one.source})" for one in several if one is not extension)
+    rivals = f"the name is offered {len(several)} times, also by {others}"
+    return rivals if verdict == "ok" else f"{verdict}; {rivals}"
+
+
+def _problems(catalogue: Catalogue) -> Iterator[tuple[str, str]]:
+    """Source and fault of what could not be read, and of each name that cannot be used."""
+    yield from ((problem.source, problem.reason) for problem in catalogue.problems)
+    from aiorts.cli.app import own_commands  # late: it is what has imported us
+
+    yield from clashes(catalogue, own_commands())
+    own = importlib.import_module("aiorts.bench.registry").OWN if catalogue.extensions("benches") else ()
+    for name, several in catalogue.extensions("benches").items():
+        if name in own:
+            yield several[0].source, f"bench {name!r}: aiorts has a bench of that name, which comes first; rename yours"
+
+
+def _told(one: _Finding) -> tuple[str, ...]:
+    if one.verdict in ("", "ok"):
+        return (one.verdict,) if one.verdict else ()
+    return (f"{one.verdict} [{one.file}]" if one.file and one.file not in one.verdict else one.verdict,)
 
 
 def _table(findings: Iterable[_Finding]) -> str:
     rows = [
-        (one.kind.removesuffix("s"), one.name, one.target, one.source, *((one.verdict,) if one.verdict else ()))
+        tuple(
+            map(
+                printed,
+                (_WORDS.get(one.kind, one.kind[:-1]), one.name, one.target, one.source, *_told(one)),
+            )
+        )
         for one in findings
     ]
     widths = [max((len(row[column]) for row in rows), default=0) for column in range(3)]
     return "\n".join(
-        "  ".join(printed(cell).ljust(widths[i] if i < len(widths) else 0) for i, cell in enumerate(row)).rstrip()
+        "  ".join(cell.ljust(widths[i] if i < len(widths) else 0) for i, cell in enumerate(row)).rstrip()
         for row in rows
     )
-
-
-def _verdict(extension: Extension, offers: int, limit: float) -> str:
-    asked = json.dumps(
-        [extension.kind, extension.name, extension.target, extension.source, str(extension.folder or "")]
-    )
-    child = subprocess.Popen(  # noqa: S603 - this interpreter; what it imports is the user's own wish
-        [sys.executable, "-m", "aiorts.cli.plugin_child", asked],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
-        said, _ = child.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        child.kill()
-        child.communicate()
-        return f"still being imported after {limit:g} s"
-    if child.returncode < 0:
-        return f"ended the interpreter by {signal.Signals(-child.returncode).name}"
-    try:
-        faults = list(json.loads(said))
-    except ValueError:
-        return f"ended the interpreter with status {child.returncode}"
-    if offers > 1:
-        faults.append(f"the name is offered {offers} times")
-    return "; ".join(faults) or "ok"

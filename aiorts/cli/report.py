@@ -7,7 +7,6 @@ error is closed or full.
 from __future__ import annotations
 
 import contextlib
-import logging
 import sys
 import traceback
 from collections.abc import Callable
@@ -15,28 +14,49 @@ from typing import Final
 
 from aiorts.errors import AiortsError
 
-__all__ = ("LONGEST", "LineHandler", "code_of", "cause_of", "printed", "report", "report_error")
+__all__ = (
+    "ADVICE",
+    "LONGEST",
+    "cause_of",
+    "code_of",
+    "marked_in",
+    "one_line",
+    "place_of",
+    "printed",
+    "report",
+    "report_error",
+    "say",
+    "shortened",
+)
 
 LONGEST: Final = 240
-_ADVICE: Final = "; -v shows the traceback"
+ADVICE: Final = "; --debug shows the traceback"
 
 
 def report(code: str, text: str) -> None:
     """One line on standard error."""
-    _say(f"aiorts: {code}: {text}")
+    say(shortened(f"aiorts: {code}: {text}"))
 
 
 def report_error(error: BaseException, *, verbose: bool) -> None:
     """An exception as one line, and its traceback when asked for; notes say where it happened."""
-    notes = [note for note in getattr(error, "__notes__", ()) if "\n" not in note]
-    where = "".join(f"{note}: " for note in notes[:1])
-    advice = "" if isinstance(error, AiortsError) or verbose else _ADVICE
-    report(code_of(error), f"{where}{cause_of(error)}{advice}")
-    marked: Callable[[], str] | None = getattr(error, "marked", None)
-    if marked is not None:  # a mistake in text that somebody typed: the text, and a mark under the place
-        _say_all("".join(f"  {line}\n" for line in marked().splitlines()))
+    advice = "" if isinstance(error, AiortsError) or verbose else ADVICE
+    report(code_of(error), f"{place_of(error)}{cause_of(error)}{advice}")
+    say(*(f"  {line}" for line in marked_in(error)))
     if verbose:
-        _say_all("".join(traceback.format_exception(error)))
+        say("".join(traceback.format_exception(error)).rstrip())
+
+
+def place_of(error: BaseException) -> str:
+    """Where it happened, with a colon behind it, as far as a note says so."""
+    notes = [note for note in getattr(error, "__notes__", ()) if "\n" not in note]
+    return "".join(f"{note}: " for note in notes[:1])
+
+
+def marked_in(error: BaseException) -> list[str]:
+    """A mistake in text that somebody typed: the text, and a mark under the place."""
+    marked: Callable[[], str] | None = getattr(error, "marked", None)
+    return [] if marked is None else marked().splitlines()
 
 
 def code_of(error: BaseException) -> str:
@@ -52,67 +72,28 @@ def cause_of(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-class LineHandler(logging.Handler):
-    """Writes log records as lines: failures of hooks in the form of errors, all else as `aiorts: LEVEL: text`.
-
-    `on_output_error` is asked when the system refused what a component wrote; it returns True to say nothing of it.
-    """
-
-    def __init__(self, *, verbose: bool, on_output_error: Callable[[OSError], bool]) -> None:
-        super().__init__()
-        self._verbose = verbose
-        self._on_output_error = on_output_error
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Never raises: `handleError` of logging writes a traceback, which nobody asked for."""
-        error = record.exc_info[1] if record.exc_info else None
-        if isinstance(error, OSError) and self._on_output_error(error):
-            return
-        component = getattr(record, "component", "")
-        if error is not None and component:
-            self._failure(record, component, error)
-        else:
-            where = f"{component}: " if component else ""
-            _say(f"aiorts: {record.levelname.lower()}: {where}{_message(record)}")
-            if error is not None and self._verbose:
-                _say_all("".join(traceback.format_exception(error)))
-
-    def _failure(self, record: logging.LogRecord, component: str, error: BaseException) -> None:
-        hook = _message(record).partition(" failed")[0]
-        advice = "" if isinstance(error, AiortsError) or self._verbose else _ADVICE
-        repeated = getattr(record, "repeated", 0)
-        times = f" (repeated {repeated} times)" if repeated else ""
-        where, cause = f"{component}.{hook}: ", cause_of(error)
-        _say(f"aiorts: {code_of(error)}: {'' if cause.startswith(where) else where}{cause}{times}{advice}")
-        if self._verbose:
-            _say_all("".join(traceback.format_exception(error)))
-
-
 def printed(text: str) -> str:
     """The text with whatever does not print as its number: nothing that is shown commands a terminal."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
-def _message(record: logging.LogRecord) -> str:
-    try:
-        return record.getMessage()
-    except (TypeError, ValueError, KeyError) as error:
-        return f"{record.msg} ({error})"
+def one_line(text: str) -> str:
+    """The text in one line, with nothing in it that commands a terminal."""
+    return printed("; ".join(part.strip() for part in text.splitlines() if part.strip()))
 
 
-def _say(line: str) -> None:
+def shortened(text: str) -> str:
     """One line of at most LONGEST characters: the end, which says what to do, is kept."""
-    line = "; ".join(part.strip() for part in line.splitlines() if part.strip())
-    line = printed(line)
-    if len(line) > LONGEST:
-        line = f"{line[: LONGEST - 73]}...{line[-70:]}"
-    _say_all(f"{line}\n")
+    line = one_line(text)
+    return f"{line[: LONGEST - 73]}...{line[-70:]}" if len(line) > LONGEST else line
 
 
-def _say_all(text: str) -> None:
+def say(*lines: str) -> None:
+    """Lines on standard error, as far as it takes them."""
     stream = sys.stderr
-    if stream is None:
+    if stream is None or not lines:
         return
+    text = "".join(f"{line}\n" for line in lines)
     with contextlib.suppress(OSError, ValueError):
         encoding = getattr(stream, "encoding", None) or "utf-8"
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))

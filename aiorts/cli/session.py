@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import gc
-import logging
 import os
 import select
 import stat
@@ -17,9 +17,12 @@ from typing import Any, TypeAlias
 import click
 
 import aiorts
-from aiorts import ComponentAdded, HookFailed, Kernel, LifeCycleState, ScaledClock
-from aiorts.cli.report import LineHandler, report, report_error
+from aiorts import Catalogue, Component, ComponentAdded, HookFailed, Kernel, LifeCycleState, ScaledClock
+from aiorts.cli.log import Log
+from aiorts.cli.options import Options, checked
+from aiorts.cli.report import cause_of
 from aiorts.cli.stopping import Stopper
+from aiorts.cli.terminal import on_terminal
 from aiorts.errors import (
     ConfigurationError,
     DeclarationError,
@@ -31,7 +34,7 @@ from aiorts.errors import (
 )
 from aiorts.system import wait_finished
 
-__all__ = ("Construct", "Logging", "Options", "checked", "execute")
+__all__ = ("Construct", "Options", "checked", "execute", "log_of")
 
 Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
 """Makes the system in a kernel."""
@@ -48,56 +51,63 @@ _FAULTS_OF_THE_FILE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """How a system is run."""
+class _Run:
+    """What belongs to one run."""
 
-    loop: str
-    duration: float | None
-    verbose: bool
-    debug: bool
-    simulate: bool = False
-    speed: float | None = None
-    strict: bool = False
-
-
-def checked(options: Options) -> Options:
-    """The options, or click's error for one that has no meaning."""
-    for name in ("speed", "duration"):
-        value = getattr(options, name)
-        if value is not None and not 0.0 < value < float("inf"):
-            raise click.BadParameter(f"{value!r}: expected a number above 0", param_hint=f"--{name}")
-    if options.simulate and options.speed is not None:
-        raise click.UsageError("--speed has no meaning with --simulate, which runs as fast as it can")
-    return options
+    construct: Construct
+    components: int
+    options: Options
+    stopper: Stopper
+    log: Log
+    catalogue: Catalogue | None
 
 
-def execute(construct: Construct, components: int, options: Options, stopper: Stopper) -> int:
+def execute(
+    construct: Construct,
+    components: int,
+    options: Options,
+    stopper: Stopper,
+    *,
+    log: Log | None = None,
+    catalogue: Catalogue | None = None,
+) -> int:
     """Open a kernel, have the system made in it, run it to its end; the exit status.
 
     Args:
         components: how many there will be: once they are there the garbage collector looks at them for the last time.
+        log: the run's log, which its caller has begun; by default it has one of its own.
+        catalogue: where the kernel has types from that are asked for by name.
     """
-    with Logging(options, stopper):
+    with contextlib.ExitStack() as stack:
+        if log is None:
+            log = stack.enter_context(log_of(options, stopper))
         try:
-            return _run(construct, components, options, stopper)
+            return _run(_Run(construct, components, options, stopper, log, catalogue))
         finally:
             gc.unfreeze()
 
 
-def _run(construct: Construct, components: int, options: Options, stopper: Stopper) -> int:
+def log_of(options: Options, stopper: Stopper) -> Log:
+    """The log of a run; what a component could not write ends it, or makes it fail."""
+    return Log(options, lambda error: _output_error(error, stopper))
+
+
+def _run(run: _Run) -> int:
+    options = run.options
     if options.simulate:
         from aiorts.testing import simulate
 
-        return int(simulate(_session(construct, components, options, stopper)))
+        return int(simulate(_session(run)))
     try:
-        return aiorts.run(lambda: _session(construct, components, options, stopper), loop=options.loop)
+        return aiorts.run(lambda: _session(run), loop=options.loop)
     except ImportError as error:
         raise click.UsageError(f"--loop {options.loop}: {error}; pip install uvloop, or take --loop auto") from None
 
 
-async def _session(construct: Construct, components: int, options: Options, stopper: Stopper) -> int:
+async def _session(run: _Run) -> int:
+    options, stopper = run.options, run.stopper
     clock = None if options.speed is None else ScaledClock(options.speed)
-    kernel = Kernel(clock=clock, debug=options.debug, contain_interrupts=True)
+    kernel = Kernel(clock=clock, debug=options.debug, contain_interrupts=True, plugins=run.catalogue)
     status = 0
     left: list[HookFailed] = []
 
@@ -106,19 +116,26 @@ async def _session(construct: Construct, components: int, options: Options, stop
             left.append(event)
 
     kernel.bus.subscribe(HookFailed, note)
-    _freeze_when_made(kernel, components)
-    async with kernel:
+    _freeze_when_made(kernel, run.components)
+    async with contextlib.AsyncExitStack() as stack:
+        await stack.enter_async_context(kernel)
+        debugger = stack.enter_context(on_terminal(kernel, options, stopper))
         stopper.attach(kernel)
-        built, error = await _unless_stopped(kernel, construct(kernel))
+        run.log.attach(kernel)
+        built, error = await _unless_stopped(kernel, run.construct(kernel))
         if error is not None:
-            report_error(error, verbose=options.verbose or options.debug)
+            run.log.failed(error)
+            if debugger is not None:
+                debugger.look("", error)
             status = 2 if isinstance(error, _FAULTS_OF_THE_FILE) else 1
         elif built:
             gc.freeze()  # what activation made; without a collection, since contexts run by now
-            await _until_end(kernel, options)
-        if status == 0 and options.strict and _in_error(kernel):
+            await _until_end(kernel, run)
+        failed = _failed(kernel)
+        if failed and status == 0 and options.strict:
             status = 3
         stopper.watch(status or kernel.exit_status)
+    _tell_failed(failed, run)
     status = kernel.exit_status or status or int(stopper.output_failed)
     status = status if stopper.status is None else stopper.status
     if left:
@@ -156,42 +173,31 @@ async def _unless_stopped(kernel: Kernel, work: Any) -> tuple[bool, BaseExceptio
     return done and error is None, error
 
 
-async def _until_end(kernel: Kernel, options: Options) -> None:
+async def _until_end(kernel: Kernel, run: _Run) -> None:
     finishing = asyncio.ensure_future(wait_finished(kernel))
     waiting = {finishing, asyncio.ensure_future(kernel.wait_stop_requested())}
-    if options.duration is not None:
-        waiting.add(asyncio.ensure_future(kernel.sleep(options.duration)))
+    if run.options.duration is not None:
+        waiting.add(asyncio.ensure_future(kernel.sleep(run.options.duration)))
     done, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
     for task in waiting - done:
         task.cancel()
     await asyncio.wait(waiting)
     if finishing in done and (unread := finishing.result()):
         names = ", ".join(connector.name for connector in unread)
-        report("E-UNREAD", f"{names}: the reader left samples unread for a second; it is not waited for any longer")
+        run.log.tell("E-UNREAD", f"{names}: the reader left samples unread for a second; it is waited for no longer")
 
 
-def _in_error(kernel: Kernel) -> bool:
-    return any(LifeCycleState.ERROR in component.states.values() for component in kernel.components.values())
+def _failed(kernel: Kernel) -> list[Component]:
+    return [c for c in kernel.components.values() if LifeCycleState.ERROR in c.states.values()]
 
 
-class Logging:
-    """The logging of this command while it runs: lines on standard error, and nothing of it left afterwards."""
-
-    def __init__(self, options: Options, stopper: Stopper) -> None:
-        verbose = options.verbose or options.debug
-        self._handler = LineHandler(verbose=verbose, on_output_error=lambda error: _output_error(error, stopper))
-        self._level = logging.DEBUG if options.debug else logging.INFO if options.verbose else logging.WARNING
-
-    def __enter__(self) -> None:
-        root = logging.getLogger()
-        self._before = root.level
-        root.addHandler(self._handler)
-        root.setLevel(self._level)
-
-    def __exit__(self, *error: object) -> None:
-        root = logging.getLogger()
-        root.removeHandler(self._handler)
-        root.setLevel(self._before)
+def _tell_failed(components: list[Component], run: _Run) -> None:
+    """Name each that ended in error once more, if its own line was long ago."""
+    for component in components:
+        if not run.log.failed_just_now(component.name):
+            cause = "" if component.last_error is None else f": {cause_of(component.last_error)}"
+            advice = "" if run.options.strict else "; --strict makes the exit status 3"
+            run.log.tell("E-COMPONENT", f"ended in error{cause}{advice}", component=component.name)
 
 
 def _output_error(error: OSError, stopper: Stopper) -> bool:

@@ -1,8 +1,9 @@
 """Who asked this process to end, and how long the end may take.
 
-The first SIGINT or SIGTERM asks the kernel for an orderly stop, the second ends the process at once, also when the
-event loop is blocked: Python runs the handler between two instructions of whatever blocks it. Once a stop began, the
-process is gone within `LONGEST_STOP` seconds, whatever threads or hooks are left.
+The first SIGINT, SIGTERM or SIGHUP asks the kernel for an orderly stop, the second ends the process at once, also when
+the event loop is blocked: Python runs the handler between two instructions of whatever blocks it. Once a stop began,
+the process is gone within `LONGEST_STOP` seconds, whatever threads or hooks are left. SIGUSR1 tells what goes on, and
+ends nothing. SIGQUIT is left to the system.
 """
 
 from __future__ import annotations
@@ -14,8 +15,14 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+
+# Not of `threading`: its locks may be held by whoever a signal's handler has interrupted.
+from _thread import LockType, allocate_lock, start_new_thread
+from collections.abc import Callable, Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.cli.dump import dump, dumping_stacks, where_now
 
 if TYPE_CHECKING:
     from aiorts import Kernel
@@ -23,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ("LONGEST_STOP", "Stopper")
 
 LONGEST_STOP: Final = 4.8
-_SIGNALS: Final = ("SIGINT", "SIGTERM")
+_SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Stopper:
@@ -31,15 +38,18 @@ class Stopper:
 
     status: what a signal, or a reader that has gone, makes the exit status; None when nobody has asked.
     output_failed: whether what the system said was lost, because a disk is full.
+    last_words: called before the process is ended at once; may not wait for anything.
     """
 
     def __init__(self) -> None:
         self.status: int | None = None
         self.output_failed = False
+        self.last_words: list[Callable[[], None]] = []
         self._kernel: Kernel | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._watched = False
         self._outcome = 1
+        self._signals = count()
 
     def attach(self, kernel: Kernel) -> None:
         """From now on it is this kernel that is asked."""
@@ -64,38 +74,61 @@ class Stopper:
         self._outcome = status
         if not self._watched:
             self._watched = True
-            threading.Thread(target=self._end_late, name="aiorts stop", daemon=True).start()
+            start_new_thread(self._end_late, ())
 
     def _end_late(self) -> None:
         time.sleep(LONGEST_STOP)
-        with contextlib.suppress(OSError, ValueError):
-            if sys.stderr is not None:
-                sys.stderr.write("aiorts: E-STOP: not everything ended in time; the process ends now\n")
-        os._exit(self._outcome if self.status is None else self.status)
+        what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
+        self.end_now(self._outcome if self.status is None else self.status, f"aiorts: E-STOP: {what}\n")
 
-    def end_now(self, status: int) -> None:
-        """End the process here: a hook that was left behind would not let the interpreter come to its end."""
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError):
-                if stream is not None:
-                    stream.flush()
+    def end_now(self, status: int, text: str = "") -> None:
+        """End the process here, without waiting for anything: what is left would keep the interpreter from its end.
+
+        Args:
+            text: said on standard error, if that takes it.
+        """
+        told = allocate_lock()
+        told.acquire()
+        # In a thread: nobody may read, and who was interrupted in the middle of a write holds the stream.
+        start_new_thread(self._say_last, (text, told))
+        told.acquire(timeout=0.2)
         os._exit(status)
+
+    def _say_last(self, text: str, told: LockType) -> None:
+        for word in self.last_words:
+            word()
+        for stream, last in ((sys.stdout, ""), (sys.stderr, text)):
+            with contextlib.suppress(OSError, ValueError, RuntimeError):
+                if stream is not None:
+                    stream.write(last)
+                    stream.flush()
+        told.release()
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
-        """Take SIGINT and SIGTERM, and give them back as they were."""
+        """Take the signals, and give them back as they were."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
         taken = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
-        before: dict[Any, Any] = {number: signal.signal(number, self._handle) for number in taken}
+        before: dict[Any, Any] = {}
+        for number in taken:
+            if number != getattr(signal, "SIGHUP", None) or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                before[number] = signal.signal(number, self._handle)
+        if hasattr(signal, "SIGUSR1"):
+            before[signal.SIGUSR1] = signal.signal(signal.SIGUSR1, self._tell)
         try:
-            yield
+            with dumping_stacks():
+                yield
         finally:
             for number, handler in before.items():
                 signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def _handle(self, number: int, frame: object) -> None:
-        if self.status is not None or self._kernel is None:
-            os._exit(130 if number == signal.SIGINT or self.status is not None else 128 + number)
+        # Counted in one step: the second signal may come in the middle of the first one's handler.
+        if next(self._signals) or self.status is not None or self._kernel is None:
+            self.end_now(128 + number)
         self.request(128 + number)
+
+    def _tell(self, number: int, frame: object) -> None:
+        dump(self._kernel, self._loop)

@@ -105,6 +105,7 @@ class ThreadContext(PeriodicContext):
 
     def _check_can_add(self, component: Component) -> None:
         super()._check_can_add(component)
+        component._rt_move(True)
         awaiting = [hook for hook in coroutine_hooks(component._rt_hook_kinds) if hook not in _ON_LOOP]
         if awaiting:
             raise StateError(
@@ -126,6 +127,7 @@ class ThreadContext(PeriodicContext):
         if member.left and member.component._rt_abandoned is None:
             member.component._rt_host.threaded = False
             member.component._rt_host.thread_id = None
+            member.component._rt_move(False)
 
 
 class ThreadDriver:

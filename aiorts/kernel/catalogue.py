@@ -2,13 +2,16 @@
 
 An extension is declared as an entry point of the group `aiorts.<kind>`: by an installed package, or in the
 `pyproject.toml` of a folder (or of a folder below it) that was named. Of a folder without one each Python file offers
-the components that its text defines. What is broken is kept as a problem and hides nothing else.
+the components that its text defines. What is broken is kept as a problem and hides nothing else. A project that is
+installed and named as a folder, too, is one, and what is installed is used.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -18,7 +21,7 @@ from typing import Any, ClassVar, Final, TypeVar
 
 from aiorts.errors import PluginError
 
-__all__ = ("KINDS", "Catalogue", "Extension", "Problem")
+__all__ = ("KINDS", "Catalogue", "Extension", "Problem", "singular")
 
 T = TypeVar("T")
 KINDS: Final = ("components", "contexts", "codecs", "transports", "commands", "benches", "types")
@@ -26,6 +29,13 @@ KINDS: Final = ("components", "contexts", "codecs", "transports", "commands", "b
 _LARGEST: Final = 1 << 20
 """Bytes of a file that is looked into."""
 _MOST_FILES: Final = 1000
+_SHOWN: Final = 20
+"""Names in a message."""
+
+
+def singular(kind: str) -> str:
+    """One of them: "component", "bench"."""
+    return "bench" if kind == "benches" else kind.removesuffix("s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +50,8 @@ class Extension:
     """Who offers it: "package NAME VERSION" or "folder PATH"."""
     folder: Path | None = None
     """Where its modules are, for one that is not installed."""
+    project: str = ""
+    """The name of the project that offers it, in the form that compares; "" for a single file."""
 
     def load(self) -> Any:
         """The object itself, imported. PluginError names the plugin and what went wrong."""
@@ -70,10 +82,23 @@ class Catalogue:
     """
 
     KINDS: ClassVar[tuple[str, ...]] = KINDS
+    _default: ClassVar[Catalogue | None] = None
+
+    @classmethod
+    def default(cls) -> Catalogue:
+        """What is used in this process where nobody names a catalogue: what is installed, unless it was told more."""
+        return Catalogue() if Catalogue._default is None else Catalogue._default
+
+    def make_default(self) -> None:
+        """Have it used in this process where nobody names a catalogue; for main programs, as `aiorts --plugins` is.
+
+        Record types and codecs of plugins, which belong to a process and not to a kernel, are looked for here.
+        """
+        Catalogue._default = self
 
     def __init__(self, folders: Iterable[Path] = ()) -> None:
-        self.folders = tuple(folders)
-        self._problems: list[Problem] = []
+        self.folders = tuple(dict.fromkeys(folders))
+        self._problems: dict[Problem, None] = {}
 
     @property
     def problems(self) -> tuple[Problem, ...]:
@@ -83,11 +108,16 @@ class Catalogue:
     @cached_property
     def _offers(self) -> dict[str, dict[str, list[Extension]]]:
         found: dict[str, dict[str, list[Extension]]] = {kind: {} for kind in KINDS}
-        for extension in (*self._installed(), *(one for folder in self.folders for one in self._in_folder(folder))):
-            offers = found[extension.kind].setdefault(extension.name, [])
-            # A package that is installed and named as a folder, too, is one.
-            if all(other.target != extension.target for other in offers):
-                offers.append(extension)
+        installed = list(self._installed())
+        seen = {(one.kind, one.name, one.target, one.project) for one in installed}
+        for extension in (*installed, *(one for folder in self.folders for one in self._in_folder(folder))):
+            if extension.folder is not None:
+                offer = (extension.kind, extension.name, extension.target)
+                place = (*offer, _resolved(extension.folder))  # a folder may be reached in two ways
+                if (*offer, extension.project) in seen or place in seen:
+                    continue
+                seen.add(place)
+            found[extension.kind].setdefault(extension.name, []).append(extension)
         return found
 
     def extensions(self, kind: str) -> Mapping[str, tuple[Extension, ...]]:
@@ -102,11 +132,12 @@ class Catalogue:
         """
         offers = self._offers[kind]
         found = offers.get(name, [])
-        word = kind.removesuffix("s")
+        word = singular(kind)
         if not found:
             near = get_close_matches(name[:100], offers, n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(sorted(offers)) or 'none'}"
-            raise PluginError(f"no {word} named {name[:100]!r}; {hint}")
+            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {_some(offers)}"
+            broken = f" ({len(self.problems)} could not be read: see `aiorts plugins`)" if self.problems else ""
+            raise PluginError(f"no {word} named {name[:100]!r}; {hint}{broken}")
         if len(found) > 1:
             sources = " and ".join(f"{one.target} ({one.source})" for one in found)
             raise PluginError(f"{word} {name!r} is offered twice, by {sources}; remove one")
@@ -122,16 +153,33 @@ class Catalogue:
                 entries = [entry for entry in distribution.entry_points if entry.group.startswith("aiorts.")]
                 if not entries:
                     continue
-                name, version = str(distribution.metadata["Name"]), str(distribution.version)
-                if name in seen:
-                    continue  # further back on the path: what is imported is the first
-                seen.add(name)
+                name, version = str(distribution.metadata["Name"] or ""), str(distribution.version)
+                if not name:
+                    raise ValueError("its metadata has no name")
             except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-                self._problems.append(Problem(f"package {getattr(distribution, '_path', '?')}", str(error)))
+                self._problem(f"package {getattr(distribution, '_path', '?')}", str(error) or type(error).__name__)
                 continue
+            if (project := _project(name)) in seen:
+                continue  # further back on the path: what is imported is the first
+            seen.add(project)
+            source = f"package {name} {version}"
             for entry in entries:
-                if (kind := entry.group.removeprefix("aiorts.")) in KINDS:
-                    yield Extension(kind, entry.name, entry.value, f"package {name} {version}")
+                kind = self._kind(source, entry.group)
+                if kind:
+                    yield Extension(kind, entry.name, entry.value, source, project=project)
+
+    def _kind(self, source: str, group: str) -> str:
+        """The kind that a group of entry points is of; "" and a problem when there is no such kind."""
+        kind = group.removeprefix("aiorts.")
+        if kind in KINDS:
+            return kind
+        near = get_close_matches(kind, KINDS, n=1)
+        hint = f"did you mean aiorts.{near[0]}?" if near else f"there are {', '.join(KINDS)}"
+        self._problem(source, f"entry points {group[:80]!r}: no such kind of plugin; {hint}")
+        return ""
+
+    def _problem(self, source: str, reason: str) -> None:
+        self._problems[Problem(source, reason)] = None
 
     # -- folders ---------------------------------------------------------------------------------------------------
 
@@ -139,62 +187,91 @@ class Catalogue:
         try:
             inside = sorted(path for path in folder.iterdir() if not path.name.startswith((".", "_")))
         except (OSError, ValueError) as error:
-            self._problems.append(Problem(f"folder {folder}", getattr(error, "strerror", None) or str(error)))
+            self._problem(f"folder {folder}", getattr(error, "strerror", None) or str(error))
             return
         for place in (folder, *(path for path in inside if self._is(path, Path.is_dir))):
             if self._is(place / "pyproject.toml", Path.is_file):
                 yield from self._declared(place)
         if self._is(folder / "pyproject.toml", Path.is_file):
             return  # its files are the modules of what it declares
-        for path in inside[:_MOST_FILES]:
-            if path.suffix == ".py" and self._is(path, Path.is_file):
-                yield from self._defined(path)
+        files = [path for path in inside if path.suffix == ".py" and self._is(path, Path.is_file)]
+        if len(files) > _MOST_FILES:
+            self._problem(f"folder {folder}", f"{len(files)} Python files; the first {_MOST_FILES} were looked into")
+        for path in files[:_MOST_FILES]:
+            yield from self._defined(path)
 
     def _is(self, path: Path, what: Callable[[Path], bool]) -> bool:
         try:
             return what(path)
         except OSError as error:
-            self._problems.append(Problem(f"folder {path.parent}", error.strerror or str(error)))
+            self._problem(f"folder {path.parent}", error.strerror or str(error))
             return False
 
     def _declared(self, folder: Path) -> Iterator[Extension]:
-        text = self._text(folder / "pyproject.toml")
+        source = f"folder {folder}"
         try:
-            groups = tomllib.loads(text).get("project", {}).get("entry-points", {})
+            project = tomllib.loads(self._content(folder / "pyproject.toml").decode("utf-8")).get("project", {})
+            name = _project(str(project.get("name", "")))
             declared = [
-                (kind, str(name), str(target))
-                for kind in KINDS
-                for name, target in dict(groups.get(f"aiorts.{kind}", {})).items()
+                (str(group), str(name), str(target))
+                for group, offers in project.get("entry-points", {}).items()
+                if str(group).startswith("aiorts.")
+                for name, target in dict(offers).items()
             ]
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
-            self._problems.append(Problem(f"folder {folder}", f"pyproject.toml: {error}"))
+            self._problem(source, f"pyproject.toml: {error}")
             return
-        for kind, name, target in declared:
-            yield Extension(kind, name, target, f"folder {folder}", folder)
+        for group, extension, target in declared:
+            kind = self._kind(source, group)
+            if kind:
+                yield Extension(kind, extension, target, source, folder, name)
 
     def _defined(self, path: Path) -> Iterator[Extension]:
+        """The classes that derive from Component, or from one of the same file that does."""
         try:
-            tree = ast.parse(self._text(path), str(path))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # about its text: whoever imports it will see them
+                tree = ast.parse(self._content(path), str(path))
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             line = getattr(error, "lineno", None)
             where = "" if line is None else f", line {line}"
-            self._problems.append(Problem(f"file {path}{where}", str(getattr(error, "msg", error))))
+            self._problem(f"file {path}{where}", str(getattr(error, "msg", error)))
             return
+        components = {"Component"}
         for node in tree.body:
-            if isinstance(node, ast.ClassDef) and any(_says_component(base) for base in node.bases):
+            if isinstance(node, ast.ClassDef) and components.intersection(map(_last_name, node.bases)):
+                components.add(node.name)
                 yield Extension("components", node.name, f"{path.name}:{node.name}", f"file {path}", path.parent)
 
-    def _text(self, path: Path) -> str:
+    def _content(self, path: Path) -> bytes:
         try:
             with path.open("rb") as file:
                 data = file.read(_LARGEST + 1)
             if len(data) > _LARGEST:
                 raise OSError(f"larger than {_LARGEST} bytes")
-            return data.decode("utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            self._problems.append(Problem(f"file {path}", str(error)))
-            return ""
+        except OSError as error:
+            self._problem(f"file {path}", error.strerror or str(error))
+            return b""
+        return data
 
 
-def _says_component(base: ast.expr) -> bool:
-    return (base.attr if isinstance(base, ast.Attribute) else getattr(base, "id", "")) == "Component"
+def _some(names: Iterable[str]) -> str:
+    ordered = sorted(names)
+    more = f" and {len(ordered) - _SHOWN} more" if len(ordered) > _SHOWN else ""
+    return f"{', '.join(ordered[:_SHOWN]) or 'none'}{more}"
+
+
+def _project(name: str) -> str:
+    """A project's name in the form that compares: `Acme.Depth` and `acme_depth` are one."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _resolved(folder: Path | None) -> str:
+    try:
+        return "" if folder is None else str(folder.resolve())
+    except (OSError, RuntimeError):  # a loop of links
+        return str(folder)
+
+
+def _last_name(base: ast.expr) -> str:
+    return base.attr if isinstance(base, ast.Attribute) else getattr(base, "id", "")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 from aiorts.errors import DeclarationError, StateError, WiringError
 from aiorts.kernel.configuring import OVERRIDABLE, Configurable, declared_state
 from aiorts.kernel.gate import Gate
-from aiorts.kernel.hooks import hook_kinds
+from aiorts.kernel.hooks import check_spelling, hook_kinds
 from aiorts.kernel.host import PortHost
 from aiorts.kernel.log import ComponentLog, LogFields
 from aiorts.kernel.parameters import Declared, Parameters
@@ -74,6 +74,7 @@ class Component(Configurable):
                 check_name(value.name or attribute, "port")
             elif isinstance(value, Declared):
                 cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
+        check_spelling(cls)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
         cls._rt_configuration_state = declared_state(cls, cls._rt_parameter_specs)
 
@@ -324,6 +325,9 @@ class Component(Configurable):
         return _nothing()
 
     # -- called by the kernel --------------------------------------------------------------------------------------
+
+    def _rt_move(self, threaded: bool) -> None:
+        """It is about to join a thread context, or has left one."""
 
     def _rt_rename(self, name: str) -> None:
         self._rt_host.name = name

@@ -5,8 +5,7 @@
 read. What an out-port gives to all of its direct connectors alike it counts once, for all of them (`_sent`).
 `model/policy.py` and `model/buffer.py` decide; this file carries out.
 
-Across threads the in-port has a lock, and every path here that touches its queues takes it: the fast path is off for
-such ports.
+Across threads the in-port has a lock, and every path here that touches its queues takes it: its fast path is off.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from aiorts.kernel.ledger import Ledger
 from aiorts.kernel.port import OFF, UNLOCKED
-from aiorts.kernel.waiting import Waiting
+from aiorts.kernel.waiting import Waiting, set_done
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -38,10 +37,10 @@ _NEW = Push.NEW
 _SKIP = Push.SKIP
 _BLOCK = FullPolicy.BLOCK
 _READ = Stamp.READ
-_SEND = Stamp.SEND
-_RECEIVED = Stamp.RECEIVED
+_ON_THE_WAY = (Stamp.SEND, Stamp.RECEIVED)
 _REFUSE = Verdict.REFUSE
 _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
+_WAIT = Verdict.WAIT
 
 
 class Connector(Ledger):
@@ -73,8 +72,7 @@ class Connector(Ledger):
     )
 
     _crosses: ClassVar[bool] = False
-    """Whether this is one of `crossing.py`; asked again by a thread that had to wait for the lock: it may have become
-    one meanwhile."""
+    """Whether this is one of `crossing.py`; a thread that waited for the lock asks again: it may have become one."""
 
     def __init__(
         self,
@@ -168,6 +166,7 @@ class Connector(Ledger):
             and self._times is None
             and self.in_._open
             and self.in_._lock is None
+            and not (self.blocks and self._retired)
         )
 
     @property
@@ -185,9 +184,15 @@ class Connector(Ledger):
         """Whether a writer waits while the buffer is full."""
         return self._push is not _NEW and self._full is _BLOCK
 
+    @property
+    def _retired(self) -> bool:
+        """Whether nobody runs the reader any more: what has no room then is dropped{inactive}, and no writer waits."""
+        host = self.in_._host
+        return host is not None and host.retired
+
     def must_wait(self) -> bool:
         """Whether a sample written now would have to wait for room."""
-        if self._full is not _BLOCK or self._push is _NEW or self.closed or not self.in_._open:
+        if self._full is not _BLOCK or self._push is _NEW or self.closed or not self.in_._open or self._retired:
             return False
         if not admits(self._push, self._skip, self._written + 1):
             return False
@@ -218,14 +223,13 @@ class Connector(Ledger):
             self._drop(reason)
 
     def take(self) -> Any:
-        """The oldest sample of the queue; the caller holds the lock and knows that there is one."""
+        """The oldest sample of the queue, which has one; the caller holds the lock."""
         sample = self._queue.popleft()
         self._admit_waiting()
         return sample if self._stamp is not _READ else _stamped(sample, self._clock_ns())
 
     def take_newest(self) -> Any:
-        """The newest sample of the queue, older ones superseded; the caller holds the lock and knows that there is
-        one."""
+        """The newest sample of the queue, which has one, older ones superseded; the caller holds the lock."""
         sample = self._queue.pop()
         self.discard("superseded")
         return sample if self._stamp is not _READ else _stamped(sample, self._clock_ns())
@@ -334,7 +338,7 @@ class Connector(Ledger):
             if not entry.future.done():
                 entry.future.set_result(None)
         else:
-            self._loop.call_soon_threadsafe(_set_done, entry.future)
+            self._loop.call_soon_threadsafe(set_done, entry.future)
 
     # -- storing ---------------------------------------------------------------------------------------------------
 
@@ -359,6 +363,9 @@ class Connector(Ledger):
         if verdict is _REFUSE:
             self._drop("rejected")
             return False
+        if verdict is _WAIT:  # and `must_wait` has said no
+            self._drop("inactive")
+            return True
         replaces = verdict is _REPLACE_OLDEST
         if replaces:
             self._queue.popleft()
@@ -367,7 +374,7 @@ class Connector(Ledger):
         return True
 
     def _stamp_in(self, sample: Any) -> Any:
-        return _stamped(sample, self._clock_ns()) if self._stamp in (_SEND, _RECEIVED) else sample
+        return _stamped(sample, self._clock_ns()) if self._stamp in _ON_THE_WAY else sample
 
     def _push_in(self, sample: Any, *, counted: bool = False) -> None:
         """Append; `counted` when the in-port already has a token for a sample of this connector that went away."""
@@ -382,15 +389,9 @@ class Connector(Ledger):
 
     def _monotonic_ns(self) -> int:
         """The kernel's clock; asked only by who times each send."""
-        host = self.out._host
-        assert host is not None  # noqa: S101 - connected
-        assert host.kernel is not None  # noqa: S101
-        return host.kernel.clock.monotonic_ns()
-
-
-def _set_done(future: asyncio.Future[None]) -> None:
-    if not future.done():
-        future.set_result(None)
+        kernel = None if self.out._host is None else self.out._host.kernel
+        assert kernel is not None  # noqa: S101 - connected
+        return kernel.clock.monotonic_ns()
 
 
 def _stamped(sample: Any, tm: int) -> Any:

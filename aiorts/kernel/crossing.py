@@ -13,7 +13,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import count
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
@@ -96,6 +96,9 @@ class CrossingConnector(Connector):
             time.sleep(0 if look < _EAGER else 50e-6)  # lets who is in the middle of a step end it
         delivered = written - sum(dropped.values()) - buffered
         return ConnectorStatistics(written, delivered, buffered, MappingProxyType(dropped))
+
+    def glance(self) -> tuple[int, int, Mapping[str, int]]:
+        return self._look()
 
     def _look(self) -> tuple[int, int, dict[str, int]]:
         sides, dropped = self._cross, dict(self._dropped)

@@ -1,12 +1,16 @@
 """What a component class declares as hooks, read and checked once when the class is made.
 
 A hook is a coroutine function or a plain function, has no argument beyond `self` (`on_error` and `on_aborting` get
-the error), and returns nothing. Anything else is refused here, with class and hook named, not when it first runs.
+the error), and returns nothing. Anything else is refused here, with class and hook named, not when it first runs. So
+is a method that is a hook but for its spelling, which nobody would ever call: `onExecute`, or one slip of the pen
+(`on_excute`, `on_activate`) in a method that could be called as a hook is. `on_button` and `on_preset(self, number)`
+are nobody's affair.
 """
 
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Awaitable
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +21,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.member import Member
 
-__all__ = ("TAKES_ERROR", "HookKind", "bad_return", "coroutine_hooks", "hook_kinds")
+__all__ = ("TAKES_ERROR", "HookKind", "bad_return", "check_spelling", "coroutine_hooks", "hook_kinds")
 
 TAKES_ERROR = frozenset({"on_error", "on_aborting"})
 
@@ -37,6 +41,41 @@ def hook_kinds(cls: type[Any], base: type[Any] | None) -> dict[str, int]:
         DeclarationError: a hook is not a function, takes other arguments, or is a generator.
     """
     return {hook: _kind(cls, base, hook) for hook in HOOKS}
+
+
+def check_spelling(cls: type[Any]) -> None:
+    """Raise DeclarationError when a method that the class defines is a misspelt hook."""
+    for name, value in vars(cls).items():
+        if name in HOOKS or not _LIKE_A_HOOK.match(name) or not inspect.isfunction(value):
+            continue
+        for hook in HOOKS:
+            wanted, got = (text.replace("_", "").lower() for text in (hook, name))
+            if wanted == got or (_one_slip(wanted, got) and _callable_as(hook, value)):
+                raise DeclarationError(
+                    f"{cls.__qualname__}.{name}: there is no such hook; did you mean {hook}? "
+                    "A method of your own needs another name"
+                )
+
+
+_LIKE_A_HOOK = re.compile("on(_|[A-Z])")
+
+
+def _one_slip(wanted: str, got: str) -> bool:
+    """Whether one letter is missing, too many, wrong, or two neighbours are exchanged."""
+    if abs(len(wanted) - len(got)) > 1:
+        return False
+    at = next((n for n, (a, b) in enumerate(zip(wanted, got, strict=False)) if a != b), min(len(wanted), len(got)))
+    left, right = wanted[at:], got[at:]
+    exchanged = left[:2] == right[1::-1] and left[2:] == right[2:]
+    return left[1:] == right or left == right[1:] or left[1:] == right[1:] or exchanged
+
+
+def _callable_as(hook: str, function: Any) -> bool:
+    try:
+        inspect.signature(function).bind("self", *(("error",) if hook in TAKES_ERROR else ()))
+    except TypeError:
+        return False
+    return True
 
 
 def coroutine_hooks(kinds: dict[str, int]) -> list[str]:

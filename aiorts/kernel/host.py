@@ -54,6 +54,7 @@ class PortHost:
         "name",
         "ports",
         "realtime",
+        "retired",
         "stopping",
         "thread_id",
         "threaded",
@@ -70,6 +71,8 @@ class PortHost:
         """Whether the component runs in a thread of its own."""
         self.realtime = False
         """Whether the component runs in a real-time thread, which waits for nobody."""
+        self.retired = False
+        """Whether the component has left its last context: plain code may read its ports, but nobody waits for that."""
         self.stopping = False
         """Whether that thread is asked to end: what blocks there gives up."""
         self.blocking: Blocking | None = None

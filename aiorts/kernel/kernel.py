@@ -71,7 +71,7 @@ class Kernel(ConfigurationFiles):
         self.bus = Bus(self._hooks_wanted_changed)
         self.exit_status = 0
         """What `request_stop` said."""
-        self.plugins = Catalogue() if plugins is None else plugins
+        self.plugins = Catalogue.default() if plugins is None else plugins
         self._clock = clock
         self._contain_interrupts = contain_interrupts
         self._loop: asyncio.AbstractEventLoop | None = None

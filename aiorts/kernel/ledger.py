@@ -44,6 +44,22 @@ class Ledger:
     def _total(self) -> int:
         return self._written + self.out._sent if self._shared else self._written
 
+    def glance(self) -> tuple[int, int, Mapping[str, int]]:
+        """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
+
+        For a look into a process that is stuck; torn when the connector is being used at this moment. `statistics` is
+        exact.
+        """
+        dropped = dict(self._dropped)
+        if displaced := self._displaced:
+            reason = "superseded" if self._push is _NEW else _DISPLACED[self._full]
+            dropped[reason] = dropped.get(reason, 0) + displaced
+        return self._total(), self._buffered, dropped
+
+    @property
+    def _buffered(self) -> int:
+        raise NotImplementedError
+
     def share(self, shared: bool, sent: int) -> None:
         """From now on the out-port counts for this connector, or no longer: it has counted `sent`."""
         if shared is not self._shared:

@@ -43,6 +43,7 @@ class Members:
         component = member.component
         self._members.append(member)
         component._rt_members.append(member)
+        component._rt_host.retired = False
         if len(component._rt_members) > 1:
             component._rt_gate.share(component._rt_members)
         self._updating += member.updates
@@ -61,6 +62,7 @@ class Members:
             else:
                 self._members.remove(member)
             self._updating -= member.updates
+        component._rt_host.retired = not component._rt_members
         for port in component.ports.values():
             self._port_removed(member, port)
         self._set_ports_open(member)

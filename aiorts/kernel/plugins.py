@@ -12,20 +12,31 @@ import importlib.util
 import sys
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aiorts.errors import PluginError
-from aiorts.kernel.catalogue import Catalogue, Extension
+from aiorts.kernel.catalogue import Catalogue, Extension, singular
 
 if TYPE_CHECKING:
     from aiorts.clock import Clock
 
 T = TypeVar("T")
 
-__all__ = ("API", "class_of", "extensions", "load", "load_aside", "load_extension", "load_file")
+__all__ = (
+    "API",
+    "cause_of",
+    "class_of",
+    "extensions",
+    "load",
+    "load_aside",
+    "load_extension",
+    "load_file",
+    "load_in_time",
+)
 
 API: Final = 1
 """What aiorts offers to plugins; a module of one that sets `AIORTS_API` says which it was written for."""
@@ -34,17 +45,17 @@ _LONGEST: Final = 30.0
 
 
 def extensions(kind: str) -> Mapping[str, tuple[Extension, ...]]:
-    """What installed packages offer under `kind`, by name."""
-    return Catalogue().extensions(kind)
+    """What is offered under `kind`, by name."""
+    return Catalogue.default().extensions(kind)
 
 
 def load_extension(kind: str, name: str, catalogue: Catalogue | None = None) -> Any:
-    """The object that is offered as `name`, by installed packages where no catalogue is given.
+    """The object that is offered as `name`, in the default catalogue where none is given.
 
     Raises:
         PluginError: nobody offers it (near names are given), several do (all are named), or it cannot be imported.
     """
-    return load((Catalogue() if catalogue is None else catalogue).find(kind, name))
+    return load((Catalogue.default() if catalogue is None else catalogue).find(kind, name))
 
 
 def load(extension: Extension) -> Any:
@@ -57,8 +68,24 @@ def load(extension: Extension) -> Any:
     except BaseException as error:  # a plugin's border: whatever its import does is reported as the plugin's
         if isinstance(error, KeyboardInterrupt):
             raise
-        raise PluginError(f"{where} cannot be loaded: {type(error).__name__}: {_text(error)}") from error
+        raise PluginError(f"{where} cannot be loaded: {cause_of(error)}") from error
     return found
+
+
+def cause_of(error: BaseException) -> str:
+    """What an import raised, with the file and line that it came from."""
+    if isinstance(error, SyntaxError):
+        text, file, line = error.msg, error.filename, error.lineno
+    else:
+        text, file, line = _text(error), None, None
+    trace = error.__traceback__
+    while trace is not None and not isinstance(error, SyntaxError):
+        name = trace.tb_frame.f_code.co_filename
+        if not name.startswith("<") and name != __file__:
+            file, line = name, trace.tb_lineno
+        trace = trace.tb_next
+    where = "" if file is None else f" ({file}, line {line})"
+    return f"{type(error).__name__}: {text}{where}"
 
 
 def _text(thing: object) -> str:
@@ -67,6 +94,45 @@ def _text(thing: object) -> str:
         return str(thing)
     except Exception:  # noqa: BLE001 - a plugin's border
         return "(its text cannot be had)"
+
+
+def load_in_time(extension: Extension, limit: float, prepare: Callable[[], None] | None = None) -> Any:
+    """The object itself, loaded in a thread for which the caller waits, `limit` seconds of real time at the most.
+
+    Args:
+        prepare: called in that thread before.
+
+    Raises:
+        PluginError: it cannot be loaded, or was left behind while it was still being imported.
+    """
+    answers: list[tuple[Any, PluginError | None]] = []
+
+    def work() -> None:
+        if prepare is not None:
+            prepare()
+        answers.append(_answer(extension))
+
+    thread = threading.Thread(target=work, name=f"aiorts import {extension.name}", daemon=True)
+    thread.start()
+    thread.join(limit)
+    if not answers:
+        raise _too_slow(extension, limit)
+    found, error = answers[0]
+    if error is not None:
+        raise error
+    return found
+
+
+def _answer(extension: Extension) -> tuple[Any, PluginError | None]:
+    """What was loaded, or why not; for a thread, in which nothing may be raised."""
+    try:
+        return load(extension), None
+    except PluginError as error:
+        return None, error
+    except KeyboardInterrupt as raised:
+        interrupted = PluginError(f"{_named(extension)}: interrupted itself while it was imported")
+        interrupted.__cause__ = raised
+        return None, interrupted
 
 
 async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: float = _LONGEST) -> type[T]:
@@ -87,22 +153,19 @@ async def load_aside(extension: Extension, clock: Clock, base: type[T], limit: f
         else:
             done.set_result(found)
 
-    def work() -> None:
-        found, error = None, None
-        try:
-            found = load(extension)
-        except PluginError as raised:
-            error = raised
-        except KeyboardInterrupt as raised:
-            error = PluginError(f"{_named(extension)}: interrupted itself while it was imported")
-            error.__cause__ = raised
-        if not loop.is_closed():
+    def tell_from_afar(error: BaseException | None, found: Any) -> None:
+        with suppress(RuntimeError):  # the loop has been closed meanwhile: nobody wants to know any more
             loop.call_soon_threadsafe(tell, error, found)
+
+    def work() -> None:
+        found, error = _answer(extension)
+        tell_from_afar(error, found)
 
     # A thread that nobody waits for: an import that never ends must not keep the interpreter from ending.
     threading.Thread(target=work, name=f"aiorts import {extension.name}", daemon=True).start()
-    alarm = threading.Timer(limit, lambda: loop.call_soon_threadsafe(tell, _too_slow(extension, limit), None))
+    alarm = threading.Timer(limit, lambda: tell_from_afar(_too_slow(extension, limit), None))
     alarm.daemon = True
+    alarm.name = f"aiorts alarm {extension.name}"
     alarm.start()
     try:
         found = await done
@@ -126,13 +189,16 @@ def _too_slow(extension: Extension, limit: float) -> PluginError:
 
 
 def _named(extension: Extension) -> str:
-    return f"{extension.kind.removesuffix('s')} {extension.name!r} of {extension.source} ({extension.target})"
+    return f"{singular(extension.kind)} {extension.name!r} of {extension.source} ({extension.target})"
 
 
 def _imported(extension: Extension) -> Any:
     module_name, _, attributes = extension.target.partition(":")
     if module_name.endswith(".py") and extension.folder is not None:
-        module = load_file(extension.folder / module_name)
+        path = extension.folder / module_name
+        if not path.resolve().is_relative_to(extension.folder.resolve()):
+            raise PluginError(f"{module_name!r} is outside its folder; move the file into it")
+        module = load_file(path)
     else:
         if extension.folder is not None:
             _make_importable(extension.folder)

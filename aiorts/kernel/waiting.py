@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
 
-__all__ = ("Waiting",)
+__all__ = ("Waiting", "set_done")
 
 
 @dataclass(eq=False, slots=True)
@@ -21,3 +21,9 @@ class Waiting:
     sample: Any
     future: asyncio.Future[None] | None
     done: bool = False
+
+
+def set_done(future: asyncio.Future[None]) -> None:
+    """Wake the writer, unless it has given up."""
+    if not future.done():
+        future.set_result(None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from aiorts.system.build import Blueprint, build, prepare
 from aiorts.system.ending import is_source, wait_finished
+from aiorts.system.frames import FrameInput, FrameOutput
 from aiorts.system.load import load
 from aiorts.system.parse import parse
 from aiorts.system.pipes import StandardInput, StandardOutput
@@ -15,6 +16,8 @@ __all__ = (
     "ComponentEntry",
     "ConnectionEntry",
     "ContextEntry",
+    "FrameInput",
+    "FrameOutput",
     "LineStream",
     "Override",
     "StandardInput",

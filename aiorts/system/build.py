@@ -17,6 +17,7 @@ from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
+from aiorts.kernel.offers import offer_from
 from aiorts.kernel.plugins import load_extension
 from aiorts.kernel.ports import Port
 from aiorts.model.lifecycle import LifeCycleState
@@ -41,12 +42,14 @@ def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint
     """Load the types and check all that can be checked before anything is created.
 
     Args:
-        catalogue: where types come from; installed packages and the file's plugin folders by default.
+        catalogue: where types come from; the default one and the file's plugin folders by default.
 
     Raises:
         SystemFileError, PluginError, ConfigurationError, WiringError: says where in the file, and what is wrong.
     """
-    catalogue = Catalogue(system.plugin_paths) if catalogue is None else catalogue
+    if catalogue is None:
+        catalogue = Catalogue((*Catalogue.default().folders, *system.plugin_paths))
+    offer_from(catalogue)
     types = {entry.name: component_type(system, entry, catalogue) for entry in system.components.values()}
     params = {entry.name: parameters(system, entry, types[entry.name]) for entry in system.components.values()}
     for connection in system.connections:

@@ -12,20 +12,22 @@ import errno
 import os
 import stat
 import sys
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
 from aiorts.errors import RecordError
 from aiorts.kernel.component import Component
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.system.stream import LineStream
-from aiorts.wire.lines import LineReader, line_of
+from aiorts.wire.lines import LineReader, LineWriter
 
 __all__ = ("StandardInput", "StandardOutput")
 
 _CHUNK: Final = 1 << 16
 _LONGEST: Final = 64 << 20
 """Bytes of a line."""
+_MARK: Final = b"\xef\xbb\xbf"
+"""A byte order mark, with which some editors begin a file of UTF-8."""
 _GONE: Final = (errno.EIO, errno.EBADF)
 """A terminal that was hung up; a descriptor that somebody has closed."""
 
@@ -89,7 +91,8 @@ class StandardInput(Component):
         try:
             if line is None:
                 raise RecordError(f"longer than {_LONGEST} bytes")
-            port, sample = self._reader.sample(line.decode(), self.clock.time_ns())
+            text = (line.removeprefix(_MARK) if number == 1 else line).decode()
+            port, sample = self._reader.sample(text, self.clock.time_ns())
         except UnicodeDecodeError as error:
             self._complain(number, f"no UTF-8: {error.reason} at byte {error.start}")
         except RecordError as error:
@@ -125,20 +128,18 @@ class StandardOutput(Component):
         self._stream = LineStream() if stream is None else stream
         self._count = count
         self._done = done
-        for port, cls in ports.items():
-            self.add_port(port, InPort(cls))
+        self._sources: list[tuple[InPort[Any], LineWriter]] = [
+            (self.add_port(port, InPort(cls)), LineWriter(port, cls)) for port, cls in ports.items()
+        ]
 
     async def on_execute(self) -> None:
-        lines = [line_of(port.name, sample) for port in self._in_ports() for sample in port.drain()]
+        lines = [writer.line(sample) for port, writer in self._sources for sample in port.drain()]
         if self._count is not None:
             lines = lines[: self._count - self.written]
         await self._stream.write(lines)
         self.written += len(lines)
         if self.written == self._count and lines and self._done is not None:
             self._done()
-
-    def _in_ports(self) -> Iterable[InPort[Any]]:
-        return [port for port in self.ports.values() if isinstance(port, InPort)]
 
 
 def _standard_input() -> int | None:

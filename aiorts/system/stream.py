@@ -1,24 +1,34 @@
-"""Writing lines to a stream that may be slow: a line is written at once where that cannot block, else in a thread.
+"""Writing lines to a stream that may be slow: a line is written at once where that cannot block, else when it can.
 
-The event loop never waits for who reads: a pipe or terminal that takes no more is written to in a worker thread, and
-only who asked for the line waits.
+The event loop never waits for who reads: a worker thread waits until a pipe or terminal takes more, and only who asked
+for the line waits with it. A line that is longer than what is sure to be taken is written by the thread itself.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import select
 import stat
 import sys
+import threading
 from collections.abc import Iterable, Iterator
 from typing import Final, TextIO
 
-__all__ = ("LineStream",)
+from aiorts.errors import AiortsError
+
+__all__ = ("LineStream", "OutputError")
 
 _SURE: Final = 4096
 """Bytes that a pipe which is ready takes without blocking (PIPE_BUF on Linux)."""
+_LOOK_MS: Final = 100
+"""How often a thread that waits for room looks whether it is still asked to."""
+
+
+class OutputError(AiortsError, OSError):
+    """A stream takes no lines any more, although somebody may still read it: the disk is full, for one."""
+
+    code = "E-OUTPUT"
 
 
 class LineStream:
@@ -31,13 +41,19 @@ class LineStream:
         """Write these lines, each with its end.
 
         Raises:
-            OSError: the stream takes nothing any more (BrokenPipeError: its reader has gone).
+            BrokenPipeError: its reader has gone, or somebody has closed it.
+            OutputError: the system refused the lines; `errno` says why.
         """
         stream = sys.stdout if self._stream is None else self._stream
         if stream is None:
             return  # started without standard output
         for part in _parts(lines, getattr(stream, "encoding", None) or "utf-8"):
-            if _takes(stream, part):
+            descriptor = _slow(stream)
+            if descriptor is None:
+                _put(stream, part)
+            elif _is_short(part):
+                while not _has_room(descriptor):
+                    await _room(descriptor)
                 _put(stream, part)
             else:
                 await asyncio.to_thread(_put, stream, part)
@@ -49,36 +65,66 @@ def _put(stream: TextIO, text: str) -> None:
         stream.flush()
     except ValueError as error:
         raise BrokenPipeError(f"standard output is closed: {error}") from None
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        refused = OutputError(f"standard output: {error.strerror or error}; its last lines are lost")
+        refused.errno = error.errno
+        raise refused from None
 
 
 def _parts(lines: Iterable[str], encoding: str) -> Iterator[str]:
     """The lines joined to parts of at most `_SURE` bytes each, a longer line alone; what the encoding lacks escaped."""
     part: list[str] = []
     size = 0
+    narrow = len("\n".encode(encoding)) == 1
     for line in lines:
-        data = f"{line}\n".encode(encoding, "backslashreplace")
-        if part and size + len(data) > _SURE:
+        text, length = f"{line}\n", len(line) + 1
+        if not (narrow and text.isascii()):
+            data = text.encode(encoding, "backslashreplace")
+            text, length = data.decode(encoding), len(data)
+        if part and size + length > _SURE:
             yield "".join(part)
             part, size = [], 0
-        part.append(data.decode(encoding))
-        size += len(data)
+        part.append(text)
+        size += length
     if part:
         yield "".join(part)
 
 
-def _takes(stream: TextIO, text: str) -> bool:
-    """Whether the stream takes the text without making us wait."""
+def _slow(stream: TextIO) -> int | None:
+    """The descriptor of a stream that may make its writer wait; None for files, memory and what is closed."""
     try:
         descriptor = stream.fileno()
         mode = os.fstat(descriptor).st_mode
     except (OSError, ValueError, AttributeError):
-        return True  # in memory, or closed: writing says which
-    if stat.S_ISREG(mode) or not hasattr(select, "poll"):
-        return True
-    if len(text) * 4 > _SURE and len(text.encode("utf-8", "replace")) > _SURE:
-        return False
+        return None  # in memory, or closed: writing says which
+    return None if stat.S_ISREG(mode) or not hasattr(select, "poll") else descriptor
+
+
+def _is_short(text: str) -> bool:
+    return len(text) * 4 <= _SURE or len(text.encode("utf-8", "replace")) <= _SURE
+
+
+def _has_room(descriptor: int, wait_ms: int = 0) -> bool:
+    """Whether a short text can be written; also when an error is all that writing will bring."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
-    with contextlib.suppress(OSError):
-        return bool(poll.poll(0))
-    return True
+    try:
+        return bool(poll.poll(wait_ms))
+    except OSError:
+        return True
+
+
+async def _room(descriptor: int) -> None:
+    """Wait for room in a thread, which ends soon after nobody waits any longer: it must not hold up the end."""
+    given_up = threading.Event()
+
+    def wait() -> None:
+        while not given_up.is_set() and not _has_room(descriptor, _LOOK_MS):
+            pass
+
+    try:
+        await asyncio.to_thread(wait)
+    finally:
+        given_up.set()

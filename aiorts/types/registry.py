@@ -1,7 +1,7 @@
 """Names of record types: found by short name, or by `module.Name` when two modules define the same one.
 
-A record enters when it is defined, a user's dataclass when it is first described. Nothing is ever imported to find a
-name.
+A record enters when it is defined, a user's dataclass when it is first described. A name that somebody typed and
+nobody knows is looked for where plugins offer types; for a name that came in a frame nothing is imported.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 from aiorts.errors import UnknownTypeError
+from aiorts.model.elsewhere import finder
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 T = TypeVar("T", bound=type)
 
-__all__ = ("all_types", "find_type", "full_name", "register", "type_name", "wire_name", "wire_type")
+__all__ = ("all_types", "find_type", "full_name", "is_known", "register", "type_name", "wire_name", "wire_type")
 
 _BUILTIN = "aiorts.types."
 _by_full_name: dict[str, type] = {}
@@ -52,26 +53,42 @@ def register(cls: T) -> T:
 def find_type(name: str) -> type:
     """The record type (or enumeration, or bool, int, float, str, bytes) of that name.
 
-    `name` is `Name` or `module.Name`. UnknownTypeError with near names if there is none, with the full names if there
-    are several.
+    `name` is `Name` or `module.Name`. One that no loaded module defines is loaded from the plugin that offers it.
+    UnknownTypeError with near names if there is none, with the full names if there are several.
     """
+    found = _known(name)
+    if found is not None:
+        return found
+    offered: Iterable[str] = ()
+    if isinstance(name, str):  # imports what offers the type, if anything does, and gives the names that are offered
+        offered = finder("types")(name)
+        found = _known(name)
+        if found is not None:
+            return found
+    raise UnknownTypeError(f"unknown type {name!r}{_hint(name, offered)}")
+
+
+def _known(name: str) -> type | None:
     if name in _plain:
         return _plain[name]
     if name in _by_full_name:
         return _by_full_name[name]
     found = _by_short_name.get(name, {})
-    if len(found) == 1:
-        return next(iter(found.values()))
-    if found:
+    if len(found) > 1:
         names = " and ".join(sorted(found))
         raise UnknownTypeError(f"type {name!r} is defined more than once: {names}; write the full name")
-    raise UnknownTypeError(f"unknown type {name!r}{_hint(name)}")
+    return next(iter(found.values()), None)
 
 
-def _hint(name: str) -> str:
+def is_known(name: str) -> bool:
+    """Whether a module that is loaded defines the name, once or more often."""
+    return name in _plain or name in _by_full_name or bool(_by_short_name.get(name))
+
+
+def _hint(name: str, offered: Iterable[str]) -> str:
     if not isinstance(name, str):
         return "; a type name is text"
-    lowered = {known.lower(): known for known in (*_by_short_name, *_by_full_name, *_plain)}
+    lowered = {known.lower(): known for known in (*offered, *_by_short_name, *_by_full_name, *_plain)}
     near = difflib.get_close_matches(name[:200].lower(), lowered, n=3, cutoff=0.7)
     if near:
         return f"; did you mean {' or '.join(lowered[match] for match in near)}?"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
+from aiorts.wire.codecs import find_codec
 from aiorts.wire.limits import CONTROL, DATA, Limits
-from aiorts.wire.lines import LineReader, json_text, line_of, split_sample
+from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
 
 __all__ = (
     "CONTROL",
@@ -13,7 +14,9 @@ __all__ = (
     "Codec",
     "Limits",
     "LineReader",
+    "LineWriter",
     "MsgpackCodec",
+    "find_codec",
     "json_text",
     "line_of",
     "split_sample",

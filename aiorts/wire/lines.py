@@ -8,17 +8,25 @@ object with the key `data` is a line, any other value is the data itself.
 from __future__ import annotations
 
 import json
+import math
+import reprlib
 from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 
 from aiorts.errors import RecordError
-from aiorts.types import fields_of, from_plain, has_tm, to_plain, type_name
+from aiorts.types import describe, fields_of, from_plain, has_tm, to_plain, type_name
+from aiorts.types.samples import original
 
-__all__ = ("LineReader", "json_text", "line_of", "split_sample")
+__all__ = ("LineReader", "LineWriter", "json_text", "line_of", "split_sample")
 
 _KEYS: Final = ("port", "type", "tm", "data")
 _LONGEST: Final = 60
+_encode: Final = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(", ", ": ")).encode
+_NUMBERS: Final = dict.fromkeys(("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64"), int) | dict.fromkeys(
+    ("f32", "f64"), float
+)
+"""Kinds of `data` whose values, when they are of this very class, are in JSON what they are in Python."""
 
 
 def line_of(port: str, sample: Any) -> str:
@@ -33,6 +41,9 @@ def line_of(port: str, sample: Any) -> str:
 
 def split_sample(sample: Any) -> tuple[int | None, Any]:
     """Time (None for a type without `tm`) and plain data of a sample."""
+    exact = _number_of(type(sample))
+    if exact is not None and type(sample.data) is exact and (exact is int or math.isfinite(sample.data)):
+        return sample.tm, sample.data
     plain = to_plain(sample)
     if not isinstance(plain, dict) or not hasattr(type(sample), "__dataclass_fields__"):
         return None, plain
@@ -42,11 +53,49 @@ def split_sample(sample: Any) -> tuple[int | None, Any]:
 
 def json_text(plain: Any) -> str:
     """Strict JSON on one line; what does not print, a terminal's escapes for one, is written by its number."""
-    text = json.dumps(plain, allow_nan=False, ensure_ascii=False, separators=(", ", ": "))
+    text = _encode(plain)
     # JSON escapes the first 32 characters itself; the rest of what does not print is written as JSON would.
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
+
+
+class LineWriter:
+    """Writes the lines of one port, as `line_of` does, with what all of them share made once."""
+
+    def __init__(self, port: str, cls: type[Any]) -> None:
+        self._port = port
+        self._cls = cls
+        self._exact = _number_of(cls)
+        self._head = json_text({"port": port, "type": type_name(cls)})[:-1]
+
+    def line(self, sample: Any) -> str:
+        """The line, without its end, for a sample."""
+        if self._exact is not None and type(sample) is self._cls:
+            data = sample.data
+            if type(data) is self._exact and (self._exact is int or math.isfinite(data)):
+                return f'{self._head}, "tm": {sample.tm}, "data": {data!r}}}'
+        return line_of(self._port, sample)
+
+
+def _number_of(cls: type) -> Any:
+    """int or float, where records of `cls` are nothing but a time in ns and one number, checked when they are made."""
+    if cls not in _numbers:
+        _numbers[cls] = _found_number_of(cls)
+    return _numbers[cls]
+
+
+_numbers: dict[type, type | None] = {}
+
+
+def _found_number_of(cls: type) -> type | None:
+    if not hasattr(cls, "__dataclass_fields__") or original(cls) is not cls:
+        return None  # the class of a snapshot is nobody's type
+    structure = describe(cls)
+    if not structure.checked or [field.name for field in structure.fields] != ["tm", "data"]:
+        return None
+    stamp, data = structure.fields
+    return _NUMBERS.get(data.spelling) if structure.has_tm and stamp.record is None else None
 
 
 class LineReader:
@@ -113,6 +162,7 @@ class _Form:
         fields = [] if self._bare else [field.name for field in fields_of(cls)]
         self._timed = "tm" in fields and has_tm(cls)
         self._whole = [name for name in fields if name != "tm" or not self._timed] != ["data"]
+        self._number = _number_of(cls) is not None
 
     def check_type(self, name: Any) -> None:
         """RecordError when the line says it is of another type."""
@@ -121,6 +171,8 @@ class _Form:
 
     def sample(self, data: Any, tm: Any) -> Any:
         """The sample with this data."""
+        if self._number and (type(data) is int or type(data) is float):
+            return self._cls(tm, data)  # what `from_plain` comes to, for a number alone
         if self._bare:
             return from_plain(self._cls, data)
         if not self._whole:
@@ -149,6 +201,12 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
+_brief: Final = reprlib.Repr()
+_brief.maxstring = _brief.maxother = _brief.maxlong = _LONGEST
+_brief.maxlevel = 3
+
+
 def _shown(value: Any) -> str:
-    text = repr(value)
+    """A few characters of a value, in a time that does not grow with it: a line may be long, and nest deep."""
+    text = _brief.repr(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -37,7 +37,9 @@ class FlexiFilter(FlexiComponent):
     )
     outputs: tuple[str, ...] = Param((), type=tuple[str, ...], doc="types of output0, output1, ...")
     map = Param("0>0", doc="entries in[:pin] > [mult[off] >] out[:pin], separated by commas")
-    rounding = Param("nearest", choices=("nearest", "truncate", "floor"), doc="from a fraction to an integer")
+    rounding = Param(
+        "nearest", choices=("nearest", "truncate", "floor"), doc="fraction to integer; nearest: halves to even"
+    )
     overflow = Param("error", choices=("error", "saturate", "wrap"), doc="a number that the pin cannot hold")
     reset = Param("", doc='value of pins without new data; "" keeps their last one')
     zero_old = Param(False, doc="pins without new data become 0, False or no text")
@@ -56,7 +58,9 @@ class FlexiFilter(FlexiComponent):
         VERBOSITY,
         Option(("--reset",), "reset", "text", "pins without new data become this value"),
         Option(("--combine",), "combine", "text", "several entries to one pin: sum, min, max or newest"),
-        Option(("--round",), "rounding", "text", "fraction to integer: nearest (default), truncate or floor"),
+        Option(
+            ("--round",), "rounding", "text", "fraction to integer: nearest (default; halves to even), truncate, floor"
+        ),
         Option(("--overflow",), "overflow", "text", "out of range: error (default), saturate or wrap"),
         Option(("--clamp",), "clamp", "text", "LO,HI: limits of every number"),
         Option(("--nan",), "nan", "text", "pass (default), error or a number in its place"),

@@ -8,14 +8,15 @@ value. A pin without new data keeps its last value, or goes back to `reset` wher
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as ReadOnlyMap
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from aiorts.errors import ConfigurationError, ConversionError, RecordError
-from aiorts.types import convert, describe, has_tm, read_path
+from aiorts.types import convert, has_tm
 from aiorts_flexi.grammar import Entry, parse_map, parse_number
+from aiorts_flexi.pins import holder, reader, with_values
 from aiorts_flexi.place import TypedTextError
 from aiorts_flexi.ports import PortSpec
 
@@ -31,7 +32,8 @@ _TEXT: Final = ("str", "char", "wchar")
 class Rules:
     """How values are made.
 
-    rounding: "nearest", "truncate" or "floor", from a fraction to an integer.
+    rounding: from a fraction to an integer: "nearest" (halves to the even neighbour: 0.5 is 0, 1.5 and 2.5 are 2),
+        "truncate" (toward zero) or "floor".
     overflow: "error", "saturate" or "wrap".
     reset: what pins without new data are set to; "" keeps them.
     zero_old: set pins without new data to 0, False or no text; `reset` says to what else.
@@ -65,8 +67,11 @@ class _Route:
     """One entry with its pins looked up."""
 
     entry: Entry
-    path: str
+    read: Callable[[Any], Any]
+    """The value at the entry's pin of a sample. RecordError when it is not there."""
     kind: str
+    timed: bool
+    """Whether samples of the in-port have a time."""
 
 
 @dataclass(slots=True)
@@ -76,6 +81,8 @@ class _Target:
     pin: int | str
     kind: str
     routes: list[_Route]
+    holds: Callable[[Any], bool]
+    """Whether a value is of the pin's kind as it is."""
     value: Any
     empty: Any
     tm: int | None = None
@@ -89,6 +96,7 @@ class _Output:
     spec: PortSpec
     targets: list[_Target]
     sources: frozenset[int]
+    timed: bool
     base: Any = None
     """For a record: what its fields hold that no entry sets."""
 
@@ -106,6 +114,7 @@ class Mapping:
         self.entries = parse_map(text)
         self.rules = rules
         self._rounding = "round" if rules.rounding == "nearest" else rules.rounding
+        self._passes_nan = rules.nan == "pass"
         self._nan = None if rules.nan in NAN else float(parse_number(rules.nan, "nan"))
         self._outputs = self._make_outputs(outputs)
 
@@ -136,12 +145,19 @@ class Mapping:
     # -- values ----------------------------------------------------------------------------------------------------
 
     def _update(self, target: _Target, samples: ReadOnlyMap[int, Any]) -> None:
+        if len(target.routes) == 1:
+            route = target.routes[0]
+            sample = samples.get(route.entry.source)
+            if sample is not None:
+                target.value = self._value(route, target, sample)
+                target.tm, target.valid = int(sample.tm) if route.timed else None, True
+                return
         fresh = False
         for number, route in enumerate(target.routes):
             sample = samples.get(route.entry.source)
             if sample is not None:
                 target.last.pop(number, None)  # the newest one stands last
-                target.last[number] = (self._value(route, target, sample), _time_of(sample))
+                target.last[number] = self._value(route, target, sample), int(sample.tm) if route.timed else None
                 fresh = True
         if fresh:
             if self.rules.combine == "newest":
@@ -156,12 +172,12 @@ class Mapping:
     def _value(self, route: _Route, target: _Target, sample: Any) -> Any:
         entry = route.entry
         try:
-            value = sample if not route.path else read_path(sample, route.path)
+            value = route.read(sample)
         except RecordError as error:
             raise ConversionError(f"{entry}: {self.inputs[entry.source].name}: {error}") from None
         try:
             # A NaN may have been text, or have come of infinity times zero: it is asked for after each step.
-            return self._without_nan(self._fitted(self._limited(self._scaled(value, entry)), target.kind))
+            return self._without_nan(self._fitted(self._limited(self._scaled(value, entry)), target))
         except ConversionError as error:
             raise ConversionError(f"{entry}: {error}") from None
 
@@ -178,8 +194,10 @@ class Mapping:
             return self._overflowed(result, f"{number!r} times the factor")
         return self._without_nan(result)
 
-    def _fitted(self, value: Any, kind: str) -> Any:
-        return convert(value, kind, overflow=self.rules.overflow, rounding=self._rounding)
+    def _fitted(self, value: Any, target: _Target) -> Any:
+        if target.holds(value):
+            return value
+        return convert(value, target.kind, overflow=self.rules.overflow, rounding=self._rounding)
 
     def _overflowed(self, result: float, what: str) -> float:
         if self.rules.overflow == "error":
@@ -187,7 +205,7 @@ class Mapping:
         return math.copysign(_LARGEST, result) if self.rules.overflow == "saturate" else result
 
     def _without_nan(self, value: Any) -> Any:
-        if not isinstance(value, float) or value == value or self.rules.nan == "pass":
+        if self._passes_nan or not isinstance(value, float) or value == value:
             return value
         if self._nan is None:
             raise ConversionError("the value is NaN, and nan is error")
@@ -212,7 +230,7 @@ class Mapping:
             total = sum(values)
             if isinstance(total, float) and math.isinf(total) and all(map(math.isfinite, values)):
                 total = self._overflowed(total, "it")
-            return self._without_nan(self._fitted(total, target.kind))
+            return self._without_nan(self._fitted(total, target))
         except ConversionError as error:
             raise ConversionError(
                 f"sum of {' and '.join(str(route.entry) for route in target.routes)}: {error}"
@@ -227,24 +245,25 @@ class Mapping:
         return min(known) if self.rules.time == "oldest" else max(known)
 
     def _build(self, output: _Output, now: int) -> Any:
-        spec = output.spec
-        tm = self._chosen_time(target.tm for target in output.targets if target.valid)
+        spec, first = output.spec, output.targets[0]
+        if len(output.targets) == 1 and first.valid:
+            tm = first.tm
+        else:
+            tm = self._chosen_time(target.tm for target in output.targets if target.valid)
         stamp = now if tm is None else tm
         if spec.plain:
-            return output.targets[0].value
+            return first.value
         if spec.form == "scalar":
-            return (
-                spec.type(stamp, output.targets[0].value) if has_tm(spec.type) else spec.type(output.targets[0].value)
-            )
+            return spec.type(stamp, first.value) if output.timed else spec.type(first.value)
         if spec.form == "sequence":
             values: list[Any] = [self._empty(spec.element)] * spec.length
             for target in output.targets:
                 values[int(target.pin)] = target.value
-            return spec.type(stamp, values) if has_tm(spec.type) else spec.type(values)
+            return spec.type(stamp, values) if output.timed else spec.type(values)
         changes = {spec.pin_path(target.pin): target.value for target in output.targets}
-        if has_tm(spec.type) and "tm" not in changes:
+        if output.timed and "tm" not in changes:
             changes["tm"] = stamp
-        return _with_values(output.base, changes)
+        return with_values(output.base, changes)
 
     def _empty(self, kind: str) -> Any:
         text = self.rules.reset
@@ -268,7 +287,7 @@ class Mapping:
             target = targets.get(path)
             if target is None:
                 empty = self._empty(kind)
-                targets[path] = _Target(entry.target_pin, kind, [route], empty, empty)
+                targets[path] = _Target(entry.target_pin, kind, [route], holder(kind), empty, empty)
             else:
                 self._check_combine(target, route)
                 target.routes.append(route)
@@ -280,7 +299,8 @@ class Mapping:
         path, kind = spec.pin_path(entry.target_pin), spec.kind(entry.target_pin)
         if "[" in path and spec.form == "record":
             raise ConfigurationError(f"{entry}: an item of a sequence cannot be set; name a field without index")
-        route = _Route(entry, source.pin_path(entry.source_pin), source.kind(entry.source_pin))
+        read = reader(source, entry.source_pin)
+        route = _Route(entry, read, source.kind(entry.source_pin), has_tm(source.type))
         if entry.mult is not None and route.kind in ("char", "wchar"):
             raise ConfigurationError(f"{entry}: a character cannot be multiplied; leave the factor out")
         return route, kind, path
@@ -298,7 +318,8 @@ class Mapping:
 
 def _output(spec: PortSpec, targets: dict[str, _Target]) -> _Output:
     sources = frozenset(route.entry.source for target in targets.values() for route in target.routes)
-    return _Output(spec, list(targets.values()), sources, _base(spec) if spec.form == "record" else None)
+    base = _base(spec) if spec.form == "record" else None
+    return _Output(spec, list(targets.values()), sources, has_tm(spec.type), base)
 
 
 def _base(spec: PortSpec) -> Any:
@@ -324,23 +345,3 @@ def _newest(found: Sequence[tuple[Any, int | None]]) -> tuple[Any, int | None]:
         if latest is None or tm is None or tm >= latest:
             value, latest = other, tm
     return value, latest
-
-
-def _time_of(sample: Any) -> int | None:
-    return int(sample.tm) if has_tm(type(sample)) else None
-
-
-def _with_values(sample: Any, changes: ReadOnlyMap[str, Any]) -> Any:
-    """A copy of a record with the values at these field paths changed."""
-    here: dict[str, Any] = {}
-    below: dict[str, dict[str, Any]] = {}
-    for path, value in changes.items():
-        name, dot, rest = path.partition(".")
-        if dot:
-            below.setdefault(name, {})[rest] = value
-        else:
-            here[name] = value
-    for name, inner in below.items():
-        here[name] = _with_values(getattr(sample, name), inner)
-    cls = type(sample)
-    return cls(**{part.name: here.get(part.name, getattr(sample, part.name)) for part in describe(cls).fields})

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from aiorts.types import fields_of, has_tm, read_path, to_plain
+from aiorts.wire import json_text, split_sample
 
 __all__ = ("FORMATS", "full_path", "line_of", "news_of", "printable", "stamp_text")
 
@@ -29,11 +29,11 @@ def line_of(
     Raises:
         RecordError, InvalidNameError: the sample has no such field.
     """
-    tm = _time_of(sample) if arrived is None else arrived
-    data = _data(sample, fields)
+    tm, data = (_time_of(sample), _chosen(sample, fields)) if fields else split_sample(sample)
+    tm = tm if arrived is None else arrived
     if form == "json":
         line: dict[str, Any] = {"port": name, "type": type_name}
-        return _json({**line, **({} if tm is None else {"tm": tm}), "data": data})
+        return json_text({**line, **({} if tm is None else {"tm": tm}), "data": data})
     if form == "csv":
         return _csv([name, type_name, "" if tm is None else stamp_text(tm), *_leaves(data)])
     if form == "values":
@@ -69,14 +69,8 @@ def _time_of(sample: Any) -> int | None:
     return int(sample.tm) if has_tm(type(sample)) else None
 
 
-def _data(sample: Any, fields: Sequence[str]) -> Any:
-    if fields:
-        return {path: _plain(read_path(sample, full_path(type(sample), path))) for path in fields}
-    plain = to_plain(sample)
-    if not isinstance(plain, dict):
-        return plain
-    rest = {key: value for key, value in plain.items() if key != "tm"}
-    return rest["data"] if list(rest) == ["data"] else rest
+def _chosen(sample: Any, fields: Sequence[str]) -> Any:
+    return {path: _plain(read_path(sample, full_path(type(sample), path))) for path in fields}
 
 
 def full_path(cls: type, path: str) -> str:
@@ -96,18 +90,10 @@ def _plain(value: Any) -> Any:
     return str(getattr(value, "name", value))
 
 
-def _json(value: Any) -> str:
-    text = json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(", ", ": "))
-    # JSON escapes the first 32 characters itself; the rest of what does not print is written as JSON would.
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in text)
-
-
 def _shown(data: Any, fields: Sequence[str]) -> str:
     if fields:
         return " ".join(f"{path}={_shown(data[path], ())}" for path in fields)
-    return _json(data)
+    return json_text(data)
 
 
 def _leaves(data: Any) -> Iterator[Any]:
@@ -122,7 +108,7 @@ def _leaves(data: Any) -> Iterator[Any]:
 
 
 def _value_text(value: Any) -> str:
-    return printable(value) if isinstance(value, str) else _json(value)
+    return printable(value) if isinstance(value, str) else json_text(value)
 
 
 def _csv(values: Sequence[Any]) -> str:

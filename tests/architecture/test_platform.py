@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import tomllib
 
-from test_layers import ROOT
+import pytest
+from test_layers import ROOT, sources
 
-BLOCKED = ("uvloop", "fcntl", "resource", "termios")
+BLOCKED = ("uvloop", "fcntl", "resource", "termios", "pwd", "grp", "pty", "tty", "syslog")
 RUN_WITHOUT = f"""
 import runpy, sys
 
@@ -28,6 +31,7 @@ finally:
 """
 
 
+@pytest.mark.row(8)
 def test_example_runs_without_posix_only_modules() -> None:
     arguments = ["run", "examples/roomba/system.toml", "--set", "imu.speed=200"]
     done = subprocess.run(
@@ -40,3 +44,30 @@ def test_example_runs_without_posix_only_modules() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "heading verified" in done.stdout.splitlines()[-1]
+
+
+@pytest.mark.row(8)
+def test_every_module_can_be_imported_without_posix_only_modules() -> None:
+    """Also those that no run of the example uses, such as the check of plugins and the benches."""
+    modules = [
+        ".".join(
+            path.relative_to(ROOT if path.is_relative_to(ROOT / "aiorts") else ROOT / "plugins").with_suffix("").parts
+        )
+        for path in sources("aiorts", "plugins")
+        if path.name != "__main__.py"
+    ]
+    body = "import importlib\nfor name in sys.argv[1:]: importlib.import_module(name)\n"
+    code = RUN_WITHOUT[: RUN_WITHOUT.index("sys.argv[0]")].replace("import runpy, sys", "import sys") + body
+    done = subprocess.run([sys.executable, "-c", code, *modules], cwd=ROOT, capture_output=True, text=True, timeout=50)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.row(8)
+def test_what_is_said_of_systems_is_what_was_run() -> None:
+    """README names the system that the suite was run on, and says of the others that it was not."""
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert re.search(r"Run on Linux \(x86-64\), CPython 3\.11, 3\.12 and 3\.13\.", readme)
+    assert "Not run on Windows and macOS" in readme
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        classifiers = tomllib.load(file)["project"]["classifiers"]
+    assert [one for one in classifiers if "Operating System" in one] == ["Operating System :: POSIX :: Linux"]

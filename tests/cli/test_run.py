@@ -187,8 +187,8 @@ def test_a_component_in_error_is_one_line_and_a_status_when_asked(
     assert only_line(done).startswith("aiorts: E-COMPONENT: it.on_execute: ValueError: no such luck; ")
 
 
-def test_verbose_shows_the_traceback(write: Callable[[str], Path]) -> None:
-    done = aiorts("run", write(one("Failing")), "--duration", "0.1", "-v")
+def test_debug_shows_the_traceback(write: Callable[[str], Path]) -> None:
+    done = aiorts("run", write(one("Failing")), "--for", "0.1", "--debug")
     assert "Traceback (most recent call last)" in done.stderr
     assert "raise ValueError" in done.stderr
 

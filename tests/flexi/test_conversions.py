@@ -126,25 +126,33 @@ def check(source: str, target: str, value: Any, rounding: str, overflow: str) ->
 
 
 def check_float(target: str, number: Fraction | float, value: Any, made: Any, overflow: str) -> None:
-    largest = 3.4028234663852886e38 if target == "TimedFloat" else 1.7976931348623157e308
+    """Exactly the nearest float of the target, as `struct` has it; out of its range what was asked for."""
     if not isinstance(number, Fraction):
         assert made == number or (made != made and number != number)
         return
+    nearest = nearest_float(number, "f" if target == "TimedFloat" else "d")
     if made is None:
-        inexact = isinstance(value, int) or (isinstance(value, str) and value.strip().lstrip("+-").isdigit())
+        whole = isinstance(value, int) or (isinstance(value, str) and value.strip().lstrip("+-").isdigit())
         assert overflow == "error"
-        assert abs(number) > largest or (inexact and Fraction(float(number)) != number)
-        return
-    if math.isinf(made):
-        assert overflow == "wrap"
-        assert abs(number) >= Fraction(largest)
-    elif abs(number) <= Fraction(largest):
-        bits = 24 if target == "TimedFloat" else 53
-        assert abs(Fraction(made) - number) <= max(abs(number) / 2 ** (bits - 1), Fraction(2) ** -148)
+        assert math.isinf(nearest) or (whole and Fraction(nearest_float(number, "d")) != number)
+    elif math.isfinite(nearest):
+        assert made == nearest
+        if isinstance(value, float):
+            assert math.copysign(1.0, made) == math.copysign(1.0, value)  # also of zero
+    elif overflow == "wrap":
+        assert made == nearest
     else:
-        assert abs(made) == largest
-    if target == "TimedFloat" and math.isfinite(made):
-        assert struct.unpack("<f", struct.pack("<f", made))[0] == made
+        assert overflow == "saturate"
+        largest = 3.4028234663852886e38 if target == "TimedFloat" else 1.7976931348623157e308
+        assert made == math.copysign(largest, nearest)
+
+
+def nearest_float(number: Fraction, code: str) -> float:
+    try:
+        made: float = struct.unpack(f"<{code}", struct.pack(f"<{code}", float(number)))[0]
+    except OverflowError:
+        return math.inf if number > 0 else -math.inf
+    return made
 
 
 @pytest.mark.row(127)

@@ -94,6 +94,7 @@ async def test_metres_to_millimetres_under_each_rule(
         (("TimedLong", "TimedUShort"), "0>0", TimedLong(0, -1), "u16"),
         (("TimedString", "TimedLong"), "0>0", TimedString(0, "seven"), "seven"),
         (("TimedDoubleSeq:3", "TimedDouble"), "0:2>0", TimedDoubleSeq(0, [1.0]), "input0"),
+        (("TimedDoubleSeq:3", "TimedDouble"), "0:1>0", TimedDoubleSeq(0, [1.0]), "input0"),
     ],
 )
 async def test_what_cannot_be_converted_is_an_error_that_names_the_entry(

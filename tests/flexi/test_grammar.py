@@ -122,3 +122,92 @@ def test_any_text_is_read_in_full_or_refused_with_a_place_in_it(text: str) -> No
         for entry, part in zip(made, text.split(","), strict=True):
             assert part.count(">") == (1 if entry.mult is None else 2)
             assert all(math.isfinite(number) for number in (entry.mult, entry.off) if number is not None)
+
+
+# -- a second reader of the same language, which knows nothing of the first --------------------------------------------
+
+
+def is_map(text: str) -> bool:
+    """Whether the text is a map: cut at its symbols, and each part looked at as a whole."""
+    return all(is_entry(part) for part in text.split(","))
+
+
+def is_entry(text: str) -> bool:
+    parts = [part.strip(" \t\r\n") for part in text.split(">")]
+    if len(parts) not in (2, 3) or not (is_address(parts[0]) and is_address(parts[-1])):
+        return False
+    return len(parts) == 2 or is_number(parts[1]) or is_factor_with_offset(parts[1])
+
+
+def is_address(text: str) -> bool:
+    port, colon, pin = text.partition(":")
+    return are_digits(port, 6) and (not colon or are_digits(pin, 9) or is_path(pin))
+
+
+def are_digits(text: str, most: int) -> bool:
+    return 1 <= len(text) <= most and set(text) <= set("0123456789")
+
+
+def is_path(text: str) -> bool:
+    for name in text.split("."):
+        plain, *indices = name.split("[")
+        if not plain or not (plain[0].isascii() and (plain[0].isalpha() or plain[0] == "_")):
+            return False
+        if not all(character.isalnum() or character == "_" for character in plain):
+            return False
+        if not all(index.endswith("]") and are_digits(index[:-1].removeprefix("-"), 9) for index in indices):
+            return False
+    return True
+
+
+def is_number(text: str) -> bool:
+    if not set(text) <= set("0123456789.eE+-") or len(text) > 100:
+        return False
+    try:
+        return math.isfinite(float(text)) or text.lstrip("+-").isdigit()
+    except ValueError:
+        return False
+
+
+def is_factor_with_offset(text: str) -> bool:
+    return any(
+        text[place] in "+-" and is_number(text[:place]) and is_number(text[place:]) for place in range(1, len(text))
+    )
+
+
+@st.composite
+def nearly_maps(draw: st.DrawFn) -> str:
+    """Maps with a few characters put in, taken out or changed."""
+    text = draw(st.sampled_from([",", " , ", ",\n"])).join(map(str, draw(st.lists(entries, min_size=1, max_size=3))))
+    text = text.replace(":0", "") if draw(st.booleans()) else text
+    for _ in range(draw(st.integers(0, 2))):
+        place = draw(st.integers(0, len(text)))
+        put = draw(st.sampled_from(["", *"0123456789>:,+-.eE _x[]\u0661\t"]))
+        text = text[:place] + put + text[place + draw(st.integers(0, 1)) :]
+    return text
+
+
+@pytest.mark.fault("F07")
+@given(nearly_maps() | st.text(alphabet="0123456789>:,+-.eE ax[]", max_size=24))
+@settings(max_examples=cases(5_000))
+def test_what_is_accepted_as_a_map_is_the_grammar(text: str) -> None:
+    try:
+        parse_map(text)
+    except ConfigurationError:
+        assert not is_map(text)
+    else:
+        assert is_map(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["0>1000-5>0", "0>1+0.5>0", "0>1-5e3>0", "0>1e3>0", "2>0:2,0:1>0.1>0:3,0:1>1", "0 > 0", " 0:a.b[3] > -.5e-3+1. >1"],
+)
+def test_the_examples_of_the_language_are_in_it_for_both(text: str) -> None:
+    assert is_map(text)
+    assert parse_map(text)
+    for place in range(len(text)):  # garbage anywhere is garbage
+        spoilt = f"{text[:place]}#{text[place:]}"
+        assert not is_map(spoilt)
+        with pytest.raises(ConfigurationError):
+            parse_map(spoilt)

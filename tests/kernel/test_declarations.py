@@ -66,6 +66,64 @@ def test_hook_of_a_wrong_kind_or_signature_is_refused_when_the_class_is_made(
 
 @pytest.mark.fault("A19")
 @pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("on_excute", "on_execute"),
+        ("on_exceute", "on_execute"),
+        ("on_exxecute", "on_execute"),
+        ("on_executed", "on_execute"),
+        ("on_activate", "on_activated"),
+        ("on_deactivate", "on_deactivated"),
+        ("on_initialise", "on_initialize"),
+        ("on_start_up", "on_startup"),
+        ("on_state_updates", "on_state_update"),
+        ("onExecute", "on_execute"),
+        ("onStateUpdate", "on_state_update"),
+        ("on_Reset", "on_reset"),
+    ],
+)
+def test_a_misspelt_hook_is_refused_when_the_class_is_made(name: str, meant: str) -> None:
+    async def method(self: Any) -> None: ...
+
+    with pytest.raises(DeclarationError, match=rf"Bad\.{name}: there is no such hook; did you mean {meant}\?"):
+        type("Bad", (Component,), {name: method})
+
+
+@pytest.mark.fault("A19")
+def test_a_misspelt_hook_that_takes_the_error_is_refused_too() -> None:
+    def method(self: Any, error: BaseException) -> None: ...
+
+    with pytest.raises(DeclarationError, match="did you mean on_error"):
+        type("Bad", (Component,), {"on_eror": method})
+    with pytest.raises(DeclarationError, match="did you mean on_execute"):
+        type("Bad", (Component,), {"onExecute": method})
+
+
+def test_methods_of_ones_own_may_begin_with_on() -> None:
+    class Panel(Component):
+        """Has methods that are no hooks."""
+
+        on_error_count = 0
+
+        def on_button(self) -> None: ...
+
+        def on_result(self) -> None: ...
+
+        def on_actuated(self) -> None: ...
+
+        def on_execution(self) -> None: ...
+
+        def on_preset(self, number: int) -> None: ...
+
+        def on_errors(self) -> None: ...
+
+        def once(self) -> None: ...
+
+    assert Panel("panel0").on_error_count == 0
+
+
+@pytest.mark.fault("A19")
+@pytest.mark.parametrize(
     ("returned", "message"),
     [
         (lambda: 5, "returned int 5; a hook returns nothing"),

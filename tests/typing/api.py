@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, assert_type
+from collections.abc import AsyncIterator, Mapping
+from typing import Annotated, Any, ClassVar, assert_type
 
 from aiorts import (
     Component,
@@ -16,6 +16,7 @@ from aiorts import (
     Param,
     ParameterChanged,
     PeriodicContext,
+    component,
 )
 from aiorts.types import TimedDouble, TimedLong
 
@@ -67,6 +68,37 @@ class Plain(Component):
 
     def on_error(self, error: BaseException) -> None:
         assert_type(self.last_error, BaseException | None)
+
+
+def add(a: float, b: float = 0.0) -> float:
+    return a + b
+
+
+@component
+def scale(a: float, *, gain: float = Param(2.0, ge=0.0)) -> float:
+    return a * gain
+
+
+@component(when="all", output=("smaller", "larger"))
+def ordered(a: Annotated[float, InPort(TimedDouble, unit="m")], b: float) -> tuple[float, float]:
+    return min(a, b), max(a, b)
+
+
+@component
+async def source() -> AsyncIterator[float]:
+    yield 1.0
+
+
+component(add, when="always")  # error: not one of the choices
+component(7)  # error: not a function
+
+
+async def functions(kernel: Kernel) -> None:
+    made = await kernel.create(component(add), "adder0")
+    await kernel.connect(made.output, (await kernel.create(scale)).a, full="block")
+    await kernel.add(ordered("ordered0"), source("source0"))  # error: one at a time
+    await made.configure(gain=2.0)
+    assert_type(made.name, str)
 
 
 async def main() -> None:

@@ -15,7 +15,7 @@ from aiorts.errors import RecordError
 from aiorts.testing.invented import invent, record_types
 from aiorts.testing.samples import difference
 from aiorts.types import RangeData, TimedBoolean, TimedDouble, TimedDoubleSeq, TimedLong, TimedString
-from aiorts.wire.lines import LineReader, line_of, split_sample
+from aiorts.wire.lines import LineReader, LineWriter, line_of, split_sample
 
 NOW = 1_700_000_000_000_000_000
 NUMBER = LineReader({"input0": TimedDouble})
@@ -27,6 +27,7 @@ def test_every_record_comes_back_from_its_line(cls: type) -> None:
     reader = LineReader({"other": cls})
     for sample in (invent(cls, random.Random(seed)) for seed in range(5)):
         line = line_of("output0", sample)
+        assert LineWriter("output0", cls).line(sample) == line
         assert line.isprintable()
         assert "\n" not in line
         port, read = reader.sample(line, 0)

@@ -1,0 +1,227 @@
+"""The log of one run: what components, libraries and the command itself say, as lines for a person or a program.
+
+A `Line` is decided once, and each sink writes it in its form: standard error, and a file where one is named; then
+standard error is told of warnings and errors only. While the command runs this is a handler of Python's logging, and
+afterwards nothing of it is left. Nothing here raises because nobody takes the lines.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from aiorts.cli.logfile import LogFile
+from aiorts.cli.options import Levels, Options, levels_of
+from aiorts.cli.report import ADVICE, cause_of, code_of, marked_in, one_line, place_of, report, say, shortened
+from aiorts.errors import AiortsError
+
+if TYPE_CHECKING:
+    from aiorts import ComponentAdded, HookFailed, Kernel
+
+__all__ = ("Line", "Log")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One thing that was said."""
+
+    time_ns: int
+    """On the clock of the system, nanoseconds since the epoch."""
+    level: str
+    message: str
+    component: str = ""
+    context: str = ""
+    hook: str = ""
+    code: str = ""
+    """Of an error; empty for what is none."""
+    error: BaseException | None = None
+    advice: str = ""
+    times: str = ""
+
+    @property
+    def where(self) -> str:
+        """Who said it, with a colon behind it, unless the message begins with that."""
+        where = f"{self.component}.{self.hook}: " if self.code and self.hook else f"{self.component}: "
+        return "" if not self.component or self.message.startswith(where) else where
+
+
+class Log(logging.Handler):
+    """The log of one run, from `with` to its end.
+
+    Args:
+        on_output_error: asked when the system refused what a component wrote; it returns True to say nothing of it.
+
+    Raises:
+        ConfigurationError: the log file cannot be had; on entering.
+    """
+
+    def __init__(self, options: Options, on_output_error: Callable[[OSError], bool]) -> None:
+        super().__init__()
+        self._options = options
+        self.levels: Levels = levels_of(options)
+        self._on_output_error = on_output_error
+        self._now_ns: Callable[[], int] = time.time_ns
+        self._kernel: Kernel | None = None
+        self._failures: dict[str, tuple[str, int]] = {}
+        """By component: the context, and when."""
+        self._file: LogFile | None = None
+
+    # -- from beginning to end -------------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        path = self._options.log_file
+        if path is not None:
+            self._file = LogFile(path, lambda what: report("E-LOG", what), self._lost)
+        root, components = logging.getLogger(), logging.getLogger("aiorts.component")
+        self._before = root.level, components.level
+        root.addHandler(self)
+        root.setLevel(self.levels.default)
+        components.setLevel(self.levels.lowest)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        root, components = logging.getLogger(), logging.getLogger("aiorts.component")
+        root.removeHandler(self)
+        root.setLevel(self._before[0])
+        components.setLevel(self._before[1])
+        if self._file is not None:
+            self._file.close()
+        self.close()
+
+    def attach(self, kernel: Kernel) -> None:
+        """From now on it is this kernel's system that speaks, by this kernel's clock."""
+        from aiorts import ComponentAdded, HookFailed
+
+        self._kernel = kernel
+        self._now_ns = kernel.time_ns
+        kernel.bus.subscribe(HookFailed, self._note_failure)
+        if self.levels.components:
+            kernel.bus.subscribe(ComponentAdded, self._set_level)
+
+    def _note_failure(self, event: HookFailed) -> None:
+        self._failures[event.component] = event.context, self._now_ns()
+
+    def failed_just_now(self, component: str) -> bool:
+        """Whether a failure of this component was told within the last second, so that its line is still in sight."""
+        _, at_ns = self._failures.get(component, ("", 0))
+        return self._now_ns() - at_ns < 1_000_000_000
+
+    def _set_level(self, event: ComponentAdded) -> None:
+        """A logger of its own for each, which is known to nobody else: what is not wanted is not even counted."""
+        assert self._kernel is not None  # noqa: S101 - it is its bus that calls
+        log = self._kernel.components[event.component].log
+        logger = logging.Logger(log.logger.name, self.levels.of(event.component))
+        logger.parent = log.logger
+        log.logger = logger
+
+    # -- what is said ----------------------------------------------------------------------------------------------
+
+    def tell(self, code: str, message: str, *, component: str = "", level: str = "error") -> None:
+        """A line of the command itself."""
+        self._write(Line(self._now_ns(), level, message, component, code=code))
+
+    def failed(self, error: BaseException) -> None:
+        """That the run failed, and why."""
+        advice = "" if isinstance(error, AiortsError) or self._options.debug else ADVICE
+        message = f"{place_of(error)}{cause_of(error)}"
+        self._write(Line(self._now_ns(), "error", message, code=code_of(error), error=error, advice=advice))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Never raises: `handleError` of logging writes a traceback, which nobody asked for."""
+        component = str(getattr(record, "component", ""))
+        error = record.exc_info[1] if record.exc_info else None
+        if record.levelno < self.levels.of(component):
+            return
+        if isinstance(error, OSError) and self._on_output_error(error):
+            return
+        self._write(self._line(record, component, error))
+
+    def _line(self, record: logging.LogRecord, component: str, error: BaseException | None) -> Line:
+        level, hook = record.levelname.lower(), str(getattr(record, "hook", ""))
+        context = self._failures.get(component, ("", 0))[0] if error is not None else self._context_of(component)
+        if error is None or not component:
+            return Line(self._now_ns(), level, _message(record), component, context, hook, error=error)
+        repeated = getattr(record, "repeated", 0)
+        times = f" (repeated {repeated} times)" if repeated else ""
+        advice = "" if isinstance(error, AiortsError) or self._options.debug else ADVICE
+        hook = _message(record).partition(" failed")[0]
+        return Line(
+            self._now_ns(), level, cause_of(error), component, context, hook, code_of(error), error, advice, times
+        )
+
+    def _context_of(self, component: str) -> str:
+        """The context of a component that is in one alone."""
+        found = None if self._kernel is None else self._kernel.components.get(component)
+        contexts = () if found is None else found.contexts
+        return contexts[0].name if len(contexts) == 1 else ""
+
+    # -- where it goes ---------------------------------------------------------------------------------------------
+
+    def _write(self, line: Line) -> None:
+        as_json = self._options.log_format == "json"
+        form = _as_json if as_json else _as_text
+        trace = "" if line.error is None or not self._options.debug else _trace(line.error)
+        if self._file is not None:
+            self._file.write(form(line, trace))
+            if line.level in ("debug", "info"):
+                return
+        if as_json:
+            say(_as_json(line, trace))
+        else:
+            say(*_for_a_person(line, trace))
+
+    def _lost(self, count: int) -> str:
+        line = Line(self._now_ns(), "warning", f"{count} lines lost: the log file could not be written", code="E-LOG")
+        return _as_json(line, "") if self._options.log_format == "json" else _as_text(line, "")
+
+
+def _for_a_person(line: Line, trace: str) -> list[str]:
+    text = shortened(f"aiorts: {line.code or line.level}: {line.where}{line.message}{line.times}{line.advice}")
+    marked = [] if line.error is None or line.component else [f"  {part}" for part in marked_in(line.error)]
+    return [text, *marked, *([trace] if trace else [])]
+
+
+def _as_text(line: Line, trace: str) -> str:
+    what = f"{line.code}: " if line.code else ""
+    text = one_line(f"{_time(line.time_ns)} {line.level} {what}{line.where}{line.message}{line.times}")
+    return f"{text}\n{trace}" if trace else text
+
+
+def _as_json(line: Line, trace: str) -> str:
+    found: dict[str, Any] = {
+        "time": _time(line.time_ns),
+        "level": line.level,
+        "component": line.component or None,
+        "context": line.context or None,
+        "hook": line.hook or None,
+        "code": line.code or None,
+        "message": f"{line.message}{line.times}",
+    }
+    if trace:
+        found["traceback"] = trace
+    return json.dumps(found)
+
+
+def _time(time_ns: int) -> str:
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest // 1000:06}Z"
+
+
+def _trace(error: BaseException) -> str:
+    return "".join(traceback.format_exception(error)).rstrip()
+
+
+def _message(record: logging.LogRecord) -> str:
+    try:
+        return record.getMessage()
+    except (TypeError, ValueError, KeyError) as error:
+        return f"{record.msg} ({error})"

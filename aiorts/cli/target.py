@@ -1,0 +1,141 @@
+"""What `aiorts run` is asked to run: a system file, or one component alone in a context that fits it.
+
+Everything is loaded and checked here, before a kernel is opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from aiorts import Catalogue, Component, EventContext, InPort, Kernel, PeriodicContext
+from aiorts.cli.single import component_class
+from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
+from aiorts.system import build, load, prepare
+
+__all__ = ("DEFAULT_RATE", "Target", "find_target")
+
+DEFAULT_RATE: Final = 10.0
+"""Hz of a component without in-ports that is run alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What is run: made in a kernel by `make`."""
+
+    names: tuple[str, ...]
+    """Of the components."""
+    catalogue: Catalogue
+    make: Callable[[Kernel], Any]
+
+
+def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate: float | None) -> Target:
+    """The system file or component that `text` names, loaded and checked.
+
+    Args:
+        changes: parameters as "component.param=value"; for a component alone also "param=value".
+        folders: plugins that are not installed.
+        rate: Hz, for a component alone.
+
+    Raises:
+        AiortsError: says what is wrong with it. click.UsageError: options that do not go together.
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise ConfigurationError(f"--plugins {folder}: no such folder; name one with plugins in it")
+    if _is_file(text):
+        if rate is not None:
+            raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
+        return _system(text, changes, folders)
+    catalogue = Catalogue(folders)
+    if ":" not in text and text not in catalogue.extensions("components"):
+        raise ConfigurationError(f"{text[:80]!r}: {_no_such(text, catalogue)}")
+    return _alone(component_class(text, catalogue), changes, catalogue, rate)
+
+
+def _is_file(text: str) -> bool:
+    if text.endswith(".toml") or not text:
+        return True
+    try:
+        return ":" not in text and Path(text).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _no_such(text: str, catalogue: Catalogue) -> str:
+    components = catalogue.extensions("components")
+    try:
+        files = [path.name for path in Path().iterdir() if path.suffix == ".toml"]
+    except OSError:
+        files = []
+    near = get_close_matches(text[:100], [*files, *components], n=1)
+    if not near:  # `pid` for `pid.toml`, and `flexiconst` for `FlexiConst`
+        near = [one for one in (*files, *components) if one.lower().removesuffix(".toml") == text.lower()]
+    hint = f"did you mean {near[0]!r}?" if near else "give SYSTEM.toml, MODULE:COMPONENT or FILE.py:COMPONENT"
+    return f"no system file and no installed component; {hint}"
+
+
+def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Target:
+    try:
+        system = load(text, changes)
+    except SystemFileError as error:
+        if not Path(text).parent.is_dir() or Path(text).exists() or "cannot be read" not in str(error):
+            raise
+        near = get_close_matches(Path(text).name, [path.name for path in Path(text).parent.glob("*.toml")], n=1)
+        hint = f"; did you mean {str(Path(text).parent / near[0])!r}?" if near else ""
+        raise SystemFileError(f"{error}{hint}") from None
+    catalogue = Catalogue((*folders, *system.plugin_paths))
+    plan = prepare(system, catalogue)
+    return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan))
+
+
+# -- one component -----------------------------------------------------------------------------------------------------
+
+
+def _alone(cls: type[Component], changes: Iterable[str], catalogue: Catalogue, rate: float | None) -> Target:
+    name = cls.__name__.lower()
+    params = _params(name, cls, changes)
+    if rate is not None:
+        _check_rate(rate)
+
+    async def make(kernel: Kernel) -> None:
+        try:
+            component = await kernel.create(cls, name, **params)
+        except BaseException as error:
+            error.add_note(name)
+            raise
+        takes = any(isinstance(port, InPort) for port in component.ports.values())
+        context = EventContext() if takes and rate is None else PeriodicContext(rate=rate or DEFAULT_RATE)
+        try:
+            await kernel.start(context, component, activate=True)
+        except ComponentError:
+            return  # its on_activated failed: it is in error, as it would be later on
+
+    return Target((name,), catalogue, make)
+
+
+def _check_rate(rate: float) -> None:
+    try:
+        PeriodicContext(rate=rate)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"--rate: {error}") from None
+
+
+def _params(name: str, cls: type[Component], changes: Iterable[str]) -> Mapping[str, Any]:
+    """What `--set` says of it, checked; ConfigurationError names every mistake."""
+    params: dict[str, Any] = {}
+    for text in changes:
+        where, equals, value = text.partition("=")
+        component, dot, param = where.strip().rpartition(".")
+        if not equals or not param:
+            raise ConfigurationError(f"--set {text[:80]!r}: expected PARAM=VALUE, such as gain=2.0")
+        if dot and component != name:
+            raise ConfigurationError(f"--set {text[:80]!r}: the component is called {name!r}; write {param}=VALUE")
+        params[param] = value
+    cls(name).params.check(params)
+    return params
