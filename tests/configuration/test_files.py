@@ -328,6 +328,43 @@ async def test_a_hook_that_loads_a_file_is_not_made_to_wait(tmp_path: Path) -> N
         assert arm.seen == [(1.5, 2.0), (0.5, 2.0), (0.5, 2.0)]
 
 
+@simulated
+async def test_a_file_that_a_hook_loads_is_refused_as_a_whole_too(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "conf.toml"
+
+    class Loader(Arm):
+        async def on_execute(self) -> None:
+            if not self.seen:
+                await self.kernel.load_configuration(path)
+            await super().on_execute()
+
+    async with Kernel() as kernel:
+        arm, moody = await kernel.add(Loader("arm"), low=0.5), await kernel.add(Moody("moody"), value=12)
+        await kernel.save_configuration(path)
+        path.write_text(path.read_text().replace("value = 12", "value = 13"))
+        await arm.configure(low=1.5)
+        Moody.asked = 1
+        await kernel.start(PeriodicContext(10.0), arm, activate=True)
+        await asyncio.sleep(0.25)
+        assert (set(arm.seen), arm.last_error, moody.value) == ({(1.5, 2.0)}, None, 12)
+        assert "not today" in caplog.messages[-1]
+
+
+@simulated
+async def test_a_value_that_would_be_read_back_as_another_is_not_saved(tmp_path: Path) -> None:
+    class Ambiguous(Component):
+        table = Param(None, type=Mapping[str, bool] | None)
+
+    async with Kernel() as kernel:
+        one = await kernel.add(Ambiguous("one"))
+        await kernel.save_configuration(tmp_path / "conf.toml")
+        await one.configure(table={"none": True})  # how a file says None
+        with pytest.raises(ConfigurationError, match="one: a value of it cannot be saved"):
+            await kernel.save_configuration(tmp_path / "conf.toml")
+
+
 @pytest.mark.parametrize("step", ["open", "fsync", "replace", "none"])
 @simulated
 async def test_a_disk_that_fails_leaves_the_old_file(
