@@ -12,7 +12,6 @@ from typing import Any
 
 from aiorts.kernel.bus import Event, ParametersChanged
 from aiorts.model.sets import ConfigurationState, same
-from aiorts.model.standard_names import remark_on
 
 __all__ = (
     "ConfigurationSetActivated",
@@ -102,6 +101,8 @@ def configuration_events(component: str, old: ConfigurationState, new: Configura
     """What there is to tell when `new` took the place of `old`."""
     for name, spec in new.specs.items():
         if name not in old.specs:
+            from aiorts.model.standard_names import remark_on
+
             yield ParameterAdded(component, name, new.values[name], spec.type_text, spec.unit, remark_on(spec))
     for name in old.specs:
         if name not in new.specs:

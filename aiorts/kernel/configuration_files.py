@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, cast
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.kernel.between_cycles import between_cycles
 from aiorts.kernel.commit import Edit, commit, try_out
-from aiorts.kernel.safe_files import read_text, replace_text
 from aiorts.kernel.tasks import kernel_task
 from aiorts.model.sets import ConfigurationState, Difference, differences
 
@@ -44,6 +43,7 @@ class ConfigurationFiles:
         """
         from anyio import to_thread
 
+        from aiorts.kernel.safe_files import replace_text
         from aiorts.model.configuration_text import document_text
 
         kernel = cast("Kernel", self)
@@ -104,6 +104,7 @@ class ConfigurationFiles:
     async def _read(self, path: str | os.PathLike[str]) -> Document:
         from anyio import to_thread
 
+        from aiorts.kernel.safe_files import read_text
         from aiorts.model.configuration_text import LARGEST, parse_document
 
         text = await to_thread.run_sync(read_text, Path(path), LARGEST)

@@ -17,13 +17,13 @@ from aiorts.kernel.between_cycles import between_cycles, soon
 from aiorts.kernel.commit import Edit, commit
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort, Port
-from aiorts.model.configuration_profile import ConfigurationProfile, configuration_profile
 from aiorts.model.sets import DEFAULT, ConfigurationState
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
     from aiorts.model.configuration import ParameterSpec
+    from aiorts.model.configuration_profile import ConfigurationProfile
 
 __all__ = ("OVERRIDABLE", "Configurable", "Configuration", "declared_state")
 
@@ -63,6 +63,8 @@ class Configuration:
     @property
     def profile(self) -> ConfigurationProfile:
         """Parameters, what is allowed, sets and the values in force, as plain data."""
+        from aiorts.model.configuration_profile import configuration_profile
+
         return configuration_profile(self._state, type(self._component)._rt_parameter_specs)
 
     def __repr__(self) -> str:

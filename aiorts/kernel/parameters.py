@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 
 from aiorts.errors import DeclarationError
 from aiorts.model.configuration import Constraint, ParameterSpec, validate
-from aiorts.model.constraint_text import parse_constraint
 from aiorts.model.sets import ConfigurationState
 
 __all__ = ("Declared", "Param", "Parameter", "Parameters")
@@ -83,6 +82,8 @@ def Param(  # noqa: N802 - a declaration reads as a type does
             raise DeclarationError(
                 f"constraint={constraint!r}: stands for ge, gt, le, lt, choices and pattern; give either"
             )
+        from aiorts.model.constraint_text import parse_constraint
+
         allowed = parse_constraint(constraint)
     declared: Any = Declared(default, type, unit, doc, allowed, widget, validator)
     result: T = declared
