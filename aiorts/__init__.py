@@ -53,6 +53,16 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.configuration_events import (
+        ConfigurationSetActivated,
+        ConfigurationSetAdded,
+        ConfigurationSetChanged,
+        ConfigurationSetRemoved,
+        ParameterAdded,
+        ParameterChanged,
+        ParameterRemoved,
+    )
+    from aiorts.kernel.configuring import Configuration
     from aiorts.kernel.declarations import Declaration, declaration_of
     from aiorts.kernel.function import component
     from aiorts.model.blame import Blame
@@ -71,6 +81,11 @@ __all__ = (
     "Component",
     "ComponentAdded",
     "ComponentRemoved",
+    "Configuration",
+    "ConfigurationSetActivated",
+    "ConfigurationSetAdded",
+    "ConfigurationSetChanged",
+    "ConfigurationSetRemoved",
     "Connected",
     "Connector",
     "Context",
@@ -93,6 +108,9 @@ __all__ = (
     "OutPort",
     "Overrun",
     "Param",
+    "ParameterAdded",
+    "ParameterChanged",
+    "ParameterRemoved",
     "ParametersChanged",
     "PeriodicContext",
     "PortAdded",
@@ -125,6 +143,16 @@ _HOMES = {
         *("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
         *("Provided", "Required", "ServiceConnector", "ServicePort"),
     ),
+    "aiorts.kernel.configuration_events": (
+        "ConfigurationSetActivated",
+        "ConfigurationSetAdded",
+        "ConfigurationSetChanged",
+        "ConfigurationSetRemoved",
+        "ParameterAdded",
+        "ParameterChanged",
+        "ParameterRemoved",
+    ),
+    "aiorts.kernel.configuring": ("Configuration",),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
     "aiorts.kernel.declarations": ("Declaration", "declaration_of"),

@@ -12,10 +12,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
 
 from aiorts.errors import DeclarationError, StateError, WiringError
+from aiorts.kernel.configuring import OVERRIDABLE, Configurable, declared_state
 from aiorts.kernel.gate import Gate
 from aiorts.kernel.hooks import check_spelling, hook_kinds
 from aiorts.kernel.host import PortHost
-from aiorts.kernel.joint import between_cycles
 from aiorts.kernel.log import ComponentLog, LogFields
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort, Port, Provided, Required, ServiceEnd, ServicePort, Turns
@@ -39,7 +39,7 @@ Hook = Awaitable[None] | None
 """What a hook may return: it is `async def` or plain `def`, and the value is None."""
 
 
-class Component:
+class Component(Configurable):
     """The unit of a system. Derive from it, declare ports and parameters, write the hooks you need.
 
     Every private name of this class begins with `_rt_`: `self._log` or `self._members` are yours.
@@ -79,6 +79,7 @@ class Component:
         check_spelling(cls)
         cls._rt_hook_kinds = hook_kinds(cls, Component)
         check_declared(cls)
+        cls._rt_configuration_state = declared_state(cls, cls._rt_parameter_specs)
 
     def __init__(self, name: str = "") -> None:
         if name:
@@ -88,9 +89,9 @@ class Component:
         self._rt_kernel: Kernel | None = None
         self._rt_members: list[Member] = []
         self._rt_gate = Gate()
-        self._rt_params = Parameters(self._rt_host.name, self._rt_parameter_specs)
-        for parameter in self._rt_params.values():
-            setattr(self, parameter.name, parameter.value)
+        self._rt_params = Parameters(self._rt_host.name, self._rt_configuration_state)
+        for parameter, value in self._rt_configuration_state.values.items():
+            setattr(self, parameter, value)
         for attribute, declaration in self._rt_port_declarations.items():
             setattr(self, attribute, self.add_port(declaration.name or attribute, declaration))
 
@@ -188,7 +189,7 @@ class Component:
             self.name,
             type(self).__name__,
             tuple(port.profile for port in self.ports.values()),
-            MappingProxyType(self._rt_params.values_in_force),
+            self._rt_params._state.values,
             MappingProxyType({name: state.value for name, state in self.states.items()}),
             None if error is None else f"{type(error).__name__}: {error}",
         )
@@ -202,17 +203,12 @@ class Component:
 
         return component_html(self)
 
-    # -- ports and parameters --------------------------------------------------------------------------------------
+    # -- ports -----------------------------------------------------------------------------------------------------
 
     @property
     def ports(self) -> Mapping[str, Port[Any]]:
         """The ports there are now, by name."""
         return MappingProxyType(self._rt_host.ports)
-
-    @property
-    def params(self) -> Parameters:
-        """The parameters, by name: value in force, default, unit, bounds."""
-        return self._rt_params
 
     @overload
     def add_port(self, name: str, port: InPort[T]) -> InPort[T]: ...
@@ -270,30 +266,6 @@ class Component:
             port._wake_waiter()
         if self._rt_kernel is not None:
             self._rt_kernel._roster.port_removed(self, port)
-
-    async def configure(self, **changes: object) -> None:
-        """Change parameters: all of them between two cycles, or, when any value is bad, none.
-
-        Called from a hook of this component it is queued and returns at once.
-
-        Raises:
-            ConfigurationError: names every change that was refused; the old values stay.
-            TransitionTimeout: no cycle ended within 5 s; the old values stay.
-        """
-        if self._rt_kernel is not None:
-            self._rt_kernel.check_thread(f"{self.name}.configure")
-        checked = self._rt_params.check(changes)
-        if self._rt_kernel is None:
-            self._rt_put(checked)
-        else:
-            await between_cycles(self._rt_kernel, self, lambda: self._rt_put(checked))
-
-    def _rt_put(self, checked: Mapping[str, Any]) -> None:
-        self._rt_params._put(checked)
-        for name, value in checked.items():
-            setattr(self, name, value)
-        if self._rt_kernel is not None and checked:
-            self._rt_kernel._roster.parameters_changed(self, checked)
 
     # -- what a hook may ask for -----------------------------------------------------------------------------------
 
@@ -369,7 +341,7 @@ class Component:
 
     def _rt_rename(self, name: str) -> None:
         self._rt_host.name = name
-        self._rt_params._rename(name)
+        self._rt_params._owner = name
         self._rt_named = True
 
 
@@ -391,5 +363,9 @@ class _Done:
 _DONE = _Done()
 
 
-_OURS = frozenset(name for name in vars(Component) if not name.startswith("_")) - {*HOOKS, "max_instance"}
+_OURS = frozenset(name for name in (*vars(Component), *vars(Configurable)) if not name.startswith("_")) - {
+    *HOOKS,
+    *OVERRIDABLE,
+    "max_instance",
+}
 """What a component cannot redefine: the kernel and every tool rely on it."""

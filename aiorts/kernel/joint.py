@@ -1,20 +1,17 @@
 """What concerns a component and its contexts together, and who would wait for himself if he waited for it.
 
-A hook that starts a context with its own component, or changes parameters, is in the way of what it asks for: it is
-not made to wait.
+A hook that starts a context with its own component is in the way of what it asks for: it is not made to wait.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from aiorts.errors import DeclarationError, InvalidNameError, StateError, TransitionTimeout
+from aiorts.errors import DeclarationError, InvalidNameError, StateError
 from aiorts.kernel.deadlines import StopBudget
-from aiorts.kernel.hooks import HookKind
-from aiorts.kernel.life import Call
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through
 
@@ -22,12 +19,9 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.context import Context
     from aiorts.kernel.kernel import Kernel
-    from aiorts.kernel.life import Done, Steps
 
-__all__ = ("between_cycles", "check_start", "start")
+__all__ = ("check_start", "start")
 
-PATIENCE: Final = 5.0
-"""Seconds of the kernel's clock until a change of parameters is given up: two hooks may wait for each other's."""
 _LOG = logging.getLogger("aiorts.kernel")
 
 
@@ -90,55 +84,3 @@ def _forget_unless_running(kernel: Kernel, context: Context) -> None:
         for member in tuple(reversed(context._members)):
             context._detach(member)
         kernel._context_ended(context)
-
-
-async def between_cycles(kernel: Kernel, component: Component, change: Callable[[], None]) -> None:
-    """Run `change` while no hook of the component runs; asked for by one of its own hooks: afterwards.
-
-    Raises:
-        TransitionTimeout: that moment did not come in time; nothing was changed.
-    """
-    contexts = component.contexts
-    if not contexts and component._rt_gate.open:
-        change()
-    elif len(contexts) == 1:
-        await contexts[0]._ask([("change parameters", lambda done: _steps(component, change, done))], PATIENCE)
-    elif owner_of(current_task()) is component or any(context._inside() for context in contexts):
-        kernel_task(kernel.loop, _logged(kernel, component, change), f"aiorts configure {component.name}")
-    else:
-        await _through_gate(kernel, component, change)
-
-
-def _steps(component: Component, change: Callable[[], None], done: Done) -> Steps:
-    if component._rt_gate.open:
-        change()
-    else:
-        # A call is served there: it waits for its turn, as a hook does.
-        member = component._rt_members[0]
-        member.hooks["configure"] = HookKind.PLAIN, change
-        yield Call(member, "configure")
-    done(None)
-
-
-async def _through_gate(kernel: Kernel, component: Component, change: Callable[[], None]) -> None:
-    gate = component._rt_gate
-    if not gate.open:
-        turn: asyncio.Future[bool] = kernel.loop.create_future()
-        timer = kernel.call_later(PATIENCE, lambda: None if turn.done() else turn.set_result(False))
-        try:
-            granted = await gate.wait(turn)
-        finally:
-            timer.cancel()
-        if not granted:
-            raise TransitionTimeout(f"{component.name}: its hooks did not end within {PATIENCE} s; nothing was changed")
-    try:
-        change()
-    finally:
-        gate.pass_on()
-
-
-async def _logged(kernel: Kernel, component: Component, change: Callable[[], None]) -> None:
-    try:
-        await _through_gate(kernel, component, change)
-    except TransitionTimeout as error:
-        _LOG.warning("%s: queued change of %s failed: %s", kernel.name, component.name, error)

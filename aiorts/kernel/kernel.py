@@ -1,8 +1,7 @@
 """The kernel: it owns components, contexts and connectors, and gives them up in reverse order.
 
-It knows no concrete context, transport, format or command. There are as many kernels as you like in a process and on
-a loop; each belongs to the thread and the loop it was opened in, and everything that changes the system is called
-there.
+It knows no concrete context, transport, format or command. There are as many kernels as you like in a process and on a
+loop; each belongs to the thread and loop it was opened in, where everything that changes the system is called.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from aiorts.kernel.bus import Bus
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.closing import close
 from aiorts.kernel.component import Component
+from aiorts.kernel.configuration_files import ConfigurationFiles
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
@@ -45,7 +45,7 @@ C = TypeVar("C", bound=Component)
 X = TypeVar("X", bound=Context)
 
 
-class Kernel:
+class Kernel(ConfigurationFiles):
     """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
 
     Args:

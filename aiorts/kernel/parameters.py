@@ -7,11 +7,13 @@ replaced between cycles only, so a hook never sees half a change. The parameter 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from aiorts.errors import DeclarationError
 from aiorts.model.configuration import Constraint, ParameterSpec, validate
+from aiorts.model.sets import ConfigurationState
 
 __all__ = ("Declared", "Param", "Parameter", "Parameters")
 
@@ -28,11 +30,20 @@ class Declared:
     doc: str
     constraint: Constraint
     widget: str
+    validator: Callable[[Any], object] | None = None
 
     def named(self, name: str, owner: str) -> ParameterSpec:
         """The specification under its name; DeclarationError when the default does not fit."""
         return ParameterSpec(
-            name, self.default, self.type, self.unit, self.doc, self.constraint, self.widget, owner=owner
+            name,
+            self.default,
+            self.type,
+            self.unit,
+            self.doc,
+            self.constraint,
+            self.widget,
+            self.validator,
+            owner=owner,
         )
 
 
@@ -48,7 +59,9 @@ def Param(  # noqa: N802 - a declaration reads as a type does
     lt: float | None = None,
     choices: tuple[Any, ...] | None = None,
     pattern: str | None = None,
+    constraint: str | None = None,
     widget: str = "",
+    validator: Callable[[T], object] | None = None,
 ) -> T:
     """Declare a parameter in a component's class body; on an instance the attribute is the value in force.
 
@@ -57,11 +70,22 @@ def Param(  # noqa: N802 - a declaration reads as a type does
         type: the type where the default does not tell it (None, an empty tuple).
         unit, doc, widget: for people and tools.
         ge, gt, le, lt, choices, pattern: what values are allowed.
+        constraint: the same as text, in OpenRTM's grammar ("0<=x<=10"); see `aiorts.model.constraint_text`.
+        validator: asked, between cycles, for each new value; a ValueError that it raises refuses the whole change.
 
     Raises:
         DeclarationError: the declaration contradicts itself.
     """
-    declared: Any = Declared(default, type, unit, doc, Constraint(ge, gt, le, lt, choices, pattern), widget)
+    allowed = Constraint(ge, gt, le, lt, choices, pattern)
+    if constraint is not None:
+        if allowed != Constraint():
+            raise DeclarationError(
+                f"constraint={constraint!r}: stands for ge, gt, le, lt, choices and pattern; give either"
+            )
+        from aiorts.model.constraint_text import parse_constraint
+
+        allowed = parse_constraint(constraint)
+    declared: Any = Declared(default, type, unit, doc, allowed, widget, validator)
     result: T = declared
     return result
 
@@ -85,39 +109,33 @@ class Parameter:
 
 
 class Parameters(Mapping[str, Parameter]):
-    """The parameters of one component, by name. Changed through `Component.configure` only."""
+    """The parameters of one component, by name. Changed through `Component.configure` and `.configuration` only."""
 
-    __slots__ = ("_owner", "_parameters")
+    __slots__ = ("_judged", "_owner", "_state")
 
-    def __init__(self, owner: str, specs: Mapping[str, ParameterSpec]) -> None:
+    def __init__(self, owner: str, state: ConfigurationState) -> None:
         self._owner = owner
-        self._parameters = {name: Parameter(spec, spec.default) for name, spec in specs.items()}
+        self._state = state
+        self._judged = False
+        """Whether the component's own checks have seen the values in force."""
 
     def __getitem__(self, name: str) -> Parameter:
-        return self._parameters[name]
+        return Parameter(self._state.specs[name], self._state.values[name])
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._parameters)
+        return iter(self._state.specs)
 
     def __len__(self) -> int:
-        return len(self._parameters)
+        return len(self._state.specs)
 
     def __repr__(self) -> str:
-        return f"<Parameters {', '.join(f'{name}={p.value!r}' for name, p in self._parameters.items())}>"
+        return f"<Parameters {', '.join(f'{name}={value!r}' for name, value in self._state.values.items())}>"
 
     @property
     def values_in_force(self) -> dict[str, Any]:
         """Name to value."""
-        return {name: parameter.value for name, parameter in self._parameters.items()}
+        return dict(self._state.values)
 
     def check(self, changes: Mapping[str, object]) -> dict[str, Any]:
         """The changes converted and checked; ConfigurationError when any is bad, and then none is made."""
-        specs = {name: parameter.spec for name, parameter in self._parameters.items()}
-        return validate(specs, changes, owner=self._owner, current=self.values_in_force)
-
-    def _put(self, checked: Mapping[str, Any]) -> None:
-        for name, value in checked.items():
-            self._parameters[name] = replace(self._parameters[name], value=value)
-
-    def _rename(self, owner: str) -> None:
-        self._owner = owner
+        return validate(self._state.specs, changes, owner=self._owner, current=self._state.values)

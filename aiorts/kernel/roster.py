@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
 from aiorts.kernel import embedding
-from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
+from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
@@ -89,7 +89,7 @@ class Roster:
         if not component._rt_named:
             component._rt_rename(kernel._free_name(type(component).__name__))
         self._check_free(component)
-        component._rt_put(component.params.check(params))
+        component._rt_put(params)
         component._rt_kernel = kernel
         component._rt_host.kernel = kernel
         self.components[component.name] = component
@@ -258,11 +258,6 @@ class Roster:
         for member in component._rt_members:
             member.context._port_removed(member, port)
         self._kernel.bus.publish(PortRemoved(component.name, port.profile))
-
-    def parameters_changed(self, component: Component, values: Mapping[str, Any]) -> None:
-        """From the thread of the component's context."""
-        bus = self._kernel.bus
-        self._kernel._on_loop(lambda: bus.publish(ParametersChanged(component.name, tuple(values.items()))))
 
     # -- what they started -----------------------------------------------------------------------------------------
 

@@ -7,29 +7,31 @@ several at once: all of them or none. What text becomes, from a command line or 
 
 from __future__ import annotations
 
-import operator
 import re
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from difflib import get_close_matches
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import ConfigurationError, DeclarationError
+from aiorts.model.constraints import Constraint
 from aiorts.model.names import check_name
-from aiorts.model.values import convert_value, infer_type, leaf_types, leaves, shown, type_text
+from aiorts.model.values import (
+    convert_value,
+    element_types,
+    infer_type,
+    leaf_types,
+    shown,
+    type_text,
+    value_type,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
 __all__ = ("WIDGETS", "Constraint", "ParameterSpec", "validate")
 
 _NOTHING: Final = object()
-
-_BOUNDS: Final = {
-    "ge": (">=", operator.ge),
-    "gt": (">", operator.gt),
-    "le": ("<=", operator.le),
-    "lt": ("<", operator.lt),
-}
 
 WIDGETS: Final = {
     "text": "",
@@ -43,105 +45,11 @@ WIDGETS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Constraint:
-    """What values are allowed. For a tuple it holds for each element. NaN is inside no bound.
-
-    Raises DeclarationError when nothing could ever satisfy it.
-    """
-
-    ge: float | None = None
-    gt: float | None = None
-    le: float | None = None
-    lt: float | None = None
-    choices: tuple[Any, ...] | None = None
-    pattern: str | None = None
-    """A regular expression that the whole text (or path) has to match."""
-
-    def __post_init__(self) -> None:
-        if self.choices is not None:
-            if isinstance(self.choices, str):
-                raise DeclarationError(f"choices={self.choices!r}: expected a tuple of values, got one text")
-            object.__setattr__(self, "choices", tuple(self.choices))
-        for fault in self._faults():
-            raise DeclarationError(fault)
-
-    def _faults(self) -> list[str]:
-        faults = []
-        for name in _BOUNDS:
-            limit = getattr(self, name)
-            if limit is not None and (isinstance(limit, bool) or not isinstance(limit, int | float) or limit != limit):
-                faults.append(f"{name}={limit!r}: expected a number")
-        if faults:
-            return faults
-        if self.ge is not None and self.gt is not None:
-            faults.append(f"ge={self.ge!r} and gt={self.gt!r}: choose one lower bound")
-        if self.le is not None and self.lt is not None:
-            faults.append(f"le={self.le!r} and lt={self.lt!r}: choose one upper bound")
-        low, high = self.lower, self.upper
-        closed = self.gt is None and self.lt is None
-        if low is not None and high is not None and not (low < high or (low == high and closed)):
-            faults.append(f"no value lies between {low!r} and {high!r}; exchange the bounds")
-        if self.choices == ():
-            faults.append("choices=(): nothing to choose from")
-        if self.pattern is not None:
-            try:
-                re.compile(self.pattern)
-            except (re.error, TypeError) as error:
-                faults.append(f"pattern={self.pattern!r}: not a regular expression: {error}")
-        return faults
-
-    @property
-    def lower(self) -> float | None:
-        """The lower bound, inclusive or not."""
-        return self.ge if self.ge is not None else self.gt
-
-    @property
-    def upper(self) -> float | None:
-        """The upper bound, inclusive or not."""
-        return self.le if self.le is not None else self.lt
-
-    @property
-    def bounded(self) -> bool:
-        """True when a number has a bound."""
-        return self.lower is not None or self.upper is not None
-
-    def fault(self, value: object) -> str | None:
-        """What the value breaks ("must be >= 0.0"), or None. `value` has the parameter's type already."""
-        for leaf in leaves(value):
-            if leaf is not None and (fault := self._fault_of(leaf)) is not None:
-                return fault
-        return None
-
-    def _fault_of(self, leaf: Any) -> str | None:
-        for name, (sign, holds) in _BOUNDS.items():
-            limit = getattr(self, name)
-            if limit is not None and not holds(leaf, limit):
-                return f"must be {sign} {limit!r}"
-        if self.choices is not None and leaf not in self.choices:
-            return f"must be one of {', '.join(shown(choice) for choice in self.choices)}"
-        if self.pattern is not None and not re.fullmatch(self.pattern, str(leaf)):
-            return f"must match {self.pattern!r}"
-        return None
-
-    def __str__(self) -> str:
-        """The constraint in one line ("0.0 <= x <= 10.0"), empty when everything is allowed."""
-        parts = []
-        if self.bounded:
-            low = "" if self.lower is None else f"{self.lower!r} {'<=' if self.gt is None else '<'} "
-            high = "" if self.upper is None else f" {'<=' if self.lt is None else '<'} {self.upper!r}"
-            parts.append(f"{low}x{high}")
-        if self.choices is not None:
-            parts.append(f"one of {', '.join(shown(choice) for choice in self.choices)}")
-        if self.pattern is not None:
-            parts.append(f"matches {self.pattern!r}")
-        return ", ".join(parts)
-
-
-@dataclass(frozen=True, slots=True)
 class ParameterSpec:
     """One declared parameter.
 
-    `type` is bool, int, float, str, pathlib.Path, an Enum, tuple[X, ...], tuple[X, Y] or X | None; when it is None it
+    `type` is bool, int, float, str, pathlib.Path, an Enum, tuple[X, ...], tuple[X, Y],
+    Mapping[str, X] or X | None; when it is None it
     comes from the default. `owner` (the component class) only stands in messages. Raises DeclarationError when the
     default does not fit, and InvalidNameError for the name.
     """
@@ -153,6 +61,8 @@ class ParameterSpec:
     doc: str = ""
     constraint: Constraint = field(default_factory=Constraint)
     widget: str = ""
+    validator: Callable[[Any], object] | None = None
+    """Asked by the core before a value comes into force; raising ValueError refuses it."""
     owner: InitVar[str] = ""
 
     def __post_init__(self, owner: str) -> None:
@@ -160,11 +70,11 @@ class ParameterSpec:
         where = f"{owner}.{self.name}" if owner else self.name
         try:
             kind = infer_type(self.default) if self.type is None else self.type
-            leaf_kinds = leaf_types(kind)
+            leaf_types(kind)
         except (TypeError, ValueError) as error:
             raise DeclarationError(f"{where}: {error}") from None
         object.__setattr__(self, "type", kind)
-        object.__setattr__(self, "constraint", _checked_constraint(where, leaf_kinds, self.constraint))
+        object.__setattr__(self, "constraint", _checked_constraint(where, kind, self.constraint))
         try:
             default = convert_value(self.default, kind)
         except (TypeError, ValueError) as error:
@@ -241,21 +151,35 @@ def _unknown(name: object, specs: Mapping[str, ParameterSpec]) -> str:
     return f": no such parameter; there are {', '.join(specs)}" if specs else ": no such parameter; there are none"
 
 
-def _checked_constraint(where: str, kinds: tuple[Any, ...], constraint: Constraint) -> Constraint:
+def _checked_constraint(where: str, kind: Any, constraint: Constraint) -> Constraint:
     """The constraint with its choices converted to the parameter's type."""
-    if constraint.bounded and not all(kind in (int, float) for kind in kinds):
-        raise DeclarationError(f"{where}: a bound ({constraint}) needs numbers, the type is {_names(kinds)}")
-    if constraint.pattern is not None and not all(kind is str or kind.__name__ == "Path" for kind in kinds):
-        raise DeclarationError(f"{where}: pattern={constraint.pattern!r} needs text, the type is {_names(kinds)}")
+    if constraint.elements is not None:
+        kinds = element_types(kind, len(constraint.elements))
+        if kinds is None:
+            count = len(constraint.elements)
+            raise DeclarationError(f"{where}: constraints of {count} elements, the type is {type_text(kind)}")
+        parts = zip(kinds, constraint.elements, strict=True)
+        return Constraint(elements=tuple(_checked_constraint(where, *part) for part in parts))
+    if constraint.keys is not None:
+        item = value_type(kind)
+        if item is None:
+            raise DeclarationError(f"{where}: constraints of keys need a mapping, the type is {type_text(kind)}")
+        parts_by_key = constraint.keys.items()
+        return Constraint(keys={key: _checked_constraint(where, item, part) for key, part in parts_by_key})
+    leaf_kinds = leaf_types(kind)
+    if constraint.bounded and not all(leaf in (int, float) for leaf in leaf_kinds):
+        raise DeclarationError(f"{where}: a bound ({constraint}) needs numbers, the type is {_names(leaf_kinds)}")
+    if constraint.pattern is not None and not all(leaf in (str, Path) for leaf in leaf_kinds):
+        raise DeclarationError(f"{where}: pattern={constraint.pattern!r} needs text, the type is {_names(leaf_kinds)}")
     if constraint.choices is None:
         return constraint
-    if len(set(kinds)) != 1:
-        raise DeclarationError(f"{where}: choices need one element type, the type has {_names(kinds)}")
+    if len(set(leaf_kinds)) != 1:
+        raise DeclarationError(f"{where}: choices need one element type, the type has {_names(leaf_kinds)}")
     try:
-        choices = tuple(convert_value(choice, kinds[0]) for choice in constraint.choices)
+        choices = tuple(convert_value(choice, leaf_kinds[0]) for choice in constraint.choices)
     except (TypeError, ValueError) as error:
         raise DeclarationError(f"{where}: choices={constraint.choices!r}: {error}") from None
-    return Constraint(constraint.ge, constraint.gt, constraint.le, constraint.lt, choices, constraint.pattern)
+    return replace(constraint, choices=choices)
 
 
 def _names(kinds: tuple[Any, ...]) -> str:

@@ -7,6 +7,7 @@
     Path    text or a path, not empty
     Enum    a member, its name, or its value
     tuple   a list or tuple; as text "1, 2", "[1, 2]" or a JSON list (whose texts may hold commas)
+    Mapping a mapping from text; as text "{k0: 1, k1: 2}" or a JSON object; held read-only, in the order given
     X|None  None, or "none" as text where X is not text; all else as X
 
 ValueError and TypeError carry a message for the reader of a parameter's error ("must be a float").
@@ -19,13 +20,25 @@ import json
 import operator
 import types
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ("convert_value", "infer_type", "leaf_types", "leaves", "shown", "type_text")
+__all__ = (
+    "convert_value",
+    "element_types",
+    "infer_type",
+    "is_optional",
+    "leaf_types",
+    "leaves",
+    "parse_type",
+    "shown",
+    "type_text",
+    "value_type",
+)
 
 _SHOWN_LENGTH: Final = 80
 _TRUTH: Final = {
@@ -36,7 +49,10 @@ _TRUTH: Final = {
 
 def shown(value: object) -> str:
     """The value as it stands in a message: never longer than a line."""
-    text = str(value) if isinstance(value, Path) else repr(value)
+    try:
+        text = str(value) if isinstance(value, Path) else repr(value)
+    except ValueError:  # of a whole number with thousands of digits
+        text = f"<{type(value).__name__} too long to be shown>"
     return text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
 
 
@@ -45,6 +61,8 @@ def type_text(kind: Any) -> str:
     inner, optional = _without_none(kind)
     if optional:
         return f"{type_text(inner)} | None"
+    if (item := value_type(kind)) is not None:
+        return f"Mapping[str, {type_text(item)}]"
     if typing.get_origin(kind) is tuple:
         parts = ("..." if part is Ellipsis else type_text(part) for part in typing.get_args(kind))
         return f"tuple[{', '.join(parts)}]"
@@ -62,6 +80,11 @@ def infer_type(default: object) -> Any:
             return kind
     if isinstance(default, tuple | list):
         return _infer_tuple(default)
+    if isinstance(default, Mapping) and default:
+        items = {infer_type(item) for item in default.values()}
+        items = {float} if items == {int, float} else items
+        if len(items) == 1:
+            return types.GenericAlias(Mapping, (str, items.pop()))
     raise TypeError(f"default {shown(default)}: give type=, it cannot be told from the default")
 
 
@@ -76,11 +99,80 @@ def _infer_tuple(default: tuple[object, ...] | list[object]) -> Any:
     return types.GenericAlias(tuple, tuple(kinds))
 
 
+def is_optional(kind: Any) -> bool:
+    """Whether None is a value of the type."""
+    return _without_none(kind)[1]
+
+
+def parse_type(text: str) -> Any:
+    """The type that `type_text` writes so; ValueError for an Enum and for what is no parameter's type."""
+    found = _parse_type(text.strip()) if len(text) <= _LONGEST_TYPE else None
+    if found is None:
+        raise ValueError(
+            f"type {shown(text)}: expected bool, int, float, str, Path, tuple[...] or Mapping[str, ...] of them, or | "
+            "None"
+        )
+    return found
+
+
+def _parse_type(text: str) -> Any:
+    if text.endswith("| None"):
+        inner = _parse_type(text[:-6].strip())
+        return None if inner is None or is_optional(inner) else inner | None
+    if text in _BY_NAME:
+        return _BY_NAME[text]
+    if text.startswith("Mapping[str,") and text.endswith("]"):
+        item = _parse_type(text[12:-1].strip())
+        return None if item is None else types.GenericAlias(Mapping, (str, item))
+    if not (text.startswith("tuple[") and text.endswith("]")):
+        return None
+    parts = _split(text[6:-1])
+    if len(parts) == 2 and parts[1] == "...":
+        item = _parse_type(parts[0])
+        return None if item is None else types.GenericAlias(tuple, (item, Ellipsis))
+    items = [_parse_type(part) for part in parts]
+    return None if None in items or not items else types.GenericAlias(tuple, tuple(items))
+
+
+def _split(text: str) -> list[str]:
+    """The parts between commas that stand in no brackets."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character == "[") - (character == "]")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
+
+
+def value_type(kind: Any) -> Any:
+    """X of Mapping[str, X], also where it is optional; None for another type."""
+    inner, _ = _without_none(kind)
+    if typing.get_origin(inner) not in (Mapping, dict):
+        return None
+    key, item = typing.get_args(inner)
+    return item if key is str else None
+
+
+def element_types(kind: Any, count: int) -> tuple[Any, ...] | None:
+    """The types of the elements of a tuple of `count`, also where it is optional; None where it cannot be one."""
+    inner, _ = _without_none(kind)
+    parts = typing.get_args(inner)
+    if typing.get_origin(inner) is not tuple:
+        return None
+    if len(parts) == 2 and parts[1] is Ellipsis:
+        return (parts[0],) * count
+    return parts if len(parts) == count else None
+
+
 def leaf_types(kind: Any) -> tuple[Any, ...]:
     """The scalar types inside a parameter's type; raises TypeError for one that no parameter can have."""
     inner, optional = _without_none(kind)
     if optional:
         return leaf_types(inner)
+    if (item := value_type(kind)) is not None:
+        return leaf_types(item)
     if typing.get_origin(kind) is tuple:
         arguments = typing.get_args(kind)
         if not arguments or arguments == (Ellipsis,):
@@ -89,7 +181,8 @@ def leaf_types(kind: Any) -> tuple[Any, ...]:
     if kind in _SCALARS or (isinstance(kind, type) and issubclass(kind, enum.Enum)):
         return (kind,)
     raise TypeError(
-        f"type {type_text(kind)}: a parameter is bool, int, float, str, Path, an Enum, a tuple[...] of them or | None"
+        f"type {type_text(kind)}: a parameter is bool, int, float, str, Path, an Enum, a tuple[...] or "
+        "Mapping[str, ...] of them, or | None"
     )
 
 
@@ -98,12 +191,18 @@ def leaves(value: object) -> Iterator[object]:
     if isinstance(value, tuple):
         for item in value:
             yield from leaves(item)
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from leaves(item)
     else:
         yield value
 
 
 def convert_value(value: object, kind: Any) -> Any:
     """The value as `kind`; raises ValueError or TypeError with a message that says what it must be."""
+    convert = _SCALARS.get(kind)
+    if convert is not None:
+        return convert(_plain(value))
     inner, optional = _without_none(kind)
     if optional:
         if value is None or (inner is not str and isinstance(value, str) and value.strip().lower() == "none"):
@@ -111,8 +210,9 @@ def convert_value(value: object, kind: Any) -> Any:
         return convert_value(value, inner)
     if typing.get_origin(kind) is tuple:
         return _to_tuple(value, kind)
-    convert = _SCALARS.get(kind)
-    return _to_enum(value, kind) if convert is None else convert(_plain(value))
+    if (item := value_type(kind)) is not None:
+        return _to_mapping(value, item)
+    return _to_enum(value, kind)
 
 
 def _without_none(kind: Any) -> tuple[Any, bool]:
@@ -219,6 +319,43 @@ def _to_tuple(value: object, kind: Any) -> tuple[Any, ...]:
     return tuple(converted)
 
 
+def _to_mapping(value: object, kind: Any) -> Mapping[str, Any]:
+    pairs = value if isinstance(value, Mapping) else _pairs(value)
+    converted = {}
+    for key, item in pairs.items():
+        if not isinstance(key, str):
+            raise TypeError(f"must have texts as keys, got {shown(key)}")
+        try:
+            converted[key] = convert_value(item, kind)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{shown(key)} ({shown(item)}) {error}") from None
+    return types.MappingProxyType(converted)
+
+
+def _pairs(value: object) -> Mapping[str, object]:
+    if not isinstance(value, str):
+        raise TypeError(f"must be a mapping, got {_kind(value)}")
+    text = value.strip()
+    try:
+        found = json.loads(text)
+    except RecursionError:
+        raise ValueError("must be a mapping, this one is nested too deeply") from None
+    except ValueError:
+        pass  # not JSON: read as bare words below
+    else:
+        if isinstance(found, dict):
+            return found
+    if text[:1] + text[-1:] == "{}":
+        text = text[1:-1]
+    pairs: dict[str, object] = {}
+    for part in text.split(",") if text.strip() else ():
+        key, colon, item = part.partition(":")
+        if not colon or key.strip() in pairs:
+            raise ValueError(f"must be a mapping such as {{a: 1, b: 2}}, got {shown(part.strip())}")
+        pairs[key.strip()] = item.strip()
+    return pairs
+
+
 def _items(value: object) -> list[object]:
     to_list: Callable[[], object] | None = getattr(value, "tolist", None)
     if to_list is not None and getattr(value, "shape", ()) != ():
@@ -252,3 +389,5 @@ _SCALARS: Final[dict[Any, Callable[[object], Any]]] = {
     str: _to_str,
     Path: _to_path,
 }
+_BY_NAME: Final = {kind.__name__: kind for kind in _SCALARS}
+_LONGEST_TYPE: Final = 500

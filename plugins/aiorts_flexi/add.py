@@ -12,6 +12,7 @@ what has no partner yet waits in its connector, by that connector's own length a
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from aiorts import InPort, OutPort, Param
@@ -45,23 +46,30 @@ class FlexiAdd(FlexiComponent):
         VERBOSITY,
     )
 
-    def on_initialize(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
+        self._type: type = object
         self._last: dict[int, Any] = {}
-        self.make_ports()
-        self.tell_ports()
 
-    def make_ports(self) -> None:
-        self._type, count = parse_counted(self.port, "port")
-        self._remake()
-        self._inputs: list[InPort[Any]] = [self.add_port(f"input{n}", InPort(self._type)) for n in range(count)]
-        self._output: OutPort[Any] = self.add_port("output", OutPort(self._type))
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
+        cls, count = parse_counted(values["port"], "port")
+        return {**{f"input{number}": InPort(cls) for number in range(count)}, "output": OutPort(cls)}
+
+    def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
+        cls, count = parse_counted(values["port"], "port")
+        return self.taking(self._use, cls, count, Summation(cls, values["overflow"]))
+
+    def _use(self, cls: type, count: int, summation: Summation) -> None:
+        # An input that stays counts with what it sent last, one that went counts no more.
+        self._last = {number: sample for number, sample in self._last.items() if number < count and cls is self._type}
+        self._type, self._sum = cls, summation
+        self._inputs = [self.in_port(f"input{number}") for number in range(count)]
+        self._output = self.out_port("output")
 
     def on_activated(self) -> None:
         self._last.clear()
 
     async def on_execute(self) -> None:
-        if self.overflow != self._made_for:
-            self._remake()
         if self.wait == "all":
             while all(port.is_new for port in self._inputs):
                 self._last = {number: port.read_nowait() for number, port in enumerate(self._inputs)}
@@ -79,7 +87,3 @@ class FlexiAdd(FlexiComponent):
         if has_tm(self._type):
             tm = (max if self.time == "newest" else min)(int(sample.tm) for sample in samples)
         await self._output.write(self._sum(samples, [f"input{number}" for number in numbers], tm))
-
-    def _remake(self) -> None:
-        self._made_for = self.overflow
-        self._sum = Summation(self._type, self.overflow)

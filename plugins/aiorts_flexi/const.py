@@ -14,11 +14,12 @@ sample is skipped, and how many were is said at the end.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, Final
 
 from aiorts import OutPort, Param
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ConfigurationError, WiringError
 from aiorts.types import has_tm
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.constant import sample_of
@@ -37,10 +38,25 @@ _UNHINDERED: Final = 1024
 _PAUSE: Final = 0.001
 
 
+class Orders:
+    """What is to be sent, and how often; another object since somebody changed it."""
+
+    __slots__ = ("parcels", "period")
+
+    def __init__(self, parcels: list[Parcel], period: Fraction | None) -> None:
+        self.parcels = parcels
+        self.period = period
+        """Nanoseconds from one sample to the next; None is as soon as there is room."""
+
+    def say(self, parcels: list[Parcel], period: Fraction | None) -> bool:
+        """Whether these are the same orders; samples are compared as they print, since arrays do not say."""
+        return self.period == period and repr(self.parcels) == repr(parcels)
+
+
 class FlexiConst(FlexiComponent):
     """Sends a constant from each of its out-ports, stamped by the kernel's clock; literals only, nothing is run.
 
-    Its parameters may change while it runs, its ports not. After `count` samples of each port it finishes.
+    Constants, rate and ports may change while it runs. After `count` samples of each port it finishes.
     """
 
     outputs: tuple[str, ...] = Param(
@@ -70,32 +86,32 @@ class FlexiConst(FlexiComponent):
         VERBOSITY,
     )
 
-    def on_initialize(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
         self._task: asyncio.Task[None] | None = None
         self._active_in = 0
         self._sender = Sender()
-        self.make_ports()
-        self.tell_ports()
-        if self.verbosity >= 2:
-            sent = [f"{port.name} sends {sample!r}" for port, sample in zip(self._ports, self._samples(), strict=True)]
-            self.log.info("constants: %s", ", ".join(sent))
+        self._orders: Orders | None = None
 
-    def make_ports(self) -> None:
-        if not self.outputs:
-            raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
-        if len(self.names) > len(self.outputs):
-            raise ConfigurationError(
-                f"{self.name}: {len(self.names)} names for {len(self.outputs)} out-ports; give at most one for each"
-            )
-        self._types = [_type(text, f"output{number}") for number, text in enumerate(self.outputs)]
-        self._samples()
-        self._period_ns()
-        names = [*self.names, *[""] * (len(self.outputs) - len(self.names))]
-        self._ports: list[OutPort[Any]] = []
-        for number, ((cls, _), name) in enumerate(zip(self._types, names, strict=True)):
-            usual = "output" if len(self.outputs) == 1 else f"output{number}"
-            stamp = "write" if has_tm(cls) else None
-            self._ports.append(self.add_port(name or usual, OutPort(cls, stamp=stamp)))
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, OutPort[Any]]:
+        return {
+            name: OutPort(cls, stamp="write" if has_tm(cls) else None) for name, (cls, _) in self._named(values).items()
+        }
+
+    def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
+        named = self._named(values)
+        return self.taking(self._use, list(named), self._samples(named, values["constants"]), self._period_ns(values))
+
+    def _use(self, names: list[str], samples: list[Any], period: Fraction | None) -> None:
+        parcels: list[Parcel] = [(self.out_port(name), sample) for name, sample in zip(names, samples, strict=True)]
+        if self._orders is None or not self._orders.say(parcels, period):
+            self._orders = Orders(parcels, period)
+
+    def on_initialize(self) -> None:
+        super().on_initialize()
+        if self.verbosity >= 2 and self._orders is not None:
+            sent = [f"{port.name} sends {sample!r}" for port, sample in self._orders.parcels]
+            self.log.info("constants: %s", ", ".join(sent))
 
     async def on_activated(self) -> None:
         self._active_in += 1
@@ -117,37 +133,52 @@ class FlexiConst(FlexiComponent):
 
     # -- what is sent ----------------------------------------------------------------------------------------------
 
-    def _samples(self) -> list[Any]:
-        if len(self.constants) != len(self._types):
+    def _named(self, values: Mapping[str, Any]) -> dict[str, tuple[type, int]]:
+        """Type, and how many items its sequence has, of each port by its name."""
+        outputs, given = values["outputs"], values["names"]
+        if not outputs:
+            raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
+        if len(given) > len(outputs):
             raise ConfigurationError(
-                f"{self.name}: {len(self.constants)} constants for {len(self._types)} out-ports; give one for each"
+                f"{self.name}: {len(given)} names for {len(outputs)} out-ports; give at most one for each"
+            )
+        named: dict[str, tuple[type, int]] = {}
+        for number, text in enumerate(outputs):
+            usual = "output" if len(outputs) == 1 else f"output{number}"
+            name = (given[number] if number < len(given) else "") or usual
+            if name in named:
+                raise WiringError(f"{self.name}.{name}: there is a port of that name already")
+            named[name] = _type(text, f"output{number}")
+        return named
+
+    def _samples(self, named: Mapping[str, tuple[type, int]], constants: Sequence[str]) -> list[Any]:
+        if len(constants) != len(named):
+            raise ConfigurationError(
+                f"{self.name}: {len(constants)} constants for {len(named)} out-ports; give one for each"
             )
         return [
             sample_of(cls, text, f"constant {number}", length)
-            for number, ((cls, length), text) in enumerate(zip(self._types, self.constants, strict=True))
+            for number, ((cls, length), text) in enumerate(zip(named.values(), constants, strict=True))
         ]
 
-    def _period_ns(self) -> Fraction | None:
+    def _period_ns(self, values: Mapping[str, Any]) -> Fraction | None:
         """Nanoseconds from one sample to the next, exactly; None is as soon as there is room."""
-        if (self.rate != 1.0) + (self.seconds != 0.0) + self.continuous > 1:
+        rate, seconds, continuous = values["rate"], values["seconds"], values["continuous"]
+        if (rate != 1.0) + (seconds != 0.0) + continuous > 1:
             raise ConfigurationError(f"{self.name}: rate, seconds and continuous exclude each other; give one of them")
-        if self.continuous:
+        if continuous:
             return None
-        return Fraction(10**9) * (Fraction(self.seconds) if self.seconds else 1 / Fraction(self.rate))
-
-    def _settings(self) -> tuple[object, ...]:
-        return self.constants, self.rate, self.seconds, self.continuous
+        return Fraction(10**9) * (Fraction(seconds) if seconds else 1 / Fraction(rate))
 
     async def _send_all(self) -> None:
         sent, skipped = 0, 0
         while not self._is_enough(sent):
-            settings = self._settings()
-            parcels: list[Parcel] = list(zip(self._ports, self._samples(), strict=True))
-            period = self._period_ns()
-            if period is None:
-                sent = await self._send_continuously(parcels, sent, settings)
+            orders = self._orders
+            assert orders is not None  # noqa: S101 - the configuration is in force since it was made
+            if orders.period is None:
+                sent = await self._send_continuously(orders, sent)
             else:
-                sent, missed = await self._send_periodically(parcels, period, sent, settings)
+                sent, missed = await self._send_periodically(orders, orders.period, sent)
                 skipped += missed
         if skipped:
             self.log.info("%d samples were skipped: the readers had no room in time", skipped)
@@ -158,21 +189,19 @@ class FlexiConst(FlexiComponent):
 
     # -- when ------------------------------------------------------------------------------------------------------
 
-    async def _send_periodically(
-        self, parcels: list[Parcel], period: Fraction, sent: int, settings: tuple[object, ...]
-    ) -> tuple[int, int]:
+    async def _send_periodically(self, orders: Orders, period: Fraction, sent: int) -> tuple[int, int]:
         clock = self.clock
         start, number, skipped = clock.monotonic_ns(), 0, 0
         while not self._is_enough(sent):
             due = start + -(-number * period.numerator // period.denominator)
             while (left := due - clock.monotonic_ns()) > 0:
                 await self.sleep(min(left, _LONGEST_SLEEP_NS) / 1e9)
-                if self._settings() != settings:
+                if self._orders is not orders:
                     return sent, skipped
-            await self._sender.send(parcels)
+            await self._sender.send(orders.parcels)
             sent += 1
             number += 1
-            if self._is_enough(sent) or self._settings() != settings:
+            if self._is_enough(sent) or self._orders is not orders:
                 break
             latest = (clock.monotonic_ns() - start) * period.denominator // period.numerator
             if latest > number:
@@ -180,10 +209,10 @@ class FlexiConst(FlexiComponent):
                 number = latest
         return sent, skipped
 
-    async def _send_continuously(self, parcels: list[Parcel], sent: int, settings: tuple[object, ...]) -> int:
+    async def _send_continuously(self, orders: Orders, sent: int) -> int:
         unhindered = 0
-        while not self._is_enough(sent) and self._settings() == settings:
-            unhindered = unhindered + 1 if await self._sender.send(parcels) else 0
+        while not self._is_enough(sent) and self._orders is orders:
+            unhindered = unhindered + 1 if await self._sender.send(orders.parcels) else 0
             sent += 1
             if unhindered >= _UNHINDERED:
                 unhindered = 0

@@ -10,10 +10,11 @@ Every sample is taken; with `rate_limit` some are not shown, and how many is sai
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from aiorts import InPort, Param
-from aiorts.errors import ConfigurationError, InvalidNameError, RecordError
+from aiorts.errors import ConfigurationError, InvalidNameError, RecordError, WiringError
 from aiorts.system import LineStream
 from aiorts.types import has_tm, path_type, type_name
 from aiorts_flexi.base import FlexiComponent
@@ -57,31 +58,35 @@ class FlexiDump(FlexiComponent):
         TYPE_MODULES,
     )
 
-    def on_initialize(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
         self._stream = LineStream()
         self._shown_last: dict[str, int] = {}
         self._hidden = 0
-        self.make_ports()
-        self.tell_ports()
 
-    def make_ports(self) -> None:
-        if not self.inputs:
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any]]:
+        inputs, given = values["inputs"], values["names"]
+        if not inputs:
             raise ConfigurationError(f"{self.name}.inputs: expected the type of at least one in-port")
-        if len(self.names) > len(self.inputs):
+        if len(given) > len(inputs):
             raise ConfigurationError(
-                f"{self.name}: {len(self.names)} names for {len(self.inputs)} in-ports; give at most one for each"
+                f"{self.name}: {len(given)} names for {len(inputs)} in-ports; give at most one for each"
             )
-        names = [*self.names, *[""] * (len(self.inputs) - len(self.names))]
-        for number, (text, name) in enumerate(zip(self.inputs, names, strict=True)):
-            self._add_input(name or f"input{number}", parse_type(text, f"input{number}"))
+        ports: dict[str, InPort[Any]] = {}
+        for number, text in enumerate(inputs):
+            name = (given[number] if number < len(given) else "") or f"input{number}"
+            if name in ports:
+                raise WiringError(f"{self.name}.{name}: there is a port of that name already")
+            ports[name] = self._input(name, parse_type(text, f"input{number}"), values["fields"])
+        return ports
 
-    def _add_input(self, name: str, cls: type[Any]) -> None:
-        for path in self.fields:
+    def _input(self, name: str, cls: type[Any], fields: Sequence[str]) -> InPort[Any]:
+        for path in fields:
             try:
                 path_type(cls, full_path(cls, path))
             except (RecordError, InvalidNameError) as error:
                 raise ConfigurationError(f"{self.name}.{name}: fields: {error}") from None
-        self.add_port(name, InPort(cls))
+        return InPort(cls)
 
     def on_activated(self) -> None:
         self._shown_last.clear()

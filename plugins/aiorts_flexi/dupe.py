@@ -10,6 +10,7 @@ An out-port can have many connectors, so a component that only copies is for tho
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from aiorts import InPort, OutPort, Param
@@ -41,23 +42,30 @@ class FlexiDupe(FlexiComponent):
         VERBOSITY,
     )
 
-    def on_initialize(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
         self._sender = Sender()
-        self.make_ports()
-        self.tell_ports()
 
-    def make_ports(self) -> None:
-        if not self.inputs:
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
+        ports: dict[str, InPort[Any] | OutPort[Any]] = {}
+        for number, (cls, copies) in enumerate(self._counted(values)):
+            ports[f"input{number}"] = InPort(cls)
+            ports.update({f"output{number}_{copy}": OutPort(cls) for copy in range(copies)})
+        return ports
+
+    def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
+        return self.taking(self._use, self._counted(values))
+
+    def _counted(self, values: Mapping[str, Any]) -> list[tuple[type, int]]:
+        if not values["inputs"]:
             raise ConfigurationError(f"{self.name}.inputs: expected at least one TYPE:N")
-        self._routes: list[tuple[InPort[Any], list[OutPort[Any]]]] = []
-        for number, (cls, copies) in enumerate(
-            [parse_counted(text, f"input{number}") for number, text in enumerate(self.inputs)]
-        ):
-            source: InPort[Any] = self.add_port(f"input{number}", InPort(cls))
-            targets: list[OutPort[Any]] = [
-                self.add_port(f"output{number}_{copy}", OutPort(cls)) for copy in range(copies)
-            ]
-            self._routes.append((source, targets))
+        return [parse_counted(text, f"input{number}") for number, text in enumerate(values["inputs"])]
+
+    def _use(self, counted: list[tuple[type, int]]) -> None:
+        self._routes = [
+            (self.in_port(f"input{number}"), [self.out_port(f"output{number}_{copy}") for copy in range(copies)])
+            for number, (_, copies) in enumerate(counted)
+        ]
 
     async def on_execute(self) -> None:
         waiting = [(deque(source.drain()), targets) for source, targets in self._routes]

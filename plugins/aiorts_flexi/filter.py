@@ -12,24 +12,29 @@ Every sample that arrives is used: n samples in one in-port make n samples out, 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, ClassVar
+from collections.abc import Callable
+from collections.abc import Mapping as AnyMapping
+from typing import Any, ClassVar, Final, TypeAlias
 
 from aiorts import InPort, OutPort, Param
 from aiorts.errors import ConfigurationError
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.mapping import COMBINE, Mapping, Rules
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
-from aiorts_flexi.ports import parse_port
+from aiorts_flexi.ports import PortSpec, parse_port
 from aiorts_flexi.sending import Sender
 from aiorts_flexi.table import map_table
 
 __all__ = ("FlexiFilter",)
 
+Values: TypeAlias = AnyMapping[str, Any]
+_RULES: Final = ("rounding", "overflow", "reset", "clamp", "nan", "combine", "time", "zero_old")
+
 
 class FlexiFilter(FlexiComponent):
     """Maps pins of `input0..` to pins of `output0..`; see `aiorts_flexi.grammar` for the language of the map.
 
-    Its ports are made when it is created and stay; the rules may change while it runs.
+    Ports, map and rules may change while it runs: what stays loses no sample, and what does not fit is refused whole.
     """
 
     inputs: tuple[str, ...] = Param(
@@ -76,52 +81,62 @@ class FlexiFilter(FlexiComponent):
             ConfigurationError: what creating it would raise; a TypedTextError has the place.
         """
         draft = cls("filter")
-        for name, value in draft.params.check(params).items():
-            setattr(draft, name, value)
-        draft._check_given()
-        text, *rules = draft._settings()
-        return map_table(draft.inputs, draft.outputs, text, Rules(*rules))
+        values = {**draft.configuration.values, **draft.params.check(params)}
+        draft._specs(values)
+        return map_table(values["inputs"], values["outputs"], values["map"], draft._rules(values))
+
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
+        self._sender = Sender()
+        self._made_of: tuple[Any, ...] = ()
+        self._mapping: Mapping
+        self._in_ports: list[InPort[Any]] = []
+        self._waiting: list[deque[Any]] = []
+
+    def ports_for(self, values: Values) -> Values:
+        ins, outs = self._specs(values)
+        return {**{spec.name: InPort(spec.type) for spec in ins}, **{spec.name: OutPort(spec.type) for spec in outs}}
+
+    def check_configuration(self, values: Values) -> Callable[[], None]:
+        ins, outs = self._specs(values)
+        made_of = tuple(values[name] for name in ("inputs", "outputs", "map", *_RULES))
+        # One that stays as it was remembers the last value of each pin.
+        same = made_of == self._made_of
+        mapping = self._mapping if same else Mapping(ins, outs, values["map"], self._rules(values))
+        return self.taking(self._use, ins, outs, mapping, made_of)
+
+    def _specs(self, values: Values) -> tuple[list[PortSpec], list[PortSpec]]:
+        for what in ("inputs", "outputs"):
+            if not values[what]:
+                raise ConfigurationError(f"{self.name}.{what}: expected at least one port")
+        ins = [parse_port(text, f"input{number}") for number, text in enumerate(values["inputs"])]
+        return ins, [parse_port(text, f"output{number}") for number, text in enumerate(values["outputs"])]
+
+    def _rules(self, values: Values) -> Rules:
+        return Rules(*(values[rule] for rule in _RULES))
+
+    def _use(self, ins: list[PortSpec], outs: list[PortSpec], mapping: Mapping, made_of: tuple[Any, ...]) -> None:
+        before = dict(zip(self._in_ports, self._waiting, strict=True))
+        self._mapping, self._made_of = mapping, made_of
+        self._in_ports = [self.in_port(spec.name) for spec in ins]
+        self._out_ports = {spec.name: self.out_port(spec.name) for spec in outs}
+        # What was taken from a port that stays, and not sent yet, is sent by the new map.
+        self._waiting = [before.get(port, deque()) for port in self._in_ports]
 
     def on_initialize(self) -> None:
-        self._sender = Sender()
-        self.make_ports()
-        self.tell_ports()
+        super().on_initialize()
         if self.verbosity >= 1:
-            text, *rules = self._settings()
-            self.log.info("map:\n%s", map_table(self.inputs, self.outputs, text, Rules(*rules)))
-
-    def make_ports(self) -> None:
-        self._check_given()
-        self._in_specs = [parse_port(text, f"input{number}") for number, text in enumerate(self.inputs)]
-        self._out_specs = [parse_port(text, f"output{number}") for number, text in enumerate(self.outputs)]
-        self._remake()
-        self._in_ports: list[InPort[Any]] = [self.add_port(s.name, InPort(s.type)) for s in self._in_specs]
-        self._out_ports: dict[str, OutPort[Any]] = {
-            s.name: self.add_port(s.name, OutPort(s.type)) for s in self._out_specs
-        }
+            rules = self._rules(self.configuration.values)
+            self.log.info("map:\n%s", map_table(self.inputs, self.outputs, self.map, rules))
 
     def on_activated(self) -> None:
-        self._waiting: list[deque[Any]] = [deque() for _ in self._in_ports]
-        self._remake()
+        for waiting in self._waiting:
+            waiting.clear()
+        self._mapping.clear()
 
     async def on_execute(self) -> None:
-        if self._settings() != self._made_of:
-            self._remake()
         for waiting, port in zip(self._waiting, self._in_ports, strict=True):
             waiting.extend(port.drain())
         while samples := {number: waiting.popleft() for number, waiting in enumerate(self._waiting) if waiting}:
             made = self._mapping.apply(samples, self.clock.time_ns())
             await self._sender.send([(self._out_ports[name], sample) for name, sample in made])
-
-    def _check_given(self) -> None:
-        for what, given in (("inputs", self.inputs), ("outputs", self.outputs)):
-            if not given:
-                raise ConfigurationError(f"{self.name}.{what}: expected at least one port")
-
-    def _settings(self) -> tuple[Any, ...]:
-        rules = (self.rounding, self.overflow, self.reset, self.clamp, self.nan, self.combine, self.time, self.zero_old)
-        return self.map, *rules
-
-    def _remake(self) -> None:
-        text, *rules = self._made_of = self._settings()
-        self._mapping = Mapping(self._in_specs, self._out_specs, text, Rules(*rules))

@@ -13,7 +13,7 @@ Samples of inputs that are not selected are taken and dropped in every cycle, so
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
 from aiorts import InPort, OutPort, Param
@@ -21,7 +21,7 @@ from aiorts.errors import AiortsError, ConfigurationError, ConversionError
 from aiorts.types import convert, has_tm, type_name
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
-from aiorts_flexi.ports import parse_counted, parse_port
+from aiorts_flexi.ports import PortSpec, parse_counted, parse_port
 
 __all__ = ("FlexiSelect", "SelectionError")
 
@@ -38,7 +38,8 @@ class SelectionError(AiortsError, LookupError):
 class FlexiSelect(FlexiComponent):
     """Sends the samples of the selected one of `input0`, ... from `output`, unchanged.
 
-    The selection lasts: after a reset or a new activation the last valid one is in force.
+    The selection lasts: after a reset or a new activation the last valid one is in force. Inputs may come and go while
+    it runs; when the selected one goes, `initial` is selected.
     """
 
     port = Param("", doc="TYPE:N, the type and how many in-ports to select from")
@@ -64,37 +65,58 @@ class FlexiSelect(FlexiComponent):
         VERBOSITY,
     )
 
-    def on_initialize(self) -> None:
-        self.make_ports()
-        self.tell_ports()
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
+        self._chosen = self.initial
+        self._initial = True
+        """Whether no selection has arrived since it was made."""
 
-    def make_ports(self) -> None:
-        cls, count = parse_counted(self.port, "port")
-        spec = parse_port(self.selection_type, "selection_type")
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
+        cls, count, spec = self._specs(values)
+        ports: dict[str, InPort[Any] | OutPort[Any]] = {"selection": InPort(spec.type)}
+        ports.update({f"input{number}": InPort(cls) for number in range(count)})
+        ports["output"] = OutPort(cls)
+        return {**ports, "selected": OutPort(spec.type)} if values["feedback"] else ports
+
+    def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
+        cls, count, spec = self._specs(values)
+        for name, kind in (("selection", spec.type), ("input0", cls)):
+            if values["order"] == "tm" and not has_tm(kind):
+                raise ConfigurationError(
+                    f"{self.name}.order = 'tm': {name} has samples of {type_name(kind)}, which have no time"
+                )
+        if values["feedback"]:
+            self._fitting(values["initial"], spec.element)
+        return self.taking(self._use, count, spec)
+
+    def _specs(self, values: Mapping[str, Any]) -> tuple[type, int, PortSpec]:
+        cls, count = parse_counted(values["port"], "port")
+        text, initial = values["selection_type"], values["initial"]
+        spec = parse_port(text, "selection_type")
         if spec.form != "scalar" or spec.element not in _SELECTING:
             raise ConfigurationError(
-                f"{self.name}.selection_type = {self.selection_type!r}: expected an integer or a truth value "
+                f"{self.name}.selection_type = {text!r}: expected an integer or a truth value "
                 "such as TimedShort, TimedBoolean or int"
             )
-        if self.initial >= count:
+        if initial >= count:
             raise ConfigurationError(
-                f"{self.name}.initial = {self.initial}: expected 0..{count - 1}; there are {count} inputs"
+                f"{self.name}.initial = {initial}: expected 0..{count - 1}; there are {count} inputs"
             )
-        self._chosen = self.initial
-        self._selecting: InPort[Any] = self.add_port("selection", InPort(spec.type))
-        self._inputs: list[InPort[Any]] = [self.add_port(f"input{n}", InPort(cls)) for n in range(count)]
-        self._output: OutPort[Any] = self.add_port("output", OutPort(cls))
-        self._selected: OutPort[Any] | None = self.add_port("selected", OutPort(spec.type)) if self.feedback else None
+        return cls, count, spec
+
+    def _use(self, count: int, spec: PortSpec) -> None:
+        self._selecting = self.in_port("selection")
+        self._inputs = [self.in_port(f"input{number}") for number in range(count)]
+        self._output = self.out_port("output")
+        self._selected = self.out_port("selected") if self.feedback else None
         self._plain, self._element = spec.plain, spec.element
-        self._check_order()
-        if self.feedback:
-            self._fitting(self.initial)
+        if self._initial or self._chosen >= count:
+            self._chosen = self.initial
 
     async def on_activated(self) -> None:
         await self._tell()
 
     async def on_execute(self) -> None:
-        self._check_order()
         for number, sample in self._arrivals():
             if number < 0:
                 if self._select(sample if self._plain else sample.data):
@@ -115,7 +137,7 @@ class FlexiSelect(FlexiComponent):
         """Put a selection in force, or refuse it and leave the old one; whether anything changed."""
         number, before = int(value), self._chosen
         if 0 <= number < len(self._inputs):
-            self._chosen = number
+            self._chosen, self._initial = number, False
             if self.verbosity >= 1 and number != before:
                 self.log.info("selected input%d", number)
         elif self.out_of_range == "error":
@@ -124,7 +146,7 @@ class FlexiSelect(FlexiComponent):
                 f"{'nothing' if before < 0 else f'input{before}'} stays selected"
             )
         elif self.out_of_range == "none":
-            self._chosen = _NONE
+            self._chosen, self._initial = _NONE, False
         else:
             self.log.warning("selection %d is not in 0..%d; the last one is held", number, len(self._inputs) - 1)
         return self._chosen != before
@@ -133,7 +155,7 @@ class FlexiSelect(FlexiComponent):
         port = self._selected
         if port is None or self._chosen < 0:
             return
-        value = self._fitting(self._chosen)
+        value = self._fitting(self._chosen, self._element)
         if self._plain:
             await port.write(value)
         elif has_tm(port.type):
@@ -141,15 +163,8 @@ class FlexiSelect(FlexiComponent):
         else:
             await port.write(port.type(value))
 
-    def _fitting(self, number: int) -> Any:
+    def _fitting(self, number: int, element: str) -> Any:
         try:
-            return convert(number, self._element)
+            return convert(number, element)
         except ConversionError as error:
             raise ConfigurationError(f"{self.name}.initial = {number}: `selected` cannot say so: {error}") from None
-
-    def _check_order(self) -> None:
-        for port in (self._selecting, self._inputs[0]):
-            if self.order == "tm" and not has_tm(port.type):
-                raise ConfigurationError(
-                    f"{self.name}.order = 'tm': {port.name} has samples of {type_name(port.type)}, which have no time"
-                )

@@ -43,6 +43,8 @@ BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run_one",
     "aiorts/kernel/bulkhead.py:_run_quickly",
     "aiorts/kernel/bus.py:publish",
+    # Round a component's own check of a configuration: whatever it raises refuses the change.
+    "aiorts/kernel/commit.py:_asked",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
     "aiorts/kernel/watcher.py:_ring",
     "aiorts/kernel/plugins.py:load",

@@ -103,6 +103,49 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
         "Anything else is refused here, with class and hook named, not when it first runs.",
         ("kernel/test_declarations.py::test_hook_of_a_wrong_kind_or_signature_is_refused_when_the_class_is_made",),
     ),
+    (
+        "aiorts.kernel.configuring",
+        "Configuration",
+        "refused whole, with ConfigurationError, when any of its values is bad",
+        (
+            "configuration/test_sets.py::"
+            "test_of_a_thousand_changes_good_and_bad_while_hooks_run_none_is_ever_half_done",
+            "configuration/test_configuration_model.py::test_a_component_is_what_the_model_says_after_any_changes",
+        ),
+    ),
+    (
+        "aiorts.kernel.between_cycles",
+        "",
+        "A component that is active nowhere is changed at once.",
+        (
+            "configuration/test_sets.py::"
+            "test_an_inactive_component_is_changed_at_once_though_its_neighbour_holds_the_cycle",
+        ),
+    ),
+    (
+        "aiorts.kernel.port_groups",
+        "",
+        "A port that stays is not touched: it keeps its connectors and its unread samples.",
+        ("configuration/test_port_groups.py::test_no_sample_is_lost_on_a_connector_that_stays",),
+    ),
+    (
+        "aiorts.kernel.configuration_files",
+        "ConfigurationFiles.load_configuration",
+        "of every component in it, or of none when anything is wrong",
+        (
+            "configuration/test_files.py::test_a_wrong_file_is_refused_with_its_place_and_nothing_changes",
+            "configuration/test_files.py::test_when_the_last_component_refuses_what_the_first_took_is_taken_back",
+        ),
+    ),
+    (
+        "aiorts.kernel.safe_files",
+        "",
+        "whoever looks finds the old text or the new, never a part",
+        (
+            "configuration/test_files.py::test_a_process_that_is_killed_while_it_saves_leaves_a_whole_file",
+            "configuration/test_files.py::test_a_disk_that_fails_leaves_the_old_file",
+        ),
+    ),
 ]
 
 

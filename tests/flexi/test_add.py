@@ -53,13 +53,9 @@ def added(samples: Sequence[Any], overflow: str = "error", tm: int = 0) -> Any:
 def add(**params: Any) -> FlexiAdd:
     """One with these parameters, ready for a rig."""
 
-    class Made(FlexiAdd):
-        def on_initialize(self) -> None:
-            for name, value in {"port": "TimedLong:2", **params}.items():
-                setattr(self, name, value)
-            super().on_initialize()
-
-    return Made("add")
+    made = FlexiAdd("add")
+    made._rt_put({"port": "TimedLong:2", **params})
+    return made
 
 
 @dataclass(frozen=True)
@@ -275,7 +271,7 @@ async def test_the_policy_may_change_while_it_runs() -> None:
     async with Rig(component) as rig:
         rig.feed("input0", TimedShort(0, 30_000))
         await rig.tick()
-        component.overflow = "saturate"
+        await component.configure(overflow="saturate")
         rig.feed("input1", TimedShort(0, 30_000))
         await rig.tick()
         assert rig.values("output") == [30_000, 32_767]

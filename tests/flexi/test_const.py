@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, LifeCycleState, PeriodicContext
-from aiorts.errors import WriteTimeout
+from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, LifeCycleState, Param, PeriodicContext
+from aiorts.errors import ConfigurationError, WriteTimeout
 from aiorts.testing import Rig, check_component, simulated
 from aiorts.types import Point2D, Pose2D, RangeData, TimedDoubleSeq, TimedLong, TimedPose2D
 from aiorts_flexi.const import FlexiConst
@@ -250,10 +250,12 @@ async def test_constant_and_rate_change_while_it_runs() -> None:
         await const.configure(constants=["2"], seconds=0.5)
         await kernel.sleep(1.1)
         assert [sample.data for sample in port.drain()][:1] == [2]
-        await const.configure(constants=["2.5"])
+        with pytest.raises(ConfigurationError, match=r"TimedLong\.data"):
+            await const.configure(constants=["2.5"])
+        port.drain()
         await kernel.sleep(2.0)
-        assert const.state is LifeCycleState.ERROR
-        assert "TimedLong.data" in str(const.last_error)
+        assert [sample.data for sample in port.drain()] == [2, 2, 2, 2]
+        assert const.state is LifeCycleState.ACTIVE
 
 
 @pytest.mark.anyio
@@ -350,9 +352,9 @@ async def test_verbosity_logs_ports_and_constants(caplog: pytest.LogCaptureFixtu
 class _Ready(FlexiConst):
     """One that needs no parameters."""
 
-    def on_initialize(self) -> None:
-        self.outputs, self.constants, self.rate = ("TimedLong",), ("1",), 100.0
-        super().on_initialize()
+    outputs = Param(("TimedLong",), type=tuple[str, ...])
+    constants = Param(("1",), type=tuple[str, ...])
+    rate = Param(100.0)
 
 
 def test_it_keeps_what_components_promise() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, PeriodicContext
+from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, Param, PeriodicContext
 from aiorts.errors import WriteTimeout
 from aiorts.testing import Rig, check_component, simulated
 from aiorts.types import TimedDoubleSeq, TimedLong, TimedString
@@ -17,9 +17,7 @@ from aiorts_flexi.dupe import FlexiDupe
 class Two(FlexiDupe):
     """Two inputs, of two and three copies."""
 
-    def on_initialize(self) -> None:
-        self.inputs = ("TimedLong:2", "TimedDoubleSeq:3")
-        super().on_initialize()
+    inputs = Param(("TimedLong:2", "TimedDoubleSeq:3"), type=tuple[str, ...])
 
 
 @pytest.mark.row(123)

@@ -19,13 +19,9 @@ from campaign import cases
 def select(**params: Any) -> FlexiSelect:
     """One with these parameters, ready for a rig."""
 
-    class Made(FlexiSelect):
-        def on_initialize(self) -> None:
-            for name, value in {"port": "TimedLong:3", **params}.items():
-                setattr(self, name, value)
-            super().on_initialize()
-
-    return Made("select")
+    made = FlexiSelect("select")
+    made._rt_put({"port": "TimedLong:3", **params})
+    return made
 
 
 @pytest.mark.row(123)

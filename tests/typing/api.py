@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
-from typing import Annotated, Any, Protocol, assert_type
+from typing import Annotated, Any, ClassVar, Protocol, assert_type
 
 from aiorts import (
     Component,
+    Configuration,
     Connector,
     InPort,
     Kernel,
     LifeCycleState,
     OutPort,
     Param,
+    ParameterChanged,
     PeriodicContext,
     Provided,
     Required,
@@ -88,6 +90,26 @@ async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
     await kernel.connect(arm.brake, arm)  # error: a component is no port
 
 
+def even(value: int) -> None:
+    """Refuses an odd number."""
+
+
+class Tuned(Component):
+    count = Param(4, constraint="x>=0", validator=even)
+    inputs = Param(1)
+    word = Param("a", validator=even)  # error: a validator of another type
+    configurations: ClassVar = {"many": {"count": 40}}
+
+    def check_configuration(self, values: Mapping[str, Any]) -> None:
+        assert_type(self.count, int)
+
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[TimedLong]]:
+        return {"in0": InPort(TimedLong)}
+
+    def on_execute(self) -> None:
+        self.configuration.activate_soon("many")
+
+
 class Plain(Component):
     def on_execute(self) -> None:
         port = self.add_port("more", InPort(TimedLong))
@@ -145,3 +167,14 @@ async def main() -> None:
         value: Any = pid.params["gain"].value
         pid.gain = "fast"  # error: not a float
         del value
+        tuned = await kernel.create(Tuned)
+        assert_type(tuned.configuration, Configuration)
+        assert_type(tuned.configuration.active, str)
+        assert_type(tuned.configuration.sets, Mapping[str, Mapping[str, Any]])
+        await tuned.configuration.change("many", {"count": 5})
+        await tuned.configuration.activate(5)  # error: not a name
+        await tuned.add_param("mass", Param(1.0, unit="kg"))
+        kernel.bus.subscribe(ParameterChanged, lambda event: print(event.old, event.new, event.set))
+        await kernel.save_configuration("conf.toml", tuned)
+        for difference in await kernel.diff_configuration("conf.toml"):
+            assert_type(difference.kind, str)

@@ -1,0 +1,250 @@
+"""One change of a configuration: worked out whole, then put in force whole, or refused with nothing changed.
+
+This runs while no hook of the component runs: on the loop, or in the thread of the component's context, which waits
+for the loop when ports come or go.
+"""
+
+from __future__ import annotations
+
+import inspect
+import keyword
+import logging
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from aiorts.errors import AiortsError, ClosedError, ConfigurationError
+from aiorts.kernel.configuration_events import ParameterAdded, configuration_events
+from aiorts.kernel.port_groups import PortPlan, plan_ports
+from aiorts.model.sets import ConfigurationState, same, values_in_force
+from aiorts.model.values import shown
+
+if TYPE_CHECKING:
+    from aiorts.kernel.bus import Bus, Event
+    from aiorts.kernel.component import Component
+
+__all__ = ("Edit", "commit", "try_out")
+
+Edit = Callable[[ConfigurationState], ConfigurationState]
+"""What makes the wished state of the present one; raises ConfigurationError."""
+_LOG = logging.getLogger("aiorts.kernel")
+_LOOP_PATIENCE = 5.0
+"""Real seconds that a context's thread waits for the loop to change ports."""
+
+
+def commit(component: Component, edit: Edit) -> AiortsError | None:
+    """Put in force what `edit` makes of the configuration; why not, if not."""
+    try:
+        _Change(component, edit).put()
+    except AiortsError as error:
+        return error
+    return None
+
+
+def try_out(component: Component, edit: Edit) -> AiortsError | None:
+    """What would refuse this change now; nothing is changed."""
+    try:
+        _Change(component, edit)
+    except AiortsError as error:
+        return error
+    return None
+
+
+class _Change:
+    """What is to be put in force, checked by everybody who may say no."""
+
+    __slots__ = ("_component", "_new", "_old", "_ports", "_use")
+
+    def __init__(self, component: Component, edit: Edit) -> None:
+        if not component._rt_host.alive:
+            raise ClosedError(f"{component.name}: was removed; its configuration cannot be changed")
+        self._component = component
+        self._old = component._rt_params._state
+        self._new = edit(self._old)
+        for name in self._new.specs.keys() - self._old.specs.keys():
+            _check_free(component, name)
+        self._use = self._judge()
+        self._ports: PortPlan | None = None
+        if _overrides(component, "ports_for"):
+            plan = plan_ports(component, _asked(component, "ports_for", _wanted_ports, component, self._new.values))
+            self._ports = None if plan.idle else plan
+
+    def _judge(self) -> Callable[[], object] | None:
+        """Ask the validators of values that are new in any set, then the component's own rule."""
+        component, old, new = self._component, self._old, self._new
+        first = not component._rt_params._judged
+        for name, values in new.sets.items():
+            before = old.sets.get(name, {})
+            for parameter, value in values.items():
+                validator = new.specs[parameter].validator
+                if validator is None or (not first and parameter in before and same(before[parameter], value)):
+                    continue
+                _asked(component, f"{parameter} = {shown(value)}", _approve, validator, value)
+        if not _overrides(component, "check_configuration"):
+            return None
+        for name in new.sets:
+            if name != new.active and (first or not _alike(old, new, name)):
+                values = MappingProxyType(values_in_force(new.sets, name))
+                _asked(component, f"set {name}", component.check_configuration, values)
+        use: Callable[[], object] | None = _asked(
+            component, "check_configuration", component.check_configuration, new.values
+        )
+        if use is not None and not callable(use):
+            _asked(component, "check_configuration", _refuse_result, use, "a function or None")
+        return use
+
+    # -- in force --------------------------------------------------------------------------------------------------
+
+    def put(self) -> None:
+        """All of it, and then tell; ConfigurationError when the component could not use it, and nothing was changed."""
+        kernel = self._component._rt_kernel
+        if self._ports is None or kernel is None or kernel.on_loop_thread():
+            self._put_here()
+            return
+        done, chance = threading.Event(), [True]
+        refused: list[AiortsError] = []
+
+        def on_loop() -> None:
+            if _claimed(chance):
+                try:
+                    self._put_here()
+                except AiortsError as error:
+                    refused.append(error)
+                finally:
+                    done.set()
+
+        kernel._on_loop(on_loop)
+        if not done.wait(_LOOP_PATIENCE):
+            if _claimed(chance):
+                raise ClosedError(
+                    f"{self._component.name}: the loop did not change the ports in time; nothing was changed"
+                )
+            done.wait()
+        if refused:
+            raise refused[0]
+
+    def _put_here(self) -> None:
+        component, ports = self._component, self._ports
+        try:
+            if ports is not None:
+                ports.put()
+            _asked(component, "putting the configuration in force", self._put_values)
+        except BaseException:
+            self._set(self._new, self._old)
+            if ports is not None:
+                ports.undo()
+            raise
+        component._rt_params._judged = True
+        if ports is not None:
+            ports.settle()
+        self._tell()
+
+    def _put_values(self) -> None:
+        self._set(self._old, self._new)
+        if self._use is not None:
+            result = self._use()
+            if inspect.iscoroutine(result):
+                _refuse_result(result, "None")
+
+    def _set(self, old: ConfigurationState, new: ConfigurationState) -> None:
+        component = self._component
+        component._rt_params._state = new
+        for name in old.specs:
+            if name not in new.specs:
+                vars(component).pop(name, None)
+        for name, value in new.values.items():
+            if name not in old.values or old.values[name] is not value:
+                setattr(component, name, value)
+
+    def _tell(self) -> None:
+        kernel, name = self._component._rt_kernel, self._component.name
+        if kernel is None:
+            return
+        events = tuple(configuration_events(name, self._old, self._new))
+        for event in events:
+            if isinstance(event, ParameterAdded) and event.remark:
+                _LOG.info("%s.%s: %s", name, event.parameter, event.remark)
+        if events:
+            kernel._on_loop(partial(_publish, kernel.bus, events))
+
+
+def _publish(bus: Bus, events: Iterable[Event]) -> None:
+    for event in events:
+        bus.publish(event)
+
+
+def _check_free(component: Component, name: str) -> None:
+    """A parameter becomes an attribute: it must be able to, and take the place of nothing."""
+    if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
+        raise ConfigurationError(
+            f"{component.name}.{name}: a parameter is an attribute of the component; its name cannot be used as one"
+        )
+    if name in vars(component) or inspect.getattr_static(type(component), name, None) is not None:
+        raise ConfigurationError(f"{component.name}.{name}: the component has something of that name already")
+
+
+def _overrides(component: Component, method: str) -> bool:
+    return getattr(type(component), method) is not component._rt_defaults[method]
+
+
+def _alike(old: ConfigurationState, new: ConfigurationState, name: str) -> bool:
+    """Whether nothing that the set would put in force is another value than before."""
+    if name not in old.sets or old.specs is not new.specs:
+        return False
+    before, after = values_in_force(old.sets, name), values_in_force(new.sets, name)
+    return all(same(before[parameter], value) for parameter, value in after.items())
+
+
+def _claimed(chance: list[bool]) -> bool:
+    """True for the first who asks, from whatever thread."""
+    try:
+        return chance.pop()
+    except IndexError:
+        return False
+
+
+def _wanted_ports(component: Component, values: Mapping[str, Any]) -> dict[str, Any]:
+    found = component.ports_for(values)
+    if not isinstance(found, Mapping):
+        _refuse_result(found, "ports by name")
+    return dict(found)
+
+
+def _approve(validator: Callable[[Any], object], value: object) -> None:
+    """A validator raises, or is a question that is answered with False; a coroutine is neither."""
+    result = validator(value)
+    if result is False:
+        raise ValueError("its validator says no")
+    if inspect.iscoroutine(result):
+        _refuse_result(result, "None")
+
+
+def _refuse_result(result: object, expected: str) -> NoReturn:
+    got = type(result).__name__
+    if inspect.iscoroutine(result):
+        result.close()
+        got = "a coroutine, which nobody awaits"
+    raise ValueError(f"expected {expected}, got {got}")
+
+
+def _text_of(error: BaseException) -> str:
+    """What it says, without its class where that says nothing; its `__str__` may be as bad as what raised it."""
+    text = "".join(traceback.format_exception_only(error)).strip()
+    if isinstance(error, ValueError):
+        return text.partition(": ")[2] or "refused"
+    return f"raised {text}"
+
+
+def _asked(component: Component, what: str, function: Callable[..., Any], *args: Any) -> Any:
+    """What the component's own code says; whatever it raises refuses the change."""
+    try:
+        return function(*args)
+    except ConfigurationError:
+        raise  # it says all that is to be said, and may carry a place
+    except BaseException as error:  # the border round a component's check
+        if isinstance(error, KeyboardInterrupt) and component._rt_kernel is not None:
+            component._rt_kernel._interrupted(error)
+        raise ConfigurationError(f"{component.name}: {what}: {_text_of(error)}; nothing was changed") from error

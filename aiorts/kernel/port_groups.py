@@ -1,0 +1,134 @@
+"""Ports that exist while the parameters say so: what is wanted is compared with what there is, then made so at once.
+
+A port that stays is not touched: it keeps its connectors and its unread samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.kernel.bus import PortAdded, PortRemoved
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.model.names import check_name
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+
+__all__ = ("PortPlan", "plan_ports")
+
+
+class PortPlan:
+    """What becomes of a component's group of ports; until `put` nothing is changed, until `settle` all can be undone.
+
+    On the kernel's loop, while no hook of the component runs.
+    """
+
+    __slots__ = ("_added", "_before", "_component", "_group", "_group_before", "_removed", "_reworded")
+
+    def __init__(self, component: Component, group: dict[str, Port[Any]], wanted: Mapping[str, Port[Any]]) -> None:
+        old = _standing(component)
+        self._component = component
+        self._group, self._group_before = group, old
+        self._reworded = [
+            (group[name], declared)
+            for name, declared in wanted.items()
+            if (group[name].doc, group[name].max_connectors) != (declared.doc, declared.max_connectors)
+        ]
+        self._added = [port for name, port in group.items() if old.get(name) is not port]
+        self._removed = [port for name, port in old.items() if group.get(name) is not port]
+        self._before = dict(component._rt_host.ports)
+
+    @property
+    def idle(self) -> bool:
+        """Whether everything stays as it is."""
+        same_order = list(self._group) == list(self._group_before)
+        return same_order and not (self._added or self._removed or self._reworded)
+
+    def put(self) -> None:
+        """The ports that come are there, those that go are not; the connectors of those still exist."""
+        component = self._component
+        fixed = {name: port for name, port in self._before.items() if name not in self._group_before}
+        self._set(self._group, {**fixed, **self._group})
+        for port in self._added:
+            for member in component._rt_members:
+                member.context._port_added(member, port)
+
+    def undo(self) -> None:
+        """As if nothing had been."""
+        for port in self._added:
+            for member in self._component._rt_members:
+                member.context._port_removed(member, port)
+        self._set(self._group_before, self._before)
+
+    def settle(self) -> None:
+        """What was put stays: the ports that went lose their connectors, and everybody hears of it."""
+        component = self._component
+        for live, declared in self._reworded:
+            live.doc, live.max_connectors = declared.doc, declared.max_connectors
+        kernel = component._rt_kernel
+        for port in self._removed:
+            if kernel is not None:
+                for connector in port.connectors:
+                    kernel._connections.end(connector)
+            for member in component._rt_members:
+                member.context._port_removed(member, port)
+            if isinstance(port, InPort):
+                port._wake_waiter()
+        if kernel is None:
+            return
+        for port in self._removed:
+            kernel.bus.publish(PortRemoved(component.name, port.profile))
+        for port in self._added:
+            kernel.bus.publish(PortAdded(component.name, port.profile))
+
+    def _set(self, group: Mapping[str, Port[Any]], ports: Mapping[str, Port[Any]]) -> None:
+        self._component._rt_group = group
+        # In place: others look at this very dictionary.
+        live = self._component._rt_host.ports
+        live.clear()
+        live.update(ports)
+
+
+def plan_ports(component: Component, wanted: Mapping[str, Any]) -> PortPlan:
+    """What to do so that the group is as `wanted`; a port that is to stay is recognised by name and declaration.
+
+    Raises:
+        ConfigurationError: a port cannot be made.
+    """
+    name = component.name
+    old = _standing(component)
+    group: dict[str, Port[Any]] = {}
+    for port_name, declared in wanted.items():
+        try:
+            check_name(port_name, "port")
+            if not isinstance(declared, InPort | OutPort) or declared._host is not None:
+                raise ConfigurationError(f"expected a new InPort(...) or OutPort(...), got {declared!r:.80}")
+            if port_name in component._rt_host.ports and port_name not in old:
+                raise ConfigurationError("there is a port of that name already")
+            standing = old.get(port_name)
+            stays = standing is not None and _alike(standing, declared)
+            group[port_name] = (
+                standing if stays and standing is not None else declared.bind(component._rt_host, port_name)
+            )
+        except AiortsError as error:
+            raise ConfigurationError(f"{name}.{port_name!s:.80}: the port cannot be made: {error}") from error
+    return PortPlan(component, group, wanted)
+
+
+def _standing(component: Component) -> dict[str, Port[Any]]:
+    """The ports of the group that nobody took away otherwise."""
+    ports = component._rt_host.ports
+    return {name: port for name, port in component._rt_group.items() if ports.get(name) is port}
+
+
+def _alike(one: Port[Any], other: Port[Any]) -> bool:
+    """Whether a live port is what this declaration asks for; documentation and limits can be changed on a live one."""
+    return (
+        one.direction == other.direction
+        and one.type is other.type
+        and one.unit == other.unit
+        and one.shape == other.shape
+        and getattr(one, "stamp", None) == getattr(other, "stamp", None)
+    )
