@@ -69,8 +69,8 @@ async def test_on_the_real_clock_it_ends_after_its_count_and_is_never_early() ->
     async with Kernel() as kernel:
         const = await kernel.create(FlexiConst, outputs=["TimedLong"], constants=["7"], rate=200.0, count=5)
         (port,) = await reader(kernel, const)
-        await kernel.start(EventContext(), const, activate=True)
         began = kernel.clock.time_ns()
+        await kernel.start(EventContext(), const, activate=True)
         while const.state is LifeCycleState.ACTIVE:
             await kernel.sleep(0.001)
         samples = port.drain()
