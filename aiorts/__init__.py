@@ -39,41 +39,58 @@ if TYPE_CHECKING:
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
     from aiorts.kernel.function import component
+    from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
+    from aiorts.kernel.machine_events import ConfigurationChanged, MachineAfter, MachineBefore, MachineEnded
     from aiorts.model.blame import Blame
+    from aiorts.model.charting import Chart, ChartWarning
     from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.statechart import After, Always, End, History, On, Parallel, State
     from aiorts.running import run
 
 __version__ = "0.1.0"
 
 __all__ = (
+    "After",
     "AiortsError",
+    "Always",
     "Blame",
     "Bus",
     "Catalogue",
+    "Chart",
+    "ChartWarning",
     "Clock",
     "Component",
     "ComponentAdded",
     "ComponentRemoved",
+    "ConfigurationChanged",
     "Connected",
     "Connector",
     "Context",
     "ContextStarted",
     "ContextStopped",
     "Disconnected",
+    "End",
     "Event",
     "EventContext",
+    "EventPort",
     "Extension",
     "ExternalContext",
+    "History",
     "HookAfter",
     "HookBefore",
     "HookFailed",
     "InPort",
     "Kernel",
     "LifeCycleState",
+    "MachineAfter",
+    "MachineBefore",
+    "MachineEnded",
     "MemberAdded",
     "MemberRemoved",
+    "On",
     "OutPort",
     "Overrun",
+    "Parallel",
     "Param",
     "ParametersChanged",
     "PeriodicContext",
@@ -83,7 +100,10 @@ __all__ = (
     "RealtimeContext",
     "ScaledClock",
     "SimulatedClock",
+    "State",
     "StateChanged",
+    "StateMachine",
+    "StateMachineComponent",
     "SystemClock",
     "ThreadContext",
     "ThreadsExhausted",
@@ -100,7 +120,11 @@ _HOMES = {
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
+    "aiorts.kernel.machine": ("EventPort", "StateMachine", "StateMachineComponent"),
+    "aiorts.kernel.machine_events": ("ConfigurationChanged", "MachineAfter", "MachineBefore", "MachineEnded"),
     "aiorts.model.blame": ("Blame",),
+    "aiorts.model.charting": ("Chart", "ChartWarning"),
+    "aiorts.model.statechart": ("After", "Always", "End", "History", "On", "Parallel", "State"),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),
 }
