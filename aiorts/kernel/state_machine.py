@@ -24,6 +24,7 @@ from aiorts.model.statechart import Act
 if TYPE_CHECKING:
     from aiorts.kernel.host import Cancellable
     from aiorts.kernel.machine import StateMachineComponent
+    from aiorts.model.chart_structure import StateStructure
 
 __all__ = ("Calls", "StateMachine")
 
@@ -62,6 +63,18 @@ class StateMachine:
         While an action runs: what was entered and not yet left.
         """
         return self._core.configuration
+
+    @property
+    def structure(self) -> StateStructure:
+        """The table that runs, frozen: states, transitions, actions, timers."""
+        return self.chart.structure
+
+    def to_mermaid(self) -> str:
+        """The diagram of the table that runs, what is active now marked."""
+        return self.chart.to_mermaid(self.configuration)
+
+    def _repr_markdown_(self) -> str:
+        return f"```mermaid\n{self.to_mermaid()}```\n"
 
     @property
     def event(self) -> str:

@@ -12,10 +12,13 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import DeclarationError
 from aiorts.model.statechart import Act, Acts, After, Always, History, On, State, Way, acts_of
+
+if TYPE_CHECKING:
+    from aiorts.model.chart_structure import StateStructure
 
 __all__ = ("ALWAYS", "ROOT", "Arc", "Chart", "ChartWarning", "Node", "bits", "hint")
 
@@ -137,6 +140,32 @@ class Chart:
     def names(self, states: int) -> tuple[str, ...]:
         """The names of a set of states, in order, without the root."""
         return tuple(self.nodes[index].name for index in bits(states & ~1))
+
+    @property
+    def structure(self) -> StateStructure:
+        """The table that runs, frozen: its root with everything inside."""
+        from aiorts.model.chart_structure import structure_of
+
+        return structure_of(self)
+
+    def to_mermaid(self, active: tuple[str, ...] = ()) -> str:
+        """The diagram of the table that runs, for Mermaid; `active` states are marked."""
+        from aiorts.model.mermaid import write_mermaid
+
+        return write_mermaid(self, active)
+
+    def to_scxml(self) -> str:
+        """The table that runs, as an SCXML document."""
+        from aiorts.model.scxml import write_scxml
+
+        return write_scxml(self)
+
+    @staticmethod
+    def from_scxml(text: str) -> Chart:
+        """The chart of an SCXML document; DeclarationError where it says what a chart has no word for."""
+        from aiorts.model.scxml import read_scxml
+
+        return read_scxml(text)
 
     @property
     def acts(self) -> Iterator[tuple[str, Act, str]]:
