@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.function import component
     from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
     from aiorts.kernel.machine_events import ConfigurationChanged, MachineAfter, MachineBefore, MachineEnded
+    from aiorts.kernel.modes import ModeChanged, MultiModeComponent, Participant
     from aiorts.model.blame import Blame
     from aiorts.model.charting import Chart, ChartWarning
     from aiorts.model.lifecycle import LifeCycleState
@@ -87,12 +88,15 @@ __all__ = (
     "MachineEnded",
     "MemberAdded",
     "MemberRemoved",
+    "ModeChanged",
+    "MultiModeComponent",
     "On",
     "OutPort",
     "Overrun",
     "Parallel",
     "Param",
     "ParametersChanged",
+    "Participant",
     "PeriodicContext",
     "PortAdded",
     "PortRemoved",
@@ -122,6 +126,7 @@ _HOMES = {
     "aiorts.kernel.function": ("component",),
     "aiorts.kernel.machine": ("EventPort", "StateMachine", "StateMachineComponent"),
     "aiorts.kernel.machine_events": ("ConfigurationChanged", "MachineAfter", "MachineBefore", "MachineEnded"),
+    "aiorts.kernel.modes": ("ModeChanged", "MultiModeComponent", "Participant"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.charting": ("Chart", "ChartWarning"),
     "aiorts.model.statechart": ("After", "Always", "End", "History", "On", "Parallel", "State"),

@@ -24,6 +24,7 @@ FEATURES = {
     12: "A cycle runs in passes: transitions, execute, state update",
     13: "A hook that raises moves its component to error, with diagnostics",
     14: "The cause of an error can be asked for",
+    18: "Modes and participants of state machines: their hooks are run",
     19: "Several contexts for a component; added and removed while running",
     20: "Observers of every hook, before and after",
     21: "Ports added and removed at run time",

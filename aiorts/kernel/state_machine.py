@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import DeclarationError, StateError
@@ -24,6 +25,7 @@ from aiorts.model.statechart import Act
 if TYPE_CHECKING:
     from aiorts.kernel.host import Cancellable
     from aiorts.kernel.machine import StateMachineComponent
+    from aiorts.kernel.modes import Participant
     from aiorts.model.chart_structure import StateStructure
 
 __all__ = ("Calls", "StateMachine")
@@ -38,7 +40,7 @@ _CHANGING: Final = (ENTRY, EXIT)
 class StateMachine:
     """The machine of one component: what is active now, and a way to send it an event."""
 
-    __slots__ = ("_acting", "_arrivals", "_component", "_core", "_events", "_wake", "_watched")
+    __slots__ = ("_acting", "_arrivals", "_component", "_core", "_events", "_participants", "_wake", "_watched")
 
     def __init__(self, component: StateMachineComponent, chart: Chart) -> None:
         self._component = component
@@ -48,6 +50,7 @@ class StateMachine:
         self._arrivals: deque[InPort[Any] | MachineEvent] = deque()
         self._wake: tuple[int, Cancellable] | None = None
         self._watched = False
+        self._participants: tuple[Participant, ...] = ()
 
     # -- what anybody may ask --------------------------------------------------------------------------------------
 
@@ -123,6 +126,15 @@ class StateMachine:
         if self._component._rt_running is None or not self._core.states:
             raise StateError(f"{self._component.name}: raise_event({event!r}): only an action can; use send")
         self._core.raise_event(MachineEvent(event, data))
+
+    def add_participant(self, component: Participant) -> None:
+        """Have the component's `on_action` run, in its own context, after each change of the configuration."""
+        if component not in self._participants:
+            self._participants = (*self._participants, component)
+
+    def remove_participant(self, component: Participant) -> None:
+        """Tell it no more; nothing where it was not told."""
+        self._participants = tuple(one for one in self._participants if one is not component)
 
     def _check(self, event: str) -> None:
         if event not in self.chart.events and "*" not in {arc.event for arc in self.chart.arcs}:
@@ -262,10 +274,13 @@ class StateMachine:
             self._publish(MachineAfter(name, "state_change", "", event))
 
     def _changed(self, before: int, event: str) -> None:
-        kernel = self._component._rt_kernel
-        if kernel is not None and kernel.bus.wants(ConfigurationChanged):
-            chart = self.chart
-            self._publish(ConfigurationChanged(self._component.name, chart.names(before), self.configuration, event))
+        kernel = self._component.kernel
+        if self._participants or kernel.bus.wants(ConfigurationChanged):
+            old = self.chart.names(before)
+            change = ConfigurationChanged(self._component.name, old, self.configuration, event)
+            self._publish(change)
+            for one in self._participants:
+                kernel._on_loop(partial(one._rt_told, change))
 
     def _is_watched(self) -> bool:
         bus = self._component.kernel.bus
