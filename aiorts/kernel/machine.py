@@ -17,7 +17,10 @@ be simulated, so none of them could be built on.
 
 from __future__ import annotations
 
+import inspect
 import threading
+import time
+import warnings
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, TypeVar
 
@@ -27,13 +30,15 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.event_port import EventPort
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.state_machine import Calls, StateMachine
-from aiorts.model.charting import Chart
+from aiorts.model.charting import Chart, ChartWarning, hint
 from aiorts.model.lifecycle import LifeCycleState
 
 __all__ = ("EventPort", "StateMachine", "StateMachineComponent")
 
 T = TypeVar("T")
 _ACTIVE = LifeCycleState.ACTIVE
+_PAUSE: Final = 0.001
+"""Seconds that it lets its thread rest where no rate says when the next cycle is."""
 _HOOKS: Final = ("on_activated", "on_deactivated", "on_execute")
 
 
@@ -72,13 +77,16 @@ class StateMachineComponent(Component):
     """Port -> event, as the class declares them."""
 
     def __init_subclass__(cls, **options: Any) -> None:
+        wrapped = [hook for hook in _HOOKS if inspect.unwrap(vars(cls).get(hook, _execute)) in _OURS]
         for hook in _HOOKS:
-            if hook in vars(cls):
+            if hook not in wrapped:
                 where = {"on_activated": "entry", "on_deactivated": "exit", "on_execute": "do"}[hook]
                 raise DeclarationError(
                     f"{cls.__qualname__}.{hook}: is where the machine runs; say Chart(..., {where}=...) with a method "
                     "of another name"
                 )
+        if "machine" in vars(cls):
+            raise DeclarationError(f"{cls.__qualname__}.machine: is the component's state machine; choose another name")
         chart = cls.__dict__.get("chart")
         if chart is not None and not isinstance(chart, Chart):
             raise DeclarationError(f"{cls.__qualname__}.chart: expected Chart(...), got {chart!r:.60}")
@@ -90,11 +98,16 @@ class StateMachineComponent(Component):
                 if isinstance(port, EventPort)
             }
             awaits = check_acts(cls, cls.chart, cls._rt_events)
+            for port, event in cls._rt_events.items():
+                if not cls.chart.knows(event):
+                    text = f"{cls.__qualname__}.{port}: no transition is for event {event!r}"
+                    warnings.warn(ChartWarning(text + hint(event, cls.chart.events)), stacklevel=2)
             if chart is not None:
                 cls.chart.name = cls.chart.name or cls.__name__
                 cls.chart.warn_unreachable(stacklevel=3)
         for hook in _HOOKS:
-            setattr(cls, hook, (_AWAITING if awaits else _PLAIN)[hook])
+            if hook not in vars(cls):
+                setattr(cls, hook, (_AWAITING if awaits else _PLAIN)[hook])
         super().__init_subclass__(**options)
 
     def __init__(self, name: str = "") -> None:
@@ -187,6 +200,8 @@ def _execute(self: StateMachineComponent) -> None:
     """One cycle: timers, events, activities."""
     _run(self.machine._cycle())
     self._rt_after()
+    if self._rt_host.threaded and not self._rt_host.realtime and getattr(self.context, "rate", None) is None:
+        time.sleep(_PAUSE)
 
 
 async def _activated_awaiting(self: StateMachineComponent) -> None:
@@ -216,3 +231,5 @@ async def _execute_awaiting(self: StateMachineComponent) -> None:
 
 _PLAIN: Final = dict(zip(_HOOKS, (_activated, _deactivated, _execute), strict=True))
 _AWAITING: Final = dict(zip(_HOOKS, (_activated_awaiting, _deactivated_awaiting, _execute_awaiting), strict=True))
+_OURS: Final = frozenset((*_PLAIN.values(), *_AWAITING.values()))
+"""The machine's hooks; what wraps one of them (`functools.wraps`) may stand in its place."""

@@ -60,6 +60,9 @@ class MultiModeComponent(Component):
         super().__init_subclass__(**options)
         if not isinstance(cls.modes, tuple | list) or len(set(cls.modes)) != len(cls.modes):
             raise DeclarationError(f"{cls.__qualname__}.modes: expected names, each once, got {cls.modes!r}")
+        taken = [name for name in ("mode", "pending_mode", "modes_by_context", "default_mode") if name in vars(cls)]
+        if taken:
+            raise DeclarationError(f"{cls.__qualname__}.{taken[0]}: says what the mode is; choose another name")
         for mode in cls.modes:
             check_name(mode, "mode")
         cls._rt_hook_kinds |= further_kinds(cls, MultiModeComponent, {"on_mode_changed": ("self",)})

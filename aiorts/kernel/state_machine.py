@@ -40,7 +40,17 @@ _CHANGING: Final = (ENTRY, EXIT)
 class StateMachine:
     """The machine of one component: what is active now, and a way to send it an event."""
 
-    __slots__ = ("_acting", "_arrivals", "_component", "_core", "_events", "_participants", "_wake", "_watched")
+    __slots__ = (
+        "_acting",
+        "_arrivals",
+        "_component",
+        "_core",
+        "_events",
+        "_known",
+        "_participants",
+        "_wake",
+        "_watched",
+    )
 
     def __init__(self, component: StateMachineComponent, chart: Chart) -> None:
         self._component = component
@@ -49,6 +59,8 @@ class StateMachine:
         self._events: dict[InPort[Any], str] = {}
         self._arrivals: deque[InPort[Any] | MachineEvent] = deque()
         self._wake: tuple[int, Cancellable] | None = None
+        self._known = chart.events
+        """Events that were looked at already: of one that nobody cares for it is said once."""
         self._watched = False
         self._participants: tuple[Participant, ...] = ()
 
@@ -137,7 +149,7 @@ class StateMachine:
         self._participants = tuple(one for one in self._participants if one is not component)
 
     def _check(self, event: str) -> None:
-        if event not in self.chart.events and "*" not in {arc.event for arc in self.chart.arcs}:
+        if not self.chart.knows(event):
             raise DeclarationError(
                 f"{self._component.name}: no transition is for event {event!r}{hint(event, self.chart.events)}"
             )
@@ -213,7 +225,14 @@ class StateMachine:
 
     def _read(self, port: InPort[Any]) -> MachineEvent:
         sample = port.read_nowait()
-        return MachineEvent(event_of(port.last_source, self._events[port]), sample)
+        event = event_of(port.last_source, self._events[port])
+        if event not in self._known:
+            self._known |= {event}
+            if not self.chart.knows(event):
+                self._component.log.warning(
+                    "%s: no transition is for event %r%s", port.name, event, hint(event, self.chart.events)
+                )
+        return MachineEvent(event, sample)
 
     def _arrived(self, port: InPort[Any]) -> None:
         """Note who came when: between ports, too, the machine takes events in the order of arrival."""

@@ -137,6 +137,10 @@ class Chart:
             raise DeclarationError(f"{name!r}: no such state{hint(name, self._numbers)}")
         return found
 
+    def knows(self, event: str) -> bool:
+        """Whether any transition is for this event."""
+        return event in self.events or any(arc.event == "*" for arc in self.arcs)
+
     def names(self, states: int) -> tuple[str, ...]:
         """The names of a set of states, in order, without the root."""
         return tuple(self.nodes[index].name for index in bits(states & ~1))

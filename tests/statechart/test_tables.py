@@ -125,3 +125,14 @@ def test_a_declaration_is_a_value() -> None:
     assert End("a") != State("a")
     assert repr(State("a", On("x"), initial=True)).startswith("State('a', On(event='x'")
     assert len({State("a"), State("a")}) == 1
+
+
+@pytest.mark.row(103)
+def test_an_event_port_that_no_transition_is_for_is_warned_of() -> None:
+    with pytest.warns(ChartWarning, match="Door.buton: no transition is for event 'buton'; did you mean 'button'"):
+        define(Chart(State("a", On("button"))), buton=EventPort(TimedBoolean))
+
+
+def test_names_that_the_machine_needs_are_kept_for_it() -> None:
+    with pytest.raises(DeclarationError, match="is the component's state machine"):
+        define(Chart(State("a")), machine=3)
