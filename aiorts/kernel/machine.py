@@ -159,7 +159,7 @@ def _run(calls: Calls) -> None:
     for function, args in calls:
         try:
             result = function(*args)
-            if hasattr(result, "__await__"):
+            if result is not None and hasattr(result, "__await__"):
                 raise unawaited(function, result)
         except BaseException as error:
             calls.throw(error)
@@ -170,7 +170,7 @@ async def _run_awaiting(calls: Calls) -> None:
     for function, args in calls:
         try:
             result = function(*args)
-            if hasattr(result, "__await__"):
+            if result is not None and hasattr(result, "__await__"):
                 await result
         except BaseException as error:
             calls.throw(error)

@@ -47,6 +47,7 @@ class StateMachine:
         "_core",
         "_events",
         "_known",
+        "_naming",
         "_participants",
         "_wake",
         "_watched",
@@ -61,6 +62,7 @@ class StateMachine:
         self._wake: tuple[int, Cancellable] | None = None
         self._known = chart.events
         """Events that were looked at already: of one that nobody cares for it is said once."""
+        self._naming: set[InPort[Any]] = set()
         self._watched = False
         self._participants: tuple[Participant, ...] = ()
 
@@ -180,19 +182,19 @@ class StateMachine:
 
     def _begin(self) -> Calls:
         self._arrivals.clear()
-        self._watched = self._is_watched()
+        self._watched = self._look_who_watches()
         yield from self._perform(self._core.start(), "")
 
     def _end(self) -> Calls:
         self._arrivals.clear()
-        self._watched = self._is_watched()
+        self._watched = self._look_who_watches()
         yield from self._perform(self._core.stop(), "")
 
     def _cycle(self) -> Calls:
         core = self._core
         if not core.states:
             return
-        self._watched = self._is_watched()
+        self._watched = self._look_who_watches()
         now_ns = self._now_ns() if core.timers else 0
         while (event := core.due(now_ns)) is not None and not core.ended:
             yield from self._perform(core.handle(event), event.name)
@@ -207,6 +209,8 @@ class StateMachine:
         """The events that had come when the cycle began, in the order of arrival: what comes meanwhile is for the
         next, so that every cycle ends."""
         arrivals, events = self._arrivals, self._events
+        # Most connectors name no event: then it is not asked which of them a sample came through.
+        self._naming = {port for port in events if any(each.profile.extra for each in port.connectors)}
         left = {port: sum(each.unread for each in port.connectors) or 1 for port in events if port.is_new}
         for _ in range(len(arrivals)):
             item = arrivals.popleft()
@@ -225,7 +229,9 @@ class StateMachine:
 
     def _read(self, port: InPort[Any]) -> MachineEvent:
         sample = port.read_nowait()
-        event = event_of(port.last_source, self._events[port])
+        event = self._events[port]
+        if port in self._naming:
+            event = event_of(port.last_source, event)
         if event not in self._known:
             self._known |= {event}
             if not self.chart.knows(event):
@@ -301,9 +307,10 @@ class StateMachine:
             for one in self._participants:
                 kernel._on_loop(partial(one._rt_told, change))
 
-    def _is_watched(self) -> bool:
+    def _look_who_watches(self) -> bool:
         bus = self._component.kernel.bus
-        return bus.wants(MachineBefore) or bus.wants(MachineAfter)
+        self._core.every = watched = bus.wants(MachineBefore) or bus.wants(MachineAfter)
+        return watched
 
     def _publish(self, event: Event) -> None:
         self._component.context._publish(event)

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from aiorts.errors import StateError
 from aiorts.model.charting import ALWAYS, Arc, Chart
@@ -28,8 +27,7 @@ ENDLESS: Final = 1000
 """Microsteps that one event may take; more is taken for a loop without end."""
 
 
-@dataclass(frozen=True, slots=True)
-class MachineEvent:
+class MachineEvent(NamedTuple):
     """An event for a machine."""
 
     name: str
@@ -57,6 +55,7 @@ class Machine:
         "chart",
         "ended",
         "event",
+        "every",
         "history",
         "ignored",
         "states",
@@ -76,6 +75,8 @@ class Machine:
         self.history: tuple[int, ...] = (0,) * len(chart.histories)
         self.event: MachineEvent | None = None
         """The event that is being carried out."""
+        self.every = True
+        """Whether steps without an action are told, too."""
         self.ended = False
         """Whether a final state at the top was entered."""
         self.ignored = 0
@@ -190,15 +191,18 @@ class Machine:
             if what is ENTRY:
                 self.states |= 1 << step.state
                 self._arm(step.state)
-                yield step
+                if step.acts or self.every:
+                    yield step
                 for name in step.raises:
                     self.raise_event(MachineEvent(name, is_own=True))
             elif what is EXIT:
                 try:
-                    yield step
+                    if step.acts or self.every:
+                        yield step
                 finally:
                     self.states &= ~(1 << step.state)
-                    self._disarm(step.state)
+                    if self.timers:
+                        self._disarm(step.state)
             else:
                 yield step
         self.ended = self.ended or plan.ends
@@ -211,6 +215,5 @@ class Machine:
                 self.timers[arc.index] = self._now_ns() + max(self._delay_ns(arc.delay), 1), self._timed
 
     def _disarm(self, state: int) -> None:
-        if self.timers:
-            for arc in self.chart.nodes[state].arcs:
-                self.timers.pop(arc.index, None)
+        for arc in self.chart.nodes[state].arcs:
+            self.timers.pop(arc.index, None)

@@ -38,7 +38,7 @@ def valid(text: str) -> None:
 
 
 @pytest.mark.row(104)
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
 @given(charts())
 def test_what_is_written_is_valid_and_read_back_it_is_the_same_chart(states: tuple[Any, ...]) -> None:
     chart = chart_of(states)

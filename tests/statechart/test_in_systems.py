@@ -70,7 +70,7 @@ moves = st.lists(st.tuples(st.sampled_from(["button", "obstacle"]), st.floats(0.
 
 
 @pytest.mark.row(103)
-@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
 @given(moves)
 def test_the_same_events_give_the_same_course_to_the_nanosecond(played: list[tuple[str, float]]) -> None:
     def run() -> list[Any]:

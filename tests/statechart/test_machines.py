@@ -443,3 +443,17 @@ async def test_a_machine_of_plain_actions_runs_in_a_thread() -> None:
                 break
             await kernel.sleep(0.01)
         assert [sample.data for sample in switch.told] == [0, 2]
+
+
+@pytest.mark.row(103)
+async def test_a_timer_of_no_time_at_all_fires_once_in_a_cycle() -> None:
+    class Quick(Told):
+        pause = Param(0.0, unit="s")
+        chart = Chart(
+            State("a", After("pause", to="b"), initial=True), State("b", After("pause", to="a"), entry="tell")
+        )
+
+    quick = Quick("q0")
+    async with Rig(quick, context=PeriodicContext(rate=10.0)) as rig:
+        await rig.tick(4)
+        assert len(quick.told) == 2

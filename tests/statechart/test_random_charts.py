@@ -16,7 +16,7 @@ from statechart.reference import Reference
 
 EVENTS = ("e0", "e1")
 GUARDS = ("g0", "g1")
-EXAMPLES = 3000 if os.environ.get("AIORTS_CAMPAIGN") else 300
+EXAMPLES = 3000 if os.environ.get("AIORTS_CAMPAIGN") else 120
 
 
 @st.composite
@@ -234,3 +234,41 @@ def test_a_transition_between_two_regions_leaves_and_enters_all_of_them() -> Non
     log_of(machine.handle(MachineEvent("go")), log, chart)
     assert [name for what, name in log if what == "exit"] == ["r1", "right", "l1", "left", "all"]
     assert [name for what, name in log if what == "entry"] == ["all", "left", "l1", "right", "r2"]
+
+
+@pytest.mark.row(103)
+def test_a_parallel_state_is_done_when_all_of_its_regions_are() -> None:
+    machine = Machine(
+        Chart(
+            Parallel(
+                "both",
+                State("left", State("l", On("one", to="le"), initial=True), End("le")),
+                State("right", State("r", On("two", to="re"), initial=True), End("re")),
+                On("done.state.both", to="over"),
+                initial=True,
+            ),
+            State("over"),
+        ),
+        lambda guard, _: True,
+    )
+    list(machine.start())
+    list(machine.handle(MachineEvent("one")))
+    assert machine.configuration == ("both", "left", "le", "right", "r")
+    list(machine.handle(MachineEvent("two")))
+    assert machine.configuration == ("over",)
+
+
+@pytest.mark.row(103)
+def test_any_event_means_those_from_outside_and_not_the_machines_own() -> None:
+    machine = Machine(
+        Chart(
+            State("p", State("a", On("go", to="e"), initial=True), End("e"), On("*", to="q"), initial=True),
+            State("q", On("back", to="p")),
+        ),
+        lambda guard, _: True,
+    )
+    list(machine.start())
+    list(machine.handle(MachineEvent("go")))
+    assert machine.configuration == ("p", "e")
+    list(machine.handle(MachineEvent("done.state.p")))
+    assert machine.configuration == ("q",)
