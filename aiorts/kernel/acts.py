@@ -108,7 +108,7 @@ def _check_type(cls: type[Any], where: str, function: Any, event: str, events: M
     except (NameError, SyntaxError, AttributeError, TypeError):
         return  # a name that only the type checker knows
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "self"]
-    wanted = annotations.get(parameters[0].name) if parameters else None
+    wanted: Any = annotations.get(parameters[0].name) if parameters else None
     for name, port in ports:
         if isinstance(wanted, type) and wanted is not Any and not issubclass(port.type, wanted):
             raise DeclarationError(

@@ -186,7 +186,6 @@ class StateMachine:
         yield from self._perform(self._core.start(), "")
 
     def _end(self) -> Calls:
-        self._arrivals.clear()
         self._watched = self._look_who_watches()
         yield from self._perform(self._core.stop(), "")
 

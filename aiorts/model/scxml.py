@@ -69,10 +69,12 @@ def read_scxml(text: str) -> Chart:
     if document.tag != f"{{{W3C}}}scxml":
         raise DeclarationError(f"SCXML: expected scxml of {W3C}, got {document.tag}")
     reader = _Reader()
-    root = reader.state(document, "root")
+    root: dict[str, Any] = reader.state(document, "root")
     inner = root["parts"][0] if len(root["parts"]) == 1 else None
     if isinstance(inner, State) and inner.name == "root":
-        root = {"parts": inner.parts} | {word: getattr(inner, word) for word in ("entry", "init", "exit", "do")}
+        root = dict[str, Any](parts=inner.parts) | {
+            word: getattr(inner, word) for word in ("entry", "init", "exit", "do")
+        }
     root.pop("initial", None)
     kept = document.get(f"{{{OURS}}}keep-history") == "true"
     return Chart(*root.pop("parts"), **root, keep_history=kept, name=document.get("name", ""))

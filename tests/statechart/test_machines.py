@@ -269,9 +269,23 @@ async def test_an_action_that_raises_leads_to_error_and_exactly_what_was_entered
         assert one.machine.configuration == ("out",)
 
 
+def _awaited(name: str) -> Any:
+    async def act(self: Noted) -> None:
+        _noted(name)(self)
+
+    return act
+
+
+class AwaitingNoted(Noted):
+    """The same with actions that may wait."""
+
+    x_in1, x_in = map(_awaited, ("x_in1", "x_in"))
+
+
 @pytest.mark.row(102)
-async def test_an_exit_action_that_raises_at_deactivation_keeps_no_other_from_running() -> None:
-    one = Noted("one0")
+@pytest.mark.parametrize("kind", [Noted, AwaitingNoted])
+async def test_an_exit_action_that_raises_at_deactivation_keeps_no_other_from_running(kind: Any) -> None:
+    one = kind("one0")
     async with Rig(one, context=EventContext()) as rig:
         rig.feed("go", 1)
         await rig.tick()
@@ -457,3 +471,59 @@ async def test_a_timer_of_no_time_at_all_fires_once_in_a_cycle() -> None:
     async with Rig(quick, context=PeriodicContext(rate=10.0)) as rig:
         await rig.tick(4)
         assert len(quick.told) == 2
+
+
+@pytest.mark.row(102)
+async def test_what_an_action_writes_to_a_port_of_its_own_is_for_the_next_cycle() -> None:
+    class Echo(Told):
+        go = EventPort(TimedLong)
+        out = OutPort(TimedLong)
+        chart = Chart(State("a", On("go", action="again")))
+
+        def again(self, sample: TimedLong) -> None:
+            self.told.append(sample.data)
+            self.out.write_nowait(TimedLong(0, sample.data + 1))
+
+    echo = Echo("e0")
+    async with Rig(echo, context=PeriodicContext(rate=10.0)) as rig:
+        rig.connect("e0.out", "e0.go")
+        rig.feed("go", 1)
+        for cycle in range(1, 4):
+            await rig.tick()
+            assert echo.told == list(range(1, cycle + 1))
+
+
+@pytest.mark.row(102)
+async def test_an_event_that_was_not_carried_out_before_a_deactivation_is_gone_after_it() -> None:
+    sorter = Sorter("s0")
+    async with Rig(sorter, context=PeriodicContext(rate=10.0)) as rig:
+        sorter.machine.send("stop", 1)
+        await rig.deactivate()
+        await rig.activate()
+        await rig.tick()
+        assert sorter.told == []
+
+
+@pytest.mark.row(102)
+async def test_what_needs_no_event_comes_before_what_an_action_raised() -> None:
+    class Both(Told):
+        go = EventPort(TimedLong)
+        chart = Chart(
+            State("a", On("go", to="b", action="ask"), initial=True),
+            State("b", Always(to="c", action="tell"), On("more", action="wrong")),
+            State("c", On("more", to="d")),
+            State("d"),
+        )
+
+        def ask(self) -> None:
+            self.machine.raise_event("more")
+
+        def wrong(self) -> None:
+            self.told.append("too early")
+
+    both = Both("b0")
+    async with Rig(both, context=EventContext()) as rig:
+        rig.feed("go", 1)
+        await rig.tick()
+        assert both.machine.configuration == ("d",)
+        assert len(both.told) == 1
