@@ -21,6 +21,7 @@ from aiorts import (
     On,
     OutPort,
     PeriodicContext,
+    RealtimeContext,
     State,
     StateMachineComponent,
     ThreadContext,
@@ -182,3 +183,30 @@ async def test_a_machine_in_two_contexts_is_one_machine(kind: Any) -> None:
         await two.deactivate()
         assert door.machine.configuration == ()
         assert door.told == ["motor on", "motor off"]
+
+
+@pytest.mark.anyio
+@pytest.mark.row(103)
+async def test_a_machine_of_plain_actions_runs_in_a_real_time_thread() -> None:
+    class Pulse(StateMachineComponent):
+        go = EventPort(TimedLong)
+        out = OutPort(TimedLong)
+        chart = Chart(
+            State("idle", On("go", to="high"), initial=True), State("high", After(0.01, to="idle"), entry="beat")
+        )
+        beats = 0
+
+        def beat(self) -> None:
+            self.beats += 1
+
+    async with Kernel() as kernel:
+        pulse, buttons = await kernel.add(Pulse("p0")), await kernel.add(Buttons("b0"))
+        await kernel.connect(buttons.out, pulse.go)
+        await kernel.start(RealtimeContext(rate=200.0, priority=None, lock_memory=False), pulse, activate=True)
+        for wanted in (1, 2):
+            buttons.out.write_nowait(TimedLong(0, wanted))
+            for _ in range(500):
+                if pulse.beats == wanted and pulse.machine.configuration == ("idle",):
+                    break
+                await kernel.sleep(0.01)
+            assert pulse.beats == wanted

@@ -527,3 +527,28 @@ async def test_what_needs_no_event_comes_before_what_an_action_raised() -> None:
         await rig.tick()
         assert both.machine.configuration == ("d",)
         assert len(both.told) == 1
+
+
+@pytest.mark.row(102)
+async def test_at_its_end_a_machine_does_nothing_more_but_leave() -> None:
+    class Ends(Told):
+        go = EventPort(TimedLong)
+        chart = Chart(
+            State("a", On("go", to="over", action="ask"), initial=True),
+            End("over", exit="tell"),
+            On("more", action="wrong"),
+        )
+
+        def ask(self) -> None:
+            self.machine.raise_event("more")
+
+        def wrong(self) -> None:
+            self.told.append("too late")
+
+    ends = Ends("e0")
+    async with Rig(ends, context=EventContext()) as rig:
+        rig.feed("go", 1)
+        await rig.tick()
+        assert ends.machine.configuration == ()
+        assert len(ends.told) == 1
+        assert ends.told[0] != "too late"
