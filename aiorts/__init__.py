@@ -65,18 +65,27 @@ if TYPE_CHECKING:
     from aiorts.kernel.configuring import Configuration
     from aiorts.kernel.declarations import Declaration, declaration_of
     from aiorts.kernel.function import component
+    from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
+    from aiorts.kernel.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
+    from aiorts.kernel.modes import ModeChanged, MultiModeComponent, Participant
     from aiorts.model.blame import Blame
+    from aiorts.model.charting import Chart, ChartWarning
     from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.statechart import After, Always, End, History, On, Parallel, State
     from aiorts.running import run
 
 __version__ = "0.1.0"
 
 __all__ = (
+    "After",
     "AiortsError",
+    "Always",
     "Blame",
     "Bus",
     "CallFailed",
     "Catalogue",
+    "Chart",
+    "ChartWarning",
     "Clock",
     "Component",
     "ComponentAdded",
@@ -86,6 +95,7 @@ __all__ = (
     "ConfigurationSetAdded",
     "ConfigurationSetChanged",
     "ConfigurationSetRemoved",
+    "MachineChanged",
     "Connected",
     "Connector",
     "Context",
@@ -93,25 +103,36 @@ __all__ = (
     "ContextStopped",
     "Declaration",
     "Disconnected",
+    "End",
     "Event",
     "EventContext",
+    "EventPort",
     "Extension",
     "ExternalContext",
+    "History",
     "HookAfter",
     "HookBefore",
     "HookFailed",
     "InPort",
     "Kernel",
     "LifeCycleState",
+    "MachineAfter",
+    "MachineBefore",
+    "MachineEnded",
     "MemberAdded",
     "MemberRemoved",
+    "ModeChanged",
+    "MultiModeComponent",
+    "On",
     "OutPort",
     "Overrun",
+    "Parallel",
     "Param",
     "ParameterAdded",
     "ParameterChanged",
     "ParameterRemoved",
     "ParametersChanged",
+    "Participant",
     "PeriodicContext",
     "PortAdded",
     "PortRemoved",
@@ -124,7 +145,10 @@ __all__ = (
     "ServiceConnector",
     "ServicePort",
     "SimulatedClock",
+    "State",
     "StateChanged",
+    "StateMachine",
+    "StateMachineComponent",
     "SystemClock",
     "ThreadContext",
     "ThreadsExhausted",
@@ -156,7 +180,12 @@ _HOMES = {
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
     "aiorts.kernel.declarations": ("Declaration", "declaration_of"),
+    "aiorts.kernel.machine": ("EventPort", "StateMachine", "StateMachineComponent"),
+    "aiorts.kernel.machine_events": ("MachineChanged", "MachineAfter", "MachineBefore", "MachineEnded"),
+    "aiorts.kernel.modes": ("ModeChanged", "MultiModeComponent", "Participant"),
     "aiorts.model.blame": ("Blame",),
+    "aiorts.model.charting": ("Chart", "ChartWarning"),
+    "aiorts.model.statechart": ("After", "Always", "End", "History", "On", "Parallel", "State"),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.running": ("run",),
 }

@@ -243,6 +243,7 @@ class Bus:
     def __init__(self, hooks_wanted_changed: Callable[[], None] = lambda: None) -> None:
         self._hooks_wanted_changed = hooks_wanted_changed
         self._observers: list[tuple[type[Event], Callable[[Any], object]]] = []
+        self._wanted: dict[type[Event], bool] = {}
         self.hooks_wanted = False
         """Whether anybody asked for HookBefore or HookAfter: they cost nothing otherwise."""
         self.calls_wanted = False
@@ -276,9 +277,18 @@ class Bus:
                 except BaseException:  # noqa: BLE001 - an observer's fault must not become the kernel's
                     _LOG.exception("observer %r failed at %r", observer, event)
 
+    def wants(self, kind: type[Event]) -> bool:
+        """Whether anybody would be told of an event of `kind`: what is costly to say is not said to nobody."""
+        known = self._wanted.get(kind)
+        if known is None:
+            known = self._wanted[kind] = any(issubclass(kind, wanted) for wanted, _ in self._observers)
+        return known
+
     def _recount(self) -> None:
         self.calls_wanted = any(kind is ServiceCalled for kind, _ in self._observers)
         wanted = any(kind in _OF_HOOKS for kind, _ in self._observers)
+        self._wanted.clear()
+        wanted = any(kind in _QUIET for kind, _ in self._observers)
         if self.hooks_wanted is not wanted:
             self.hooks_wanted = wanted
             self._hooks_wanted_changed()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.member import Member
 
-__all__ = ("TAKES_ERROR", "HookKind", "bad_return", "check_spelling", "coroutine_hooks", "hook_kinds")
+__all__ = ("TAKES_ERROR", "HookKind", "bad_return", "check_spelling", "coroutine_hooks", "further_kinds", "hook_kinds")
 
 TAKES_ERROR = frozenset({"on_error", "on_aborting"})
 
@@ -43,12 +43,18 @@ def hook_kinds(cls: type[Any], base: type[Any] | None) -> dict[str, int]:
     return {hook: _kind(cls, base, hook) for hook in HOOKS}
 
 
-def check_spelling(cls: type[Any]) -> None:
+def further_kinds(cls: type[Any], base: type[Any], hooks: dict[str, tuple[str, ...]]) -> dict[str, int]:
+    """The kinds of hooks that only components derived from `base` have, each with its arguments; checked as any."""
+    check_spelling(cls, tuple(hooks))
+    return {hook: _kind(cls, base, hook, expected) for hook, expected in hooks.items()}
+
+
+def check_spelling(cls: type[Any], hooks: tuple[str, ...] = HOOKS) -> None:
     """Raise DeclarationError when a method that the class defines is a misspelt hook."""
     for name, value in vars(cls).items():
-        if name in HOOKS or not _LIKE_A_HOOK.match(name) or not inspect.isfunction(value):
+        if name in HOOKS or name in hooks or not _LIKE_A_HOOK.match(name) or not inspect.isfunction(value):
             continue
-        for hook in HOOKS:
+        for hook in hooks:
             wanted, got = (text.replace("_", "").lower() for text in (hook, name))
             if wanted == got or (_one_slip(wanted, got) and _callable_as(hook, value)):
                 raise DeclarationError(
@@ -83,7 +89,7 @@ def coroutine_hooks(kinds: dict[str, int]) -> list[str]:
     return [hook for hook, kind in kinds.items() if kind == HookKind.ASYNC]
 
 
-def _kind(cls: type[Any], base: type[Any] | None, hook: str) -> int:
+def _kind(cls: type[Any], base: type[Any] | None, hook: str, expected: tuple[str, ...] | None = None) -> int:
     function = inspect.getattr_static(cls, hook, None)
     if base is None or function is inspect.getattr_static(base, hook):
         return HookKind.ABSENT
@@ -92,7 +98,8 @@ def _kind(cls: type[Any], base: type[Any] | None, hook: str) -> int:
         raise DeclarationError(f"{where}: expected a method, got {type(function).__name__} {function!r}")
     if inspect.isasyncgenfunction(function) or inspect.isgeneratorfunction(function):
         raise DeclarationError(f"{where}: is a generator (it contains `yield`); a hook returns nothing")
-    expected = ("self", "error") if hook in TAKES_ERROR else ("self",)
+    if expected is None:
+        expected = ("self", "error") if hook in TAKES_ERROR else ("self",)
     _check_signature(where, function, expected)
     return HookKind.ASYNC if inspect.iscoroutinefunction(function) else HookKind.PLAIN
 

@@ -194,7 +194,7 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
 
 
 _KNOWN_KEPT: Final = frozenset(
-    {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "sync_readwrite"}
+    {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "sync_readwrite", "fsm_event_name"}
 )
 
 

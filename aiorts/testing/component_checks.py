@@ -6,6 +6,7 @@ Each check plays a new component in virtual time, fed every cycle; only what blo
 from __future__ import annotations
 
 import asyncio
+import functools
 import threading
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -232,9 +233,11 @@ def _measured_hook(
     def note(seconds: float) -> None:
         steps.append((seconds, hook))
 
+    @functools.wraps(function)
     def plain(*args: Any) -> Any:
         return _timed(note, function, *args)
 
+    @functools.wraps(function)
     async def awaited(*args: Any) -> Any:
         return await _Steps(function(*args), note)
 

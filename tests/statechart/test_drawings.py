@@ -1,0 +1,157 @@
+"""The diagrams are those of the table that runs: Mermaid, SCXML and back."""
+
+from __future__ import annotations
+
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from aiorts import After, Chart, EventContext, On, Parallel, State
+from aiorts.errors import DeclarationError
+from aiorts.testing import Rig
+from statechart.test_machines import Door, Noted, Player
+from statechart.test_random_charts import chart_of, charts
+
+W3C = "{http://www.w3.org/2005/07/scxml}"
+CONTENT = {"state", "parallel", "final", "history", "transition", "onentry", "onexit", "initial", "send", "cancel"}
+
+
+def valid(text: str) -> None:
+    """Elements and attributes are SCXML's or of another namespace; targets exist; ids are unique."""
+    root = ElementTree.fromstring(text)
+    assert root.tag == f"{W3C}scxml"
+    assert root.get("version") == "1.0"
+    ids = [e.get("id") for e in root.iter() if e.tag.removeprefix(W3C) in ("state", "parallel", "final", "history")]
+    assert len(ids) == len(set(ids))
+    for element in root.iter():
+        if element is not root and element.tag.startswith(W3C):
+            assert element.tag.removeprefix(W3C) in CONTENT
+        for target in (element.get("target") or "").split():
+            assert target in ids
+        if element.get("initial") is not None:
+            assert element.get("initial") in [child.get("id") for child in element]
+    for element in root.iter(f"{W3C}final"):
+        assert not list(element.iter(f"{W3C}transition"))
+    assert root.find(f"{W3C}transition") is None
+
+
+@pytest.mark.row(104)
+@settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
+@given(charts())
+def test_what_is_written_is_valid_and_read_back_it_is_the_same_chart(states: tuple[Any, ...]) -> None:
+    chart = chart_of(states)
+    if chart is None:
+        return
+    text = chart.to_scxml()
+    valid(text)
+    again = Chart.from_scxml(text)
+    assert again.structure == chart.structure
+    assert again.to_scxml() == text
+
+
+@pytest.mark.row(104)
+@pytest.mark.parametrize("kind", [Door, Noted, Player])
+def test_components_charts_go_there_and_back(kind: Any) -> None:
+    text = kind.chart.to_scxml()
+    valid(text)
+    again = Chart.from_scxml(text)
+    assert again.structure == kind.chart.structure
+    assert again.name == kind.__name__
+
+
+@pytest.mark.row(104)
+def test_a_change_of_the_table_is_a_change_of_the_structure() -> None:
+    """OpenRTM's service answers with the same sample text whatever machine runs."""
+
+    class Slower(Door):
+        chart = Chart(
+            *(
+                State("open", After(9.0, to="closing"), On("button", to="closing"), entry="lamp_on")
+                if state.name == "open"
+                else state
+                for state in Door.chart.states
+                if isinstance(state, State)
+            )
+        )
+
+    assert Slower("s").machine.structure != Door("d").machine.structure
+    assert "9.0s" in Slower.chart.to_scxml()
+    assert "after 9 s" in Slower.chart.to_mermaid()
+
+
+@pytest.mark.row(104)
+@pytest.mark.anyio
+async def test_the_drawing_marks_what_is_active() -> None:
+    door = Door("door0")
+    async with Rig(door, context=EventContext()) as rig:
+        rig.feed("button", True)
+        await rig.tick()
+        lines = [line.strip() for line in door.machine.to_mermaid().splitlines()]
+    assert [line for line in lines if line.startswith("class ")] == ["class moving active", "class opening active"]
+
+
+@pytest.mark.row(104)
+def test_the_drawing_has_every_state_and_every_transition_where_both_ends_are() -> None:
+    assert Door.chart.to_mermaid() == (
+        """stateDiagram-v2
+    [*] --> closed
+    state closed
+    state moving {
+        [*] --> opening
+        state opening
+        state closing
+        closing --> opening : obstacle [is_near] / complain
+    }
+    moving : entry / motor_on
+    moving : exit / motor_off
+    state open
+    open : entry / lamp_on
+    open : exit / lamp_off
+    closed --> opening : button
+    opening --> open : after 2 s
+    closing --> closed : after 2 s
+    open --> closing : after dwell
+    open --> closing : button
+"""
+    )
+    text = Chart(Parallel("end", State("a-b"), State("state", On("x"))), name="odd").to_mermaid()
+    assert 'state "end" as s_end_ {' in text
+    assert 'state "a-b" as s_a_b_' in text
+    assert "s_state_ : x" in text
+    assert "\n        --\n" in text
+
+
+OTHER = """<scxml xmlns="http://www.w3.org/2005/07/scxml" version="1.0">
+  <state id="a"><transition event="x y" target="b" cond="ready"/></state>
+  <state id="b"><onentry><send event="t" delay="250ms"/></onentry><transition event="t" target="a"/></state>
+</scxml>"""
+
+
+@pytest.mark.row(104)
+def test_the_chart_of_another_program_is_read_where_it_means_the_same() -> None:
+    expected = Chart(
+        State("a", On("x", to="b", guard="ready"), On("y", to="b", guard="ready"), initial=True),
+        State("b", After(0.25, to="a")),
+    )
+    assert Chart.from_scxml(OTHER).structure == expected.structure
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('<state id="a">', '<state id="a"><invoke/>', "invoke is not supported"),
+        ('cond="ready"', 'cond="x > 1"', "expected the name of a method"),
+        ('event="x y"', 'event="x.*"', "a prefix is not supported"),
+        ('target="b"', 'target="a b"', "2 targets"),
+        ('target="b"', 'target="c"', "no state 'c'"),
+        ("250ms", "soon", "send is supported as a timer"),
+        ("07/scxml", "08/scxml", "expected scxml of"),
+        ("<scxml", "<!DOCTYPE x><scxml", "a document type is not read"),
+        ("</scxml>", "", "SCXML: no element found"),
+    ],
+)
+def test_what_a_chart_has_no_word_for_is_refused_by_name(old: str, new: str, says: str) -> None:
+    with pytest.raises(DeclarationError, match=says):
+        Chart.from_scxml(OTHER.replace(old, new))
