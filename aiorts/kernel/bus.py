@@ -288,7 +288,6 @@ class Bus:
         self.calls_wanted = any(kind is ServiceCalled for kind, _ in self._observers)
         wanted = any(kind in _OF_HOOKS for kind, _ in self._observers)
         self._wanted.clear()
-        wanted = any(kind in _QUIET for kind, _ in self._observers)
         if self.hooks_wanted is not wanted:
             self.hooks_wanted = wanted
             self._hooks_wanted_changed()
