@@ -150,7 +150,8 @@ def main(loop: str) -> None:
         uvloop.run(system(clock))
     else:
         asyncio.run(system(clock))
-    sys.stdout.write("\n".join(LOG) + "\n")
+    for line in LOG:  # one by one: an unbuffered standard output forgets what a pipe did not take at once
+        sys.stdout.write(f"{line}\n")
 
 
 if __name__ == "__main__":
