@@ -39,8 +39,10 @@ if TYPE_CHECKING:
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
     from aiorts.kernel.function import component
+    from aiorts.kernel.supervision import Helped, HelpExhausted, Supervised
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.supervision import Supervision
     from aiorts.running import run
 
 __version__ = "0.1.0"
@@ -64,6 +66,8 @@ __all__ = (
     "EventContext",
     "Extension",
     "ExternalContext",
+    "HelpExhausted",
+    "Helped",
     "HookAfter",
     "HookBefore",
     "HookFailed",
@@ -84,6 +88,8 @@ __all__ = (
     "ScaledClock",
     "SimulatedClock",
     "StateChanged",
+    "Supervised",
+    "Supervision",
     "SystemClock",
     "ThreadContext",
     "ThreadsExhausted",
@@ -100,8 +106,10 @@ _HOMES = {
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
+    "aiorts.kernel.supervision": ("HelpExhausted", "Helped", "Supervised"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
+    "aiorts.model.supervision": ("Supervision",),
     "aiorts.running": ("run",),
 }
 """Where each public name lives; what is named nowhere is an event of the bus."""

@@ -25,6 +25,8 @@ FEATURES = {
     12: "A cycle runs in passes: transitions, execute, state update",
     13: "A hook that raises moves its component to error, with diagnostics",
     14: "The cause of an error can be asked for",
+    16: "A hook that does not return is detected; a watchdog names what blocks the loop",
+    17: "Supervision: reset or restart with back-off and a budget",
     19: "Several contexts for a component; added and removed while running",
     20: "Observers of every hook, before and after",
     21: "Ports added and removed at run time",

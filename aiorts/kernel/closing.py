@@ -23,6 +23,7 @@ async def close(kernel: Kernel) -> None:
         if context._driver is not None:
             context._driver.hurry(budget)
     try:
+        await kernel._end_supervision()
         for context in reversed(contexts):
             await context._stop(budget)
         kernel._connections.end_all()

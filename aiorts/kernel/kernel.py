@@ -28,6 +28,7 @@ from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.pool import PoolWatch
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.roster import Roster
+from aiorts.kernel.supervising import Supervising
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
 from aiorts.model.blame import GcPauses
@@ -44,7 +45,7 @@ C = TypeVar("C", bound=Component)
 X = TypeVar("X", bound=Context)
 
 
-class Kernel:
+class Kernel(Supervising):
     """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
 
     Args:

@@ -49,6 +49,8 @@ BROAD_EXCEPT = {
     # What an exception of a plugin says of itself may raise in its turn.
     "aiorts/kernel/plugins.py:_text",
     "aiorts/kernel/solo.py:_run",
+    # A restart: what the construction of a component, or its `on_initialize`, raises is its next failure.
+    "aiorts/kernel/supervision.py:_help",
     "aiorts/contexts/thread.py:_call",
     # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.
     "aiorts/contexts/thread.py:_run",
