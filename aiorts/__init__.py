@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.catalogue import Catalogue, Extension
     from aiorts.kernel.function import component
     from aiorts.kernel.supervision import Helped, HelpExhausted, Supervised
+    from aiorts.kernel.watchdog import LoopStall, LoopStalls
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.model.supervision import Supervision
@@ -74,6 +75,8 @@ __all__ = (
     "InPort",
     "Kernel",
     "LifeCycleState",
+    "LoopStall",
+    "LoopStalls",
     "MemberAdded",
     "MemberRemoved",
     "OutPort",
@@ -107,6 +110,7 @@ _HOMES = {
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
     "aiorts.kernel.supervision": ("HelpExhausted", "Helped", "Supervised"),
+    "aiorts.kernel.watchdog": ("LoopStall", "LoopStalls"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.model.supervision": ("Supervision",),

@@ -5,11 +5,14 @@ Each part is made when it is first asked for: a kernel that uses none of them ha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
 
+from aiorts.errors import ConfigurationError
 from aiorts.kernel.supervision import Supervised, Supervisor
+from aiorts.kernel.watchdog import LoopStalls, LoopWatch
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -23,6 +26,7 @@ class Supervising:
     """The part of a kernel that watches over its components."""
 
     _supervisor: Supervisor | None = None
+    _loop_watch: LoopWatch | None = None
 
     def supervise(
         self, component: Component, policy: Supervision, *, factory: Callable[[str], Component] | None = None
@@ -46,6 +50,46 @@ class Supervising:
     def supervised(self) -> Mapping[str, Supervised]:
         """The supervised components, by name."""
         return MappingProxyType({} if self._supervisor is None else self._supervisor.supervised)
+
+    def watch_loop(self, limit: float = 5.0, policy: str = "warn") -> bool:
+        """Watch the loop: what keeps it from turning for 0.2 s is logged in one line while it does, with its stack.
+
+        Nothing is said while a debugger holds the process. Called again it changes limit and policy.
+
+        Args:
+            limit: seconds after which `policy` comes into force.
+            policy: "warn" says so once more; "exit" ends the process at once with status 70, for who restarts it.
+
+        Returns:
+            Whether it is watched: not in simulated time, and not where the system has no timerfd.
+
+        Raises:
+            ConfigurationError: limit or policy out of range.
+        """
+        kernel = cast("Kernel", self)
+        kernel._require_open("watch the loop")
+        if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 < limit < math.inf:
+            raise ConfigurationError(f"limit = {limit!r}: expected seconds above 0")
+        if policy not in ("warn", "exit"):
+            raise ConfigurationError(f'policy = {policy!r}: expected "warn" or "exit"')
+        if self._loop_watch is not None:
+            self._loop_watch.limit_ns, self._loop_watch.policy = round(limit * 1e9), policy
+            return True
+        watch = LoopWatch(kernel, limit, policy)
+        if not watch.open():
+            return False
+        self._loop_watch = watch
+        return True
+
+    @property
+    def loop_stalls(self) -> LoopStalls:
+        """How often and how long the loop did not turn, since `watch_loop`."""
+        return LoopStalls() if self._loop_watch is None else self._loop_watch.stalls
+
+    def _end_watching(self) -> None:
+        """The kernel has closed."""
+        if self._loop_watch is not None:
+            self._loop_watch.close()
 
     async def _end_supervision(self) -> None:
         """The kernel closes."""

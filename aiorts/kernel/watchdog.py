@@ -43,7 +43,9 @@ _ABSENT_NS: Final = 50_000_000
 """Woken so much too late, with nobody using the processor meanwhile, the whole process did not run."""
 _SHOWN: Final = 12
 """Frames in the line of the log."""
-_DEBUGGERS: Final = frozenset({"bdb", "pdb", "ipdb", "pudb", "debugpy", "pydevd", "_pydevd_bundle", "_pydevd_sys_monitoring"})
+_DEBUGGERS: Final = frozenset(
+    {"bdb", "pdb", "ipdb", "pudb", "debugpy", "pydevd", "_pydevd_bundle", "_pydevd_sys_monitoring"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +183,8 @@ class LoopWatch:
             ends = over and self.policy == "exit"
             what = "has not turned" if over else "does not turn"
             end = f"; the process ends with status {EXIT_STATUS}" if ends else ""
-            text = f"{self._kernel.name}: the event loop {what} for {(now - began) / 1e9:.2f} s: {blame}{end}; stack: {stack}"
+            text = f"{self._kernel.name}: the event loop {what} for {(now - began) / 1e9:.2f} s"
+            text = f"{text}: {blame}{end}; stack: {stack}"
             if ends:
                 _end_process(text)
             _say(text)
