@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.watchdog import LoopStall, LoopStalls
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.naming import NamePolicy
+    from aiorts.model.sequence import StartRule
     from aiorts.model.supervision import Supervision
     from aiorts.running import run
 
@@ -79,6 +81,7 @@ __all__ = (
     "LoopStalls",
     "MemberAdded",
     "MemberRemoved",
+    "NamePolicy",
     "OutPort",
     "Overrun",
     "Param",
@@ -90,6 +93,7 @@ __all__ = (
     "RealtimeContext",
     "ScaledClock",
     "SimulatedClock",
+    "StartRule",
     "StateChanged",
     "Supervised",
     "Supervision",
@@ -113,6 +117,8 @@ _HOMES = {
     "aiorts.kernel.watchdog": ("LoopStall", "LoopStalls"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
+    "aiorts.model.naming": ("NamePolicy",),
+    "aiorts.model.sequence": ("StartRule",),
     "aiorts.model.supervision": ("Supervision",),
     "aiorts.running": ("run",),
 }

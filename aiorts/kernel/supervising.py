@@ -5,14 +5,18 @@ Each part is made when it is first asked for: a kernel that uses none of them ha
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
 
-from aiorts.errors import ConfigurationError
+from aiorts.errors import AiortsError, ConfigurationError, DeclarationError
+from aiorts.kernel import naming, readiness, sequence
 from aiorts.kernel.supervision import Supervised, Supervisor
 from aiorts.kernel.watchdog import LoopStalls, LoopWatch
+from aiorts.model.naming import NamePolicy
+from aiorts.model.sequence import StartRule, in_order
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -27,6 +31,11 @@ class Supervising:
 
     _supervisor: Supervisor | None = None
     _loop_watch: LoopWatch | None = None
+    _naming: NamePolicy = NamePolicy()
+    _started: list[str] | None = None
+    """What was started in order, for the end."""
+
+    # -- components that fail --------------------------------------------------------------------------------------
 
     def supervise(
         self, component: Component, policy: Supervision, *, factory: Callable[[str], Component] | None = None
@@ -50,6 +59,69 @@ class Supervising:
     def supervised(self) -> Mapping[str, Supervised]:
         """The supervised components, by name."""
         return MappingProxyType({} if self._supervisor is None else self._supervisor.supervised)
+
+    # -- names, and who is there ------------------------------------------------------------------------------------
+
+    @property
+    def naming(self) -> NamePolicy:
+        """How instances without a name are named from now on; "{type}{number}" by default. May be set at any time."""
+        return self._naming
+
+    @naming.setter
+    def naming(self, policy: NamePolicy) -> None:
+        if not isinstance(policy, NamePolicy):
+            raise DeclarationError(f"naming = {policy!r}: expected NamePolicy(...)")
+        self._naming = policy
+
+    def _instance_name(self, kind: type) -> str:
+        kernel, policy = cast("Kernel", self), self._naming
+        return kernel._free_name(kind.__name__) if policy.plain else naming.instance_name(kernel, kind, policy)
+
+    async def wait_ready(self, *components: Component | str, timeout: float | None = 10.0) -> None:
+        """Wait until these components are active in every context they are in; by default all that are in a context.
+
+        A source that has finished counts as ready. A name may be given before there is a component of it.
+
+        Args:
+            timeout: seconds of the kernel's clock; None waits for ever.
+
+        Raises:
+            TransitionTimeout: says who is not active, and why as far as that is known. ClosedError: the kernel closes.
+        """
+        kernel = cast("Kernel", self)
+        kernel._require_open("wait_ready")
+        await readiness.wait_ready(kernel, components, timeout)
+
+    async def start_in_order(self, rules: Sequence[StartRule]) -> None:
+        """Activate components one after the other, each once its conditions hold and its `wait` is over.
+
+        They are deactivated in the reverse order by `stop_in_order`, or else when the kernel closes. One that fails
+        leaves those before it active.
+
+        Raises:
+            ConfigurationError: the rules wait for each other (names them); nothing was started.
+            TransitionTimeout: a condition did not come true; names it. StateError: there is no such component.
+            ComponentError: its `on_activated` raised.
+        """
+        kernel = cast("Kernel", self)
+        kernel._require_open("start in order")
+        in_order(rules)
+        if self._started is None:
+            self._started = []
+        await sequence.start_in_order(kernel, rules, self._started)
+
+    async def stop_in_order(self, *, timeout: float | None = 5.0) -> None:
+        """Deactivate what `start_in_order` has activated, the last first, each before the next.
+
+        Raises:
+            TransitionTimeout: one was not deactivated within `timeout` seconds; the others were.
+        """
+        kernel = cast("Kernel", self)
+        kernel._require_open("stop in order")
+        started, self._started = self._started, None
+        await sequence.stop_in_order(kernel, started or (), timeout)
+
+    # -- the event loop --------------------------------------------------------------------------------------------
 
     def watch_loop(self, limit: float = 5.0, policy: str = "warn") -> bool:
         """Watch the loop: what keeps it from turning for 0.2 s is logged in one line while it does, with its stack.
@@ -95,3 +167,6 @@ class Supervising:
         """The kernel closes."""
         if self._supervisor is not None:
             await self._supervisor.close()
+        if self._started:
+            with contextlib.suppress(AiortsError):  # its context says so when it stops
+                await sequence.stop_in_order(cast("Kernel", self), self._started)
