@@ -18,6 +18,7 @@ from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
+from aiorts.kernel.leftovers import leftovers
 from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
 from aiorts.kernel.ports import InPort, Port
@@ -213,6 +214,8 @@ class Roster:
             if isinstance(error, KeyboardInterrupt):
                 kernel._interrupted(error)
         await self._end_tasks(self.tasks.get(component, ()), budget)
+        if left := leftovers(component):
+            _LOG.warning("%s: left after on_finalize: %s", component.name, ", ".join(left))
         self._forget(component)
         if component._rt_log is not None:
             component._rt_log.flush()

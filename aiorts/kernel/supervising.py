@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, cast
 from aiorts.errors import AiortsError, ConfigurationError, DeclarationError
 from aiorts.kernel import naming, readiness, sequence
 from aiorts.kernel.supervision import Supervised, Supervisor
+from aiorts.kernel.systemd import Notifier, SystemdLink, watchdog_interval
 from aiorts.kernel.watchdog import LoopStalls, LoopWatch
 from aiorts.model.naming import NamePolicy
 from aiorts.model.sequence import StartRule, in_order
@@ -31,6 +33,7 @@ class Supervising:
 
     _supervisor: Supervisor | None = None
     _loop_watch: LoopWatch | None = None
+    _systemd: SystemdLink | None = None
     _naming: NamePolicy = NamePolicy()
     _started: list[str] | None = None
     """What was started in order, for the end."""
@@ -158,6 +161,34 @@ class Supervising:
         """How often and how long the loop did not turn, since `watch_loop`."""
         return LoopStalls() if self._loop_watch is None else self._loop_watch.stalls
 
+    # -- who supervises the process --------------------------------------------------------------------------------
+
+    def notify_systemd(self, *components: Component | str, environ: Mapping[str, str] | None = None) -> bool:
+        """Tell systemd of this kernel, if the environment asks for it; False when it does not.
+
+        READY=1 once these components (by default all that are in a context) are active; STOPPING=1 when the kernel
+        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: a hook
+        that runs for half of that time is answered for no longer.
+
+        Args:
+            environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are taken from it; those of the process by default.
+
+        Raises:
+            ConfigurationError: systemd is told of this kernel already.
+        """
+        kernel = cast("Kernel", self)
+        kernel._require_open("notify systemd")
+        if self._systemd is not None:
+            raise ConfigurationError(f"{kernel.name}: systemd is told of it already")
+        given = os.environ if environ is None else environ
+        notifier = Notifier.from_environment(given)
+        if notifier is None:
+            return False
+        self._systemd = SystemdLink(kernel, notifier, watchdog_interval(given), components)
+        return True
+
+    # -- the end ---------------------------------------------------------------------------------------------------
+
     def _end_watching(self) -> None:
         """The kernel has closed."""
         if self._loop_watch is not None:
@@ -165,6 +196,8 @@ class Supervising:
 
     async def _end_supervision(self) -> None:
         """The kernel closes."""
+        if self._systemd is not None:
+            await self._systemd.close()
         if self._supervisor is not None:
             await self._supervisor.close()
         if self._started:
