@@ -121,3 +121,18 @@ async def test_what_returns_in_time_is_nobodys_affair(simulated_clock: Simulated
         kernel.supervise(one, Supervision())
         await simulated_clock.advance(1.0)
         assert one.ran >= 198
+
+
+@simulated
+async def test_the_limit_goes_with_the_place_to_a_new_instance(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        stuck = await kernel.add(Stuck("stuck", "on_execute"))
+        policy = Supervision("restart", budget=2, deadline=LIMIT)
+        handle = kernel.supervise(stuck, policy, factory=lambda name: Stuck(name, "on_execute"))
+        await kernel.start(PeriodicContext(100.0), stuck, activate=True)
+        await simulated_clock.advance(10.0)
+        now = kernel.components["stuck"]
+        assert now is not stuck
+        assert isinstance(now.last_error, HookTimeout)
+        assert handle.attempts == 2
+        assert handle.exhausted
