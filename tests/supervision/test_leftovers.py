@@ -30,7 +30,7 @@ class Leaver(Component):
         self.closed_file.close()
 
     async def on_activated(self) -> None:
-        self.reader = threading.Thread(target=self.end.wait, name="reader")
+        self.reader = threading.Thread(target=self.wait, args=(60.0,), name="reader")
         self.reader.start()
         self.unkept()
         self.pool = ThreadPoolExecutor(1, thread_name_prefix="pool")
