@@ -68,10 +68,15 @@ if TYPE_CHECKING:
     from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
     from aiorts.kernel.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
     from aiorts.kernel.modes import ModeChanged, MultiModeComponent, Participant
+    from aiorts.kernel.supervision import Helped, HelpExhausted, Supervised
+    from aiorts.kernel.watchdog import LoopStall, LoopStalls
     from aiorts.model.blame import Blame
     from aiorts.model.charting import Chart, ChartWarning
     from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.naming import NamePolicy
+    from aiorts.model.sequence import StartRule
     from aiorts.model.statechart import After, Always, End, History, On, Parallel, State
+    from aiorts.model.supervision import Supervision
     from aiorts.running import run
 
 __version__ = "0.1.0"
@@ -110,6 +115,8 @@ __all__ = (
     "Extension",
     "ExternalContext",
     "History",
+    "HelpExhausted",
+    "Helped",
     "HookAfter",
     "HookBefore",
     "HookFailed",
@@ -124,6 +131,9 @@ __all__ = (
     "ModeChanged",
     "MultiModeComponent",
     "On",
+    "LoopStall",
+    "LoopStalls",
+    "NamePolicy",
     "OutPort",
     "Overrun",
     "Parallel",
@@ -149,6 +159,9 @@ __all__ = (
     "StateChanged",
     "StateMachine",
     "StateMachineComponent",
+    "StartRule",
+    "Supervised",
+    "Supervision",
     "SystemClock",
     "ThreadContext",
     "ThreadsExhausted",
@@ -183,10 +196,15 @@ _HOMES = {
     "aiorts.kernel.machine": ("EventPort", "StateMachine", "StateMachineComponent"),
     "aiorts.kernel.machine_events": ("MachineChanged", "MachineAfter", "MachineBefore", "MachineEnded"),
     "aiorts.kernel.modes": ("ModeChanged", "MultiModeComponent", "Participant"),
+    "aiorts.kernel.supervision": ("HelpExhausted", "Helped", "Supervised"),
+    "aiorts.kernel.watchdog": ("LoopStall", "LoopStalls"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.charting": ("Chart", "ChartWarning"),
     "aiorts.model.statechart": ("After", "Always", "End", "History", "On", "Parallel", "State"),
     "aiorts.model.lifecycle": ("LifeCycleState",),
+    "aiorts.model.naming": ("NamePolicy",),
+    "aiorts.model.sequence": ("StartRule",),
+    "aiorts.model.supervision": ("Supervision",),
     "aiorts.running": ("run",),
 }
 """Where each public name lives; what is named nowhere is an event of the bus."""

@@ -148,7 +148,7 @@ class TaskDriver(DriverState):
                 hook = first_pass(member)
                 if hook:
                     self._member = None
-                    if hook == "on_execute" and member.gate.shared and member.gate.open:
+                    if hook == "on_execute" and member.gate.open and member.may_run_at_once:
                         kind, execute = member.hook_of(hook)
                         if kind != _ABSENT:
                             await self._run_one(member, execute)
@@ -250,8 +250,10 @@ class TaskDriver(DriverState):
         started_ns = context._now_ns() if context.timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))
-        if self.deadline is not None or self.budget is not None:
-            self._watch = Watch(self)
+        limits = component._rt_deadlines
+        limit = self.deadline if limits is None else limits.get(hook, self.deadline)
+        if limit is not None or self.budget is not None:
+            self._watch = Watch(self, limit)
             self._watch.arm()
         self._member = gate.inside = member
         member.hook = hook

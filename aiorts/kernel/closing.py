@@ -25,6 +25,7 @@ async def close(kernel: Kernel) -> None:
         if context._driver is not None:
             context._driver.hurry(budget)
     try:
+        await kernel._end_supervision()
         for context in reversed(contexts):
             await context._stop(budget)
         kernel._connections.end_all()
@@ -35,6 +36,7 @@ async def close(kernel: Kernel) -> None:
         kernel._log_budget.summarize()
         kernel._timers.release()
         kernel._pool.close()
+        kernel._end_watching()
         embedding.leave(kernel, kernel.loop)
         if kernel._remove_probe is not None:
             kernel._remove_probe()

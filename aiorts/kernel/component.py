@@ -61,6 +61,8 @@ class Component(Configurable):
     _rt_failed_in: tuple[Member, str] | None = None
     """The hook whose failure is being logged."""
     _rt_log: ComponentLog | None = None
+    _rt_deadlines: Mapping[str, float] | None = None
+    """Seconds that single hooks may take; see `Kernel.supervise`."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from aiorts.errors import WiringError
 from aiorts.kernel import wiring
@@ -16,6 +16,7 @@ from aiorts.model.numbering import Numbering
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.kernel import Kernel
+    from aiorts.model.profile import ConnectorProfile
 
 __all__ = ("Connections",)
 
@@ -67,6 +68,20 @@ class Connections:
 
     def _those(self, connector: Connector | ServiceConnector) -> Mapping[str, Any]:
         return self.service_connectors if isinstance(connector, ServiceConnector) else self.connectors
+
+    def renew(self, profile: ConnectorProfile) -> Connector:
+        """Connect the first two ports of a profile, the writer's first, as they were connected before.
+
+        Raises:
+            WiringError: there is no such port any more, or they do not go together any more.
+        """
+        out, in_ = (self._kernel._roster.find(path) for path in profile.ports[:2])
+        ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
+        name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
+        connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name))
+        self.connectors[name] = connector
+        self._kernel.bus.publish(Connected(connector.profile))
+        return connector
 
     def _free_name(self, given: str, path: str, count: int) -> str:
         base = given or path

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.kernel import naming
 from aiorts.kernel.tasks import current_task, owner_of
 
 if TYPE_CHECKING:
@@ -105,10 +106,12 @@ def enter(kernel: Kernel, loop: asyncio.AbstractEventLoop) -> None:
         guest = Guest(loop)
         setattr(loop, _ATTRIBUTE, guest)
     guest.kernels.append(kernel)
+    naming.opened(kernel)
 
 
 def leave(kernel: Kernel, loop: asyncio.AbstractEventLoop) -> None:
     """A kernel has closed: with the last one the loop is as it was found."""
+    naming.closed(kernel)
     guest: Guest | None = getattr(loop, _ATTRIBUTE, None)
     if guest is not None and kernel in guest.kernels:
         guest.kernels.remove(kernel)

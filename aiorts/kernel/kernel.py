@@ -28,6 +28,7 @@ from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.pool import PoolWatch
 from aiorts.kernel.ports import Port, Service
 from aiorts.kernel.roster import Roster
+from aiorts.kernel.supervising import Supervising
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through, throw
 from aiorts.kernel.timers import sleep, timers_for
 from aiorts.model.blame import GcPauses
@@ -45,7 +46,7 @@ C = TypeVar("C", bound=Component)
 X = TypeVar("X", bound=Context)
 
 
-class Kernel(ConfigurationFiles):
+class Kernel(ConfigurationFiles, Supervising):
     """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
 
     Args:

@@ -143,7 +143,7 @@ class Member:
     def settle(self) -> None:
         """Lay out anew what a cycle looks at."""
         self.execute = None
-        if self.active and not self._left and not self.gate.shared:
+        if self.active and not self._left and not self.gate.shared and self.component._rt_deadlines is None:
             kind, function = self.hook_of("on_execute")
             if kind != HookKind.ABSENT:
                 self.execute = function
@@ -162,6 +162,11 @@ class Member:
     def active(self) -> bool:
         """Whether it is executed: active and not about to go to error."""
         return self._state is _ACTIVE and self._failure is None and not self._abandoned
+
+    @property
+    def may_run_at_once(self) -> bool:
+        """Whether only its gate keeps `on_execute` from the quick way: it has no deadline of its own."""
+        return self.gate.shared and self.component._rt_deadlines is None
 
     # -- causes to run, and what is known of its runs --------------------------------------------------------------
 

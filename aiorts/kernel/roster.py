@@ -11,13 +11,14 @@ import logging
 from collections import Counter
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
 from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
+from aiorts.kernel.leftovers import leftovers
 from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
 from aiorts.kernel.ports import InPort, Port, ServicePort
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 __all__ = ("Roster",)
 
 C = TypeVar("C", bound=Component)
+_NAMED: Final = 10
+"""Instances that a message lists."""
 _LOG = logging.getLogger("aiorts.kernel")
 
 
@@ -79,7 +82,7 @@ class Roster:
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
         component = cls(name)
         if name == "" and not component._rt_named:
-            component._rt_rename(self._kernel._free_name(cls.__name__))
+            component._rt_rename(self._kernel._instance_name(cls))
         return await self.add(component, params)
 
     async def add(self, component: C, params: Mapping[str, object]) -> C:
@@ -87,7 +90,7 @@ class Roster:
         kernel = self._kernel
         self._check_class(component)
         if not component._rt_named:
-            component._rt_rename(kernel._free_name(type(component).__name__))
+            component._rt_rename(kernel._instance_name(type(component)))
         self._check_free(component)
         component._rt_put(params)
         component._rt_kernel = kernel
@@ -130,7 +133,9 @@ class Roster:
         if limit is not None:
             count = self._kinds[kind]
             if count >= limit:
-                raise StateError(f"{name}: {kind.__name__} allows {limit} instances, {count} exist")
+                there = [one for one, other in self.components.items() if type(other) is kind]
+                names = ", ".join(there[:_NAMED]) + (", ..." if len(there) > _NAMED else "")
+                raise StateError(f"{name}: {kind.__name__} allows {limit} instances, {count} exist: {names}")
 
     def check_settled(self, component: Component) -> None:
         """Raise StateError while the component comes in or goes: no context may run it then."""
@@ -217,6 +222,8 @@ class Roster:
             if isinstance(error, KeyboardInterrupt):
                 kernel._interrupted(error)
         await self._end_tasks(self.tasks.get(component, ()), budget)
+        if left := leftovers(component):
+            _LOG.warning("%s: left after on_finalize: %s", component.name, ", ".join(left))
         self._forget(component)
         if component._rt_log is not None:
             component._rt_log.flush()

@@ -28,7 +28,7 @@ def judged(
     late = HookTimeout(
         f"{where}: still ran when the time its context had to stop was over; it was cancelled"
         if watch.stopping
-        else f"{where}: did not return within {watch.driver.deadline} s; it was cancelled"
+        else f"{where}: did not return within {watch.limit} s; it was cancelled"
     )
     late.__cause__ = error
     return late

@@ -16,17 +16,19 @@ __all__ = ("Watch",)
 class Watch:
     """Cancels the hook that runs now, step by step, when its time is over."""
 
-    __slots__ = ("cancels", "driver", "stopping", "timer")
+    __slots__ = ("cancels", "driver", "limit", "stopping", "timer")
 
-    def __init__(self, driver: DriverState) -> None:
+    def __init__(self, driver: DriverState, limit: float | None = None) -> None:
         self.driver = driver
+        self.limit = limit
+        """Seconds that this hook may take; None is unlimited."""
         self.cancels = 0
         self.stopping = False
         self.timer: Cancellable | None = None
 
     def arm(self) -> None:
         """Start the countdown that is in force: the stop's, else the hook's own deadline if it has one."""
-        budget, deadline = self.driver.budget, self.driver.deadline
+        budget, deadline = self.driver.budget, self.limit
         if budget is not None:
             self.stopping = True
             self.timer = self.driver.loop.call_later(budget.limit, self._expire)

@@ -11,12 +11,11 @@ import select
 import threading
 import weakref
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from aiorts.kernel import timers
 
 if TYPE_CHECKING:
-    from aiorts.kernel.deadman import DeadlineWatch
     from aiorts.kernel.timers import _Timerfd as Timerfd
 
 __all__ = ("join", "leave", "lock", "watched")
@@ -25,11 +24,22 @@ _LOG = logging.getLogger("aiorts.kernel")
 _NEVER: Final = 2**62
 
 
+class Watched(Protocol):
+    """What has a timer here: the deadman of a context (`deadman.py`), or the watchdog of a loop (`watchdog.py`)."""
+
+    _fd: int
+    _timer: Timerfd | None
+    _good_until_ns: int
+    _finalizer: Any
+
+    def ring(self, timer: Timerfd) -> None: ...
+
+
 class _Watcher:
     """The thread that waits on the timers of all watches of the process."""
 
     def __init__(self) -> None:
-        self.watches: dict[int, weakref.ref[DeadlineWatch]] = {}
+        self.watches: dict[int, weakref.ref[Watched]] = {}
         self.ending = False
         self._epoll = select.epoll()
         try:
@@ -41,7 +51,7 @@ class _Watcher:
         self.thread = threading.Thread(target=self._run, name="aiorts deadman", daemon=True)
         self.thread.start()
 
-    def add(self, fd: int, watch: DeadlineWatch) -> None:
+    def add(self, fd: int, watch: Watched) -> None:
         # Edge-triggered: set anew, a timer rings anew, without anybody reading it.
         self._epoll.register(fd, select.EPOLLIN | select.EPOLLET)
         self.watches[fd] = weakref.ref(watch)
@@ -84,11 +94,11 @@ class _Watcher:
         os.close(self._bell)
 
 
-def _ring(watch: DeadlineWatch, timer: Timerfd) -> None:
+def _ring(watch: Watched, timer: Timerfd) -> None:
     try:
         watch.ring(timer)
     except Exception:  # noqa: BLE001 - what it looks at changes under it; a diagnosis may fail, its thread may not
-        _LOG.debug("a glance at %s failed", watch._context.name, exc_info=True)
+        _LOG.debug("a glance for %r failed", watch, exc_info=True)
 
 
 _LOCK = threading.RLock()
@@ -106,7 +116,7 @@ def watched() -> int:
     return len(_WATCHER[0].watches) if _WATCHER else 0
 
 
-def join(watch: DeadlineWatch) -> None:
+def join(watch: Watched) -> None:
     """Have the thread wait on the timer of this watch, too. OSError, RuntimeError when that cannot be."""
     with _LOCK:
         if not _WATCHER:

@@ -57,6 +57,8 @@ BROAD_EXCEPT = {
     "aiorts/kernel/service_thread.py:_serve",
     # It goes on to the thread that blocks for it.
     "aiorts/kernel/service_thread.py:run",
+    # A restart: what the construction of a component, or its `on_initialize`, raises is its next failure.
+    "aiorts/kernel/supervision.py:_help",
     "aiorts/contexts/thread.py:_call",
     # The context's own thread: a fault of the kernel must end the context, not vanish with the thread.
     "aiorts/contexts/thread.py:_run",

@@ -1,0 +1,38 @@
+"""Names new instances by a kernel's policy (`model/naming.py`), and knows the open kernels of the process."""
+
+from __future__ import annotations
+
+import os
+import platform
+import threading
+import weakref
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from aiorts.kernel.kernel import Kernel
+    from aiorts.model.naming import NamePolicy
+
+__all__ = ("closed", "instance_name", "opened")
+
+_LOCK: Final = threading.Lock()
+_OPEN: Final[weakref.WeakSet[Kernel]] = weakref.WeakSet()
+
+
+def opened(kernel: Kernel) -> None:
+    """Its names count in the process from now on."""
+    with _LOCK:
+        _OPEN.add(kernel)
+
+
+def closed(kernel: Kernel) -> None:
+    """Its names are free again."""
+    with _LOCK:
+        _OPEN.discard(kernel)
+
+
+def instance_name(kernel: Kernel, kind: type, policy: NamePolicy) -> str:
+    """The name of the next instance of this type."""
+    values = {"type": kind.__name__.lower(), "kernel": kernel.name, "host": platform.node(), "pid": os.getpid()}
+    with _LOCK:
+        kernels = tuple(_OPEN) if policy.scope == "process" else (kernel,)
+    return policy.lowest(values, lambda name: any(name in one.components or name in one.contexts for one in kernels))

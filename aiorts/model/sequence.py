@@ -1,0 +1,134 @@
+"""In which order components are started, and what each waits for before: this file orders, it waits for nothing.
+
+A condition is text: "camera active", or another life-cycle state, or "camera added". Rules are carried out one after
+the other: each comes after the rules of the components that its conditions name, otherwise in the order they stand.
+Stopping goes the other way round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from aiorts.errors import ConfigurationError
+from aiorts.model.lifecycle import LifeCycleState
+from aiorts.model.names import check_name
+
+__all__ = ("ADDED", "Condition", "StartRule", "in_order")
+
+ADDED: Final = "added"
+_STATES: Final = (ADDED, *(state.value for state in LifeCycleState))
+_KEYS: Final = ("after", "wait", "timeout")
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """Somebody is in a state: in every context it is in; "added": it is there at all."""
+
+    component: str
+    state: str
+
+    @classmethod
+    def parse(cls, text: object) -> Condition:
+        """Read "camera active"; "camera" alone means active.
+
+        Raises:
+            ConfigurationError: not such a text. InvalidNameError: not a name.
+        """
+        words = text.split() if isinstance(text, str) else []
+        if len(words) not in (1, 2) or words[1:2] not in ([], *([state] for state in _STATES)):
+            raise ConfigurationError(
+                f'condition {text!r}: expected a component and one of {", ".join(_STATES)}, such as "camera active"'
+            )
+        return cls(check_name(words[0], "component"), words[1] if len(words) == 2 else LifeCycleState.ACTIVE.value)
+
+    def __str__(self) -> str:
+        return f"{self.component} {self.state}"
+
+
+@dataclass(frozen=True, slots=True)
+class StartRule:
+    """When a component is activated by `Kernel.start_in_order`.
+
+    Args:
+        component: its name.
+        after: conditions that hold before: "camera active", or several.
+        wait: seconds between the last of them and the activation.
+        timeout: seconds that all the conditions together may take.
+
+    Raises:
+        ConfigurationError: names what is wrong. InvalidNameError: not a name.
+    """
+
+    component: str
+    after: str | Sequence[str] = ()
+    wait: float = 0.0
+    timeout: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_name(self.component, "component")
+        for name in ("wait", "timeout"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+                raise ConfigurationError(f"{self.component}: {name} = {value!r}: expected seconds from 0 on")
+        if not isinstance(self.after, str | Sequence):
+            raise ConfigurationError(f"{self.component}: after = {self.after!r}: expected a condition or several")
+        given = (self.after,) if isinstance(self.after, str) else tuple(self.after)
+        object.__setattr__(self, "after", given)
+        for condition in self.conditions:
+            if condition.component == self.component and condition.state != ADDED:
+                raise ConfigurationError(f"{self.component}: cannot wait for itself ({condition})")
+
+    @classmethod
+    def from_table(cls, component: str, table: Mapping[str, Any]) -> StartRule:
+        """From the table of a system file: `after`, `wait`, `timeout`; ConfigurationError for another key."""
+        for key in table:
+            if key not in _KEYS:
+                raise ConfigurationError(f"{component}: no key {key!r} here; there are {', '.join(_KEYS)}")
+        return cls(component, **table)
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What has to hold before."""
+        return tuple(Condition.parse(text) for text in self.after)
+
+
+def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
+    """The rules so that each comes after those it waits for, and otherwise as they were given.
+
+    Raises:
+        ConfigurationError: two rules for one component, or rules that wait for each other; names them.
+    """
+    by_name: dict[str, StartRule] = {}
+    for rule in rules:
+        if rule.component in by_name:
+            raise ConfigurationError(f"{rule.component}: there are two rules for it")
+        by_name[rule.component] = rule
+    waits = {
+        name: [condition.component for condition in rule.conditions if condition.component in by_name]
+        for name, rule in by_name.items()
+    }
+    # Who waits for itself to be added only is in nobody's way.
+    left = {name: set(others) - {name} for name, others in waits.items()}
+    ordered: list[StartRule] = []
+    while left:
+        ready = next((name for name, others in left.items() if not others), None)
+        if ready is None:
+            raise ConfigurationError(f"wait for each other, and none can be first: {' -> '.join(_cycle(left))}")
+        del left[ready]
+        for others in left.values():
+            others.discard(ready)
+        ordered.append(by_name[ready])
+    return tuple(ordered)
+
+
+def _cycle(waits: Mapping[str, set[str]]) -> list[str]:
+    """One cycle, its first name once more at its end; everybody waits for somebody."""
+    name = next(iter(waits))
+    way: list[str] = []
+    while name not in way:
+        way.append(name)
+        name = min(waits[name])
+    return [*way[way.index(name) :], name]
