@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.composite import Composite, CompositeChanged
     from aiorts.kernel.function import component
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
@@ -54,6 +55,8 @@ __all__ = (
     "Component",
     "ComponentAdded",
     "ComponentRemoved",
+    "Composite",
+    "CompositeChanged",
     "Connected",
     "Connector",
     "Context",
@@ -99,6 +102,7 @@ _HOMES = {
     "aiorts.errors": ("AiortsError",),
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
+    "aiorts.kernel.composite": ("Composite", "CompositeChanged"),
     "aiorts.kernel.function": ("component",),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import ClosedError, ConfigurationError, StateError
+from aiorts.kernel import membership
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
@@ -23,6 +24,7 @@ from aiorts.kernel.life import Action, Life, Wait
 from aiorts.kernel.member import Member
 from aiorts.kernel.members import Members
 from aiorts.kernel.requests import Requests, Wish
+from aiorts.kernel.unfold import check_free, composed, members_in
 from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.names import check_name
@@ -147,6 +149,9 @@ class Context(Members):
             StateError: one is a member already, or cannot run here.
         """
         self._check("add")
+        if composed(components):
+            await membership.enter(self, components, timeout)
+            return
         for component in components:
             self._check_may_join(component)
         members = [self._new_member(component) for component in components]
@@ -159,6 +164,13 @@ class Context(Members):
             StateError: one is not a member.
         """
         self._check("remove")
+        check_free(components, "leave")
+        if composed(components):
+            await membership.leave(self, components, timeout)
+        else:
+            await self._remove(components, timeout)
+
+    async def _remove(self, components: Sequence[Component], timeout: float | None = 5.0) -> None:
         members = [self._member(component) for component in components]
         await self._ask([self._requests.leaving(member) for member in members], timeout)
 
@@ -212,6 +224,8 @@ class Context(Members):
         """Raise StateError when the component cannot run here."""
         if any(member.context is self for member in component._rt_members):
             raise StateError(f"{component.name}: is in {self.name} already")
+        if component._rt_composite is not None:
+            component._rt_composite._rt_check_context(component, self)
         if component._rt_abandoned is not None:
             raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
         if component._rt_kernel is not None:
@@ -237,7 +251,7 @@ class Context(Members):
     ) -> None:
         self._check(event.value)
         if components:
-            members = [self._member(component) for component in components]
+            members = members_in(self, components, state)
         else:
             members = [member for member in self._members if member.state is state]
         await self._ask([self._requests.transition(member, event) for member in members], timeout)

@@ -306,6 +306,8 @@ class Life:
         old, member.state = member.state, state
         if old is not state:
             self._context._publish(StateChanged(member.component.name, self._context.name, old, state))
+            if member.component._rt_composite is not None:
+                member.component._rt_composite._rt_member_entered(member)
 
 
 def first_pass(member: Member) -> str:

@@ -10,13 +10,15 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
-from aiorts.kernel import embedding
+from aiorts.kernel import embedding, membership
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
+from aiorts.kernel.composed import Composed
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
@@ -47,6 +49,8 @@ class Roster:
         """Tasks that components started and that have not ended."""
         self._arriving: dict[Component, asyncio.Future[None]] = {}
         self._leaving: dict[Component, asyncio.Task[BaseException | None]] = {}
+        self.composing = asyncio.Lock()
+        """Held while a composite changes: one at a time."""
 
     def find(self, path: str) -> Component | Port[Any]:
         """See `Kernel.find`."""
@@ -96,6 +100,8 @@ class Roster:
         self._kinds[type(component)] += 1
         arrived = self._arriving[component] = kernel.loop.create_future()
         try:
+            if isinstance(component, Composed):
+                await component._rt_come()
             await self._initialize(component)
         except BaseException:
             self._forget(component)
@@ -103,8 +109,9 @@ class Roster:
         finally:
             del self._arriving[component]
             arrived.set_result(None)
-        for port in component.ports.values():
-            kernel.bus.publish(PortAdded(component.name, port.profile))
+        for name, port in component.ports.items():
+            profile = port.profile if port.name == name else replace(port.profile, name=name)
+            kernel.bus.publish(PortAdded(component.name, profile))
         kernel.bus.publish(ComponentAdded(component.name))
         return component
 
@@ -172,10 +179,15 @@ class Roster:
             raise error
 
     async def _leave(self, component: Component) -> BaseException | None:
-        while component.contexts:
+        if isinstance(component, Composed):
+            try:
+                await membership.change(component, (), None, None, 5.0)
+            except (TimeoutError, RuntimeError) as error:
+                return error
+        while component._rt_members:
             context = component.contexts[0]
             try:
-                await context.remove(component)
+                await context._remove((component,))
             except (TimeoutError, RuntimeError) as error:
                 # One that stopped meanwhile has let go of it.
                 if context in component.contexts:
@@ -226,6 +238,10 @@ class Roster:
             task.cancel()
 
     def _leave_out(self, component: Component) -> None:
+        if isinstance(component, Composed):
+            component._rt_gone()
+        if component._rt_composite is not None:
+            component._rt_composite._rt_drop(component)
         kind = type(component)
         self._kinds[kind] -= 1
         if not self._kinds[kind]:
@@ -240,16 +256,22 @@ class Roster:
     # -- what they change ------------------------------------------------------------------------------------------
 
     def port_added(self, component: Component, port: Port[Any]) -> None:
-        """At run time."""
+        """At run time. WiringError when a composite cannot show it: then it is not there."""
+        if component._rt_composite is not None:
+            component._rt_composite._rt_check_new_port(component, port)
         for member in component._rt_members:
             member.context._port_added(member, port)
         self._kernel.bus.publish(PortAdded(component.name, port.profile))
+        if component._rt_composite is not None:
+            component._rt_composite._rt_ports_changed()
 
     def port_removed(self, component: Component, port: Port[Any]) -> None:
         """Its connectors are gone already."""
         for member in component._rt_members:
             member.context._port_removed(member, port)
         self._kernel.bus.publish(PortRemoved(component.name, port.profile))
+        if component._rt_composite is not None:
+            component._rt_composite._rt_ports_changed()
 
     def parameters_changed(self, component: Component, values: Mapping[str, Any]) -> None:
         """From the thread of the component's context."""
