@@ -34,6 +34,7 @@ FEATURES = {
     27: "Transitions take effect without waiting for a tick",
     28: "Event context: runs on data",
     29: "Virtual time, for stamps too",
+    30: "Groups of members run side by side in one cycle",
     31: "Real-time scheduling, processor affinity and priority of a context",
     32: "What happens on overrun is chosen: skip or catch up",
     33: "Counts of overruns, lateness and execution time",

@@ -13,7 +13,7 @@ from aiorts.errors import StateError, WiringError
 from aiorts.kernel import composition_check, membership
 from aiorts.kernel.bus import Event, PortAdded, PortRemoved, StateChanged
 from aiorts.kernel.component import Component
-from aiorts.model.composition import ErrorPolicy, Export, flow_order, shown
+from aiorts.model.composition import ErrorPolicy, Export, derived, flow_order, shown
 from aiorts.model.lifecycle import LifeCycleState
 
 if TYPE_CHECKING:
@@ -52,8 +52,11 @@ class Composed(Component):
     def __init__(self, name: str = "") -> None:
         super().__init__(name)
         self._rt_given: tuple[Component | str, ...] = ()
+        self._rt_groups_given: str | Sequence[Sequence[str]] = ()
         self._rt_rules: tuple[Export, ...] = ()
         self._rt_direct: tuple[Component, ...] = ()
+        self._rt_groups: tuple[tuple[str, ...], ...] = ()
+        """Names of members: the groups that run side by side."""
         self._rt_laid_out: Sequence[Component] = ()
         """The members in order of execution, as it was laid out last."""
         self._rt_context: Context | None = None
@@ -101,6 +104,16 @@ class Composed(Component):
     def _rt_runs_apart(self, member: Component) -> bool:
         return isinstance(member, Composed) and member.own_schedule
 
+    def _rt_state_in(self, context: Context) -> LifeCycleState | None:
+        """What follows from the states of its members; of a composite among them its own counts."""
+        states: list[LifeCycleState | None] = []
+        for one in self._rt_laid_out:
+            if not isinstance(one, Composed):
+                states += [member.state for member in one._rt_members if member.context is context]
+            elif not one.own_schedule:
+                states.append(one._rt_state_in(context))
+        return derived((state for state in states if state is not None), self.errors)
+
     def _rt_lay_out(self) -> None:
         """Lay out the order anew, of composites in it, too."""
         for member in self._rt_direct:
@@ -119,12 +132,20 @@ class Composed(Component):
             if isinstance(member, Composed) and not member.own_schedule:
                 member._rt_reset_state(state)
 
-    def _rt_ordered(self, members: Sequence[Component] | None = None, order: str | None = None) -> list[Component]:
+    def _rt_ordered(
+        self,
+        members: Sequence[Component] | None = None,
+        order: str | None = None,
+        groups: tuple[tuple[str, ...], ...] | None = None,
+    ) -> list[Component]:
         """The members in order of execution."""
         direct = self._rt_direct if members is None else members
+        named = {member.name: member for member in direct}
+        grouped = self._rt_groups if groups is None else groups
+        if grouped:
+            direct = [named[name] for group in grouped for name in group if name in named]
         if (order or self.order) == "stated":
             return list(direct)
-        named = {member.name: member for member in direct}
         belongs = {part.name: member.name for member in direct for part in member._rt_leaves()}
         edges = [
             (belongs[part.name], belongs.get(connector.in_._bound().name, ""))
@@ -134,7 +155,18 @@ class Composed(Component):
             if port.direction == "out"
             for connector in port.connectors
         ]
-        return [named[name] for name in flow_order(list(named), edges)]
+        lines = [flow_order([name for name in group if name in named], edges) for group in grouped or (tuple(named),)]
+        return [named[name] for line in lines for name in line]
+
+    def _rt_sections(self) -> tuple[tuple[tuple[Component, ...], ...], ...]:
+        """What of it runs side by side; composites within a group run there, one member after the other."""
+        if self._rt_groups:
+            named = {member.name: member for member in self._rt_direct}
+            place = {part: index for index, part in enumerate(self.parts)}
+            lines = [self._rt_line(named[name] for name in group if name in named) for group in self._rt_groups]
+            return (tuple(tuple(sorted(line, key=lambda part: place[part])) for line in lines if line),)
+        inner = [member for member in self._rt_laid_out if isinstance(member, Composed) and not member.own_schedule]
+        return tuple(section for member in inner for section in member._rt_sections())
 
     def _rt_check_context(self, component: Component, context: Context) -> None:
         """A member runs where its composite runs and nowhere else."""
@@ -234,6 +266,7 @@ class Composed(Component):
                     brought.append(member)
             members = composition_check.resolved(kernel, self, self._rt_given)
             composition_check.check(self, members, self._rt_rules)
+            self._rt_groups = composition_check.grouped(self, members, self._rt_groups_given)
         except BaseException:
             for member in reversed(brought):
                 await kernel.remove(member)

@@ -16,7 +16,7 @@ from aiorts.kernel import membership
 from aiorts.kernel.component import Component
 from aiorts.kernel.composed import Composed, CompositeChanged
 from aiorts.kernel.hooks import HookKind
-from aiorts.model.composition import ErrorPolicy, derived, exports
+from aiorts.model.composition import ErrorPolicy, exports
 from aiorts.model.lifecycle import Event as LifeEvent
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.profile import ComponentProfile
@@ -44,6 +44,8 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         members: components, other composites, or names of components that the kernel has.
         exported: ports to show: `["arm.force"]`, or patterns and names, `{"*.command": "{component}_command"}`.
         order: "stated", or "dataflow": writers before their readers, laid out at each start and change.
+        groups: "a,b|c,d": what `|` parts runs side by side in each cycle, each group one member after the other; the
+            cycle ends when all groups have. For members that wait for something in their hooks.
         errors: "stop", "report" or "isolate": see `ErrorPolicy`.
         own_schedule: inside another composite it is not run with it: it is started in a context of its own.
 
@@ -57,6 +59,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         *members: Component | str,
         exported: Mapping[str, str] | Iterable[str] = (),
         order: str = "stated",
+        groups: str | Sequence[Sequence[str]] = "",
         errors: str = "stop",
         own_schedule: bool = False,
     ) -> None:
@@ -72,7 +75,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         self.errors = ErrorPolicy(errors)
         self.own_schedule = own_schedule
         self._rt_rules = exports(exported, self.name)
-        self._rt_given = members
+        self._rt_given, self._rt_groups_given = members, groups
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -94,6 +97,11 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         return self._rt_direct
 
     @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """The names of members in the groups that run side by side; empty where all run in turn."""
+        return self._rt_groups
+
+    @property
     def context(self) -> Context:
         """The context that runs its members; StateError when there is none."""
         context = self._rt_running_context
@@ -111,9 +119,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
     def state(self) -> LifeCycleState | None:
         """What follows from the states of its members (`aiorts.model.composition.STATES`); None in no context."""
         context = self._rt_running_context
-        if context is None:
-            return None
-        return derived((m.state for p in self.parts for m in p._rt_members if m.context is context), self.errors)
+        return None if context is None else self._rt_state_in(context)
 
     @property
     def states(self) -> Mapping[str, LifeCycleState]:
@@ -200,6 +206,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         members: Sequence[Component | str] | None = None,
         exported: Mapping[str, str] | Iterable[str] | None = None,
         order: str | None = None,
+        groups: str | Sequence[Sequence[str]] | None = None,
         timeout: float | None = 5.0,
     ) -> tuple[Connector, ...]:
         """Other members, exported ports or order: all of it between two cycles, or nothing of it.
@@ -220,4 +227,4 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         if order is not None and order not in ("stated", "dataflow"):
             raise ConfigurationError(f"{self.name}: order = {order!r}: expected stated or dataflow")
         rules = None if exported is None else exports(exported, self.name)
-        return await membership.change(self, members, rules, order, timeout)
+        return await membership.change(self, membership.Wanted(members, rules, order, groups), timeout)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from aiorts.errors import StateError, WiringError
+from aiorts.model.composition import groups_of
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
     from aiorts.model.composition import Export
 
-__all__ = ("check", "check_startable", "resolved")
+__all__ = ("check", "check_startable", "grouped", "resolved")
 
 
 def resolved(kernel: Kernel, composite: Composed, given: Sequence[Component | str]) -> tuple[Component, ...]:
@@ -44,6 +45,21 @@ def check(composite: Composed, members: Sequence[Component], rules: Sequence[Exp
     if rules is not None:
         _check_rules(composite, rules, members)
     composite._rt_check_ports(composite._rt_exports(members, rules))
+
+
+def grouped(
+    composite: Composed, members: Sequence[Component], groups: str | Sequence[Sequence[str]] | None
+) -> tuple[tuple[str, ...], ...]:
+    """The groups it is to have; None keeps those it has, without who is no member any more.
+
+    Raises:
+        ConfigurationError: a group names nobody, or a member is in none.
+    """
+    names = [member.name for member in members]
+    if groups is None:
+        kept = [[name for name in group if name in names] for group in composite._rt_groups]
+        groups = [group for group in kept if group]
+    return groups_of(groups, names, composite.name)
 
 
 def _check_joins(composite: Composed, member: Component) -> None:

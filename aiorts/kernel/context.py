@@ -12,11 +12,12 @@ import logging
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import ClosedError, ConfigurationError, StateError
-from aiorts.kernel import membership
+from aiorts.kernel import lanes, membership
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
@@ -74,6 +75,8 @@ class Context(Members):
         self._last_hooks = _NO_HOOKS
         self._stopping = False
         self._order = 0
+        self._sections: tuple[tuple[tuple[Component, ...], ...], ...] = ()
+        """Groups of members that run side by side: `kernel/lanes.py`."""
         self._began: asyncio.Future[None] | None = None
         self._now_ns: Callable[[], int] = self._no_time
         """The time on the kernel's clock: its own function, since every hook asks it."""
@@ -300,6 +303,8 @@ class Context(Members):
             self._attach(self._new_member(component))
         first = self._members if activate else ()
         asked = self._requests.submit(kernel, [self._requests.transition(m, Transition.ACTIVATE) for m in first])
+        if self._sections:
+            self._submit(Action(partial(lanes.cycles, self)))
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
         await self._began

@@ -77,6 +77,7 @@ async def start(kernel: Kernel, context: Context, components: Sequence[Component
 
 
 async def _start(kernel: Kernel, context: Context, components: Sequence[Component], *, activate: bool) -> None:
+    context._sections = ()
     await context._start(kernel, components, activate=activate)
 
 

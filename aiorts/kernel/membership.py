@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import ComponentError, StateError, TransitionTimeout
-from aiorts.kernel import composition_check
+from aiorts.kernel import composition_check, lanes
 from aiorts.kernel.bus import MemberAdded, MemberRemoved
 from aiorts.kernel.homes import arrange, go_home, leave_home
 from aiorts.kernel.life import Action
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.member import Member
 
 __all__ = (
+    "Wanted",
     "change",
     "enter",
     "go_home",
@@ -59,6 +60,7 @@ class _Move:
     leaving: Sequence[Component]
     line: Sequence[Component]
     """Everybody of the composite afterwards, in order of execution."""
+    commit: Callable[[], None]
     over: asyncio.Future[BaseException | None]
     begun: bool = False
 
@@ -105,7 +107,9 @@ class _Move:
             for member in tuple(component._rt_members):
                 if member.context is context:
                     yield from self._let_go(member)
+        self.commit()
         arrange(context, self.line)
+        lanes.lay_lanes(context)
         done(None)
 
     def _let_go(self, member: Member) -> Steps:
@@ -117,40 +121,38 @@ class _Move:
 # -- changes -------------------------------------------------------------------------------------------------------
 
 
-async def change(
-    composite: Composed,
-    members: Sequence[Component | str] | None,
-    rules: Sequence[Export] | None,
-    order: str | None,
-    timeout: float | None,
-) -> tuple[Connector, ...]:
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a composite is to be; None is as it was."""
+
+    members: Sequence[Component | str] | None = None
+    rules: Sequence[Export] | None = None
+    order: str | None = None
+    groups: str | Sequence[Sequence[str]] | None = None
+
+
+async def change(composite: Composed, wanted: Wanted, timeout: float | None) -> tuple[Connector, ...]:
     """See `Composite.change`. Once begun it goes on though the caller is cancelled."""
     kernel = composite.kernel
     kernel._check_mine(composite, "change")
-    given = composite._rt_direct if members is None else members
+    given = composite._rt_direct if wanted.members is None else wanted.members
     concerned = composition_check.resolved(kernel, composite, given)
     contexts = {context for component in (composite, *concerned) for context in component.contexts}
     queued = any(context._inside() for context in contexts)
-    task = kernel_task(
-        kernel.loop, _change(composite, members, rules, order, timeout), f"aiorts change {composite.name}"
-    )
+    task = kernel_task(kernel.loop, _change(composite, wanted, timeout), f"aiorts change {composite.name}")
     task.add_done_callback(_log_error if queued else _retrieve)
     return () if queued else await asyncio.shield(task)
 
 
-async def _change(
-    composite: Composed,
-    members: Sequence[Component | str] | None,
-    rules: Sequence[Export] | None,
-    order: str | None,
-    timeout: float | None,
-) -> tuple[Connector, ...]:
+async def _change(composite: Composed, wanted: Wanted, timeout: float | None) -> tuple[Connector, ...]:
     kernel = composite.kernel
     async with kernel._roster.composing:
         kernel._check_mine(composite, "change")
-        given = composite._rt_direct if members is None else members
+        given = composite._rt_direct if wanted.members is None else wanted.members
         after = composition_check.resolved(kernel, composite, given)
-        composition_check.check(composite, after, rules)
+        composition_check.check(composite, after, wanted.rules)
+        groups = composition_check.grouped(composite, after, wanted.groups)
+        order = wanted.order or composite.order
         before = composite._rt_direct
         inside = frozenset(port for part in _leaves_of(before) for port in part.ports.values())
         joining = [component for component in after if component not in before]
@@ -158,9 +160,16 @@ async def _change(
         for component in joining:
             component._rt_composite = composite
         context = composite._rt_running_context
+
+        def commit() -> None:
+            composite.order, composite._rt_groups, composite._rt_direct = order, groups, tuple(after)
+            composite._rt_root._rt_lay_out()
+
         try:
             if context is not None:
-                await _move(context, composite, after, order or composite.order, timeout)
+                lanes.check_groups(composite.name, groups, context)
+                line = composite._rt_line(composite._rt_ordered(after, order, groups))
+                await _move(context, composite, line, commit, timeout)
         except BaseException:
             for component in joining:
                 component._rt_composite = None
@@ -169,9 +178,9 @@ async def _change(
             raise
         for component in leaving:
             component._rt_composite = None
-        if rules is not None:
-            composite._rt_rules = tuple(rules)
-        composite.order = order or composite.order
+        commit()
+        if wanted.rules is not None:
+            composite._rt_rules = tuple(wanted.rules)
         ended = composite._rt_take(after, inside)
         composite._rt_told(joining, leaving, ended)
         for component in reversed(_leaves_of(leaving)):
@@ -181,18 +190,20 @@ async def _change(
 
 
 async def _move(
-    context: Context, composite: Composed, after: Sequence[Component], order: str, timeout: float | None
+    context: Context,
+    composite: Composed,
+    line: Sequence[Component],
+    commit: Callable[[], None],
+    timeout: float | None,
 ) -> None:
+    """From now on the parts of the composite are these, in this order."""
     now = composite.parts
-    line = composite._rt_line(composite._rt_ordered(after, order))
     joining = [part for part in line if part not in now]
     leaving = [part for part in now if part not in line]
-    root = composite._rt_root
-    whole = list(root.parts)
-    at = whole.index(now[0]) if now else len(whole)
-    rest = [part for part in whole if part not in now]
-    at = len([part for part in whole[:at] if part not in now])
-    await _carry_out(context, composite, joining, leaving, [*rest[:at], *line, *rest[at:]], timeout)
+    whole = composite._rt_root.parts
+    before = whole[: whole.index(now[0])] if now else whole
+    rest = [part for part in whole[len(before) :] if part not in now]
+    await _carry_out(context, composite, joining, leaving, [*before, *line, *rest], commit, timeout)
 
 
 async def _carry_out(
@@ -201,13 +212,14 @@ async def _carry_out(
     joining: Sequence[Component],
     leaving: Sequence[Component],
     line: Sequence[Component],
+    commit: Callable[[], None],
     timeout: float | None,
 ) -> None:
     for component in joining:
         await leave_home(component, timeout)
         context._check_may_join(component)
     over: asyncio.Future[BaseException | None] = context._require_kernel().loop.create_future()
-    move = _Move(context, composite, [context._new_member(c) for c in joining], leaving, line, over)
+    move = _Move(context, composite, [context._new_member(c) for c in joining], leaving, line, commit, over)
     try:
         await context._ask([(f"change {composite.name}", move.steps)], timeout)
     except TransitionTimeout:
@@ -233,11 +245,14 @@ async def start(kernel: Kernel, context: Context, given: Sequence[Component], *,
         parts: list[Component] = []
         for composite in composites:
             composite._rt_lay_out()
+            lanes.check_groups(composite.name, composite._rt_sections(), context)
+        for composite in composites:
             composite._rt_enter(context)
             parts += composite._rt_unfold()
         try:
             for part in parts:
                 await leave_home(part, _PATIENCE)
+            context._sections = tuple(section for composite in composites for section in composite._rt_sections())
             await context._start(kernel, unfolded(given), activate=activate)
         except BaseException:
             if context._driver is None:
@@ -261,10 +276,11 @@ async def enter(context: Context, given: Sequence[Component], timeout: float | N
                 continue
             composition_check.check_startable([component])
             component._rt_lay_out()
+            lanes.check_groups(component.name, component._rt_sections(), context)
             component._rt_enter(context)
             line = component._rt_unfold()
             try:
-                await _carry_out(context, component, line, (), line, timeout)
+                await _carry_out(context, component, line, (), line, lambda: None, timeout)
             except BaseException:
                 component._rt_enter(None)
                 for part in reversed(line):
@@ -281,6 +297,7 @@ async def leave(context: Context, given: Sequence[Component], timeout: float | N
             await context._ask([context._requests.leaving(member) for member in reversed(members)], timeout)
             if is_composite(component):
                 component._rt_enter(None)
+        lanes.lay_lanes(context)
 
 
 # -- life cycle ----------------------------------------------------------------------------------------------------

@@ -181,7 +181,7 @@ class Roster:
     async def _leave(self, component: Component) -> BaseException | None:
         if isinstance(component, Composed):
             try:
-                await membership.change(component, (), None, None, 5.0)
+                await membership.change(component, membership.Wanted(()), 5.0)
             except (TimeoutError, RuntimeError) as error:
                 return error
         while component._rt_members:
