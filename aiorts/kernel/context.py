@@ -17,7 +17,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import ClosedError, ConfigurationError, StateError
-from aiorts.kernel import lanes, membership
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
@@ -153,6 +152,8 @@ class Context(Members):
         """
         self._check("add")
         if composed(components):
+            from aiorts.kernel import membership
+
             await membership.enter(self, components, timeout)
             return
         for component in components:
@@ -169,6 +170,8 @@ class Context(Members):
         self._check("remove")
         check_free(components, "leave")
         if composed(components):
+            from aiorts.kernel import membership
+
             await membership.leave(self, components, timeout)
         else:
             await self._remove(components, timeout)
@@ -304,7 +307,9 @@ class Context(Members):
         first = self._members if activate else ()
         asked = self._requests.submit(kernel, [self._requests.transition(m, Transition.ACTIVATE) for m in first])
         if self._sections:
-            self._submit(Action(partial(lanes.cycles, self)))
+            from aiorts.kernel.lanes import cycles
+
+            self._submit(Action(partial(cycles, self)))
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
         await self._began

@@ -12,8 +12,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import DeclarationError, InvalidNameError, StateError, TransitionTimeout
-from aiorts.kernel import membership
-from aiorts.kernel.composition_check import check_startable
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through
@@ -45,6 +43,8 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
         if not component._rt_composes:
             context._check_can_add(component)
     if composed(components):
+        from aiorts.kernel.composition_check import check_startable
+
         check_free(components, "start")
         check_startable([component for component in components if component._rt_composes])
     running = unfolded(components)
@@ -59,7 +59,9 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
 async def start(kernel: Kernel, context: Context, components: Sequence[Component], *, activate: bool) -> None:
     """Start a context that was checked; when the caller is cancelled, or it cannot begin, nothing of it stays."""
     kernel._pool.look_out()
-    beginning = membership.start if composed(components) else _start
+    beginning = _start
+    if composed(components):
+        from aiorts.kernel.membership import start as beginning
     starting = kernel_task(
         kernel.loop, beginning(kernel, context, components, activate=activate), f"aiorts start {context.name}"
     )

@@ -237,10 +237,10 @@ async def _carry_out(
 # -- contexts ------------------------------------------------------------------------------------------------------
 
 
-async def start(kernel: Kernel, context: Context, given: Sequence[Component], *, activate: bool) -> None:
+async def start(kernel: Kernel, context: Context, components: Sequence[Component], *, activate: bool) -> None:
     """Start a context with composites among its components; if that fails their parts are where they were."""
     async with kernel._roster.composing:
-        composites = [component for component in given if is_composite(component)]
+        composites = [component for component in components if is_composite(component)]
         composition_check.check_startable(composites)
         parts: list[Component] = []
         for composite in composites:
@@ -253,7 +253,7 @@ async def start(kernel: Kernel, context: Context, given: Sequence[Component], *,
             for part in parts:
                 await leave_home(part, _PATIENCE)
             context._sections = tuple(section for composite in composites for section in composite._rt_sections())
-            await context._start(kernel, unfolded(given), activate=activate)
+            await context._start(kernel, unfolded(components), activate=activate)
         except BaseException:
             if context._driver is None:
                 for member in tuple(reversed(context._members)):

@@ -15,16 +15,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
-from aiorts.kernel import embedding, membership
+from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
-from aiorts.kernel.composed import Composed
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
 from aiorts.kernel.ports import InPort, Port
 from aiorts.kernel.solo import run_alone
 from aiorts.kernel.tasks import current_task, kernel_task, leave_behind, owner_of
+from aiorts.kernel.unfold import is_composite
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
 
@@ -100,7 +100,7 @@ class Roster:
         self._kinds[type(component)] += 1
         arrived = self._arriving[component] = kernel.loop.create_future()
         try:
-            if isinstance(component, Composed):
+            if is_composite(component):
                 await component._rt_come()
             await self._initialize(component)
         except BaseException:
@@ -179,7 +179,9 @@ class Roster:
             raise error
 
     async def _leave(self, component: Component) -> BaseException | None:
-        if isinstance(component, Composed):
+        if is_composite(component):
+            from aiorts.kernel import membership
+
             try:
                 await membership.change(component, membership.Wanted(()), 5.0)
             except (TimeoutError, RuntimeError) as error:
@@ -238,7 +240,7 @@ class Roster:
             task.cancel()
 
     def _leave_out(self, component: Component) -> None:
-        if isinstance(component, Composed):
+        if is_composite(component):
             component._rt_gone()
         if component._rt_composite is not None:
             component._rt_composite._rt_drop(component)

@@ -1,4 +1,4 @@
-"""A composite in contexts of every kind; changes asked for by hooks, cancelled, too late; what an exported port costs."""
+"""A composite in contexts of every kind; changes asked for by hooks, cancelled, too late; what exported ports cost."""
 
 from __future__ import annotations
 
@@ -46,9 +46,7 @@ class Relay(Component):
 
 
 @pytest.mark.row(98, 99)
-@pytest.mark.parametrize(
-    "make", [lambda: PeriodicContext(200.0), lambda: ThreadContext(200.0), lambda: RealtimeContext(200.0)]
-)
+@pytest.mark.parametrize("make", [PeriodicContext, ThreadContext, RealtimeContext])
 def test_a_composite_runs_and_changes_in_every_context_with_a_rate(make: type[Context]) -> None:
     async def main(clock: SimulatedClock) -> None:
         async with Kernel() as kernel:
