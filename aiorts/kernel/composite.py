@@ -188,17 +188,12 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
 
     async def add_members(self, *members: Component | str, timeout: float | None = 5.0) -> None:
         """More members, at the end of the order: see `change`."""
-        await self.change(members=(*self._rt_direct, *members), timeout=timeout)
+        await membership.change(self, membership.Wanted(adding=members), timeout)
 
     async def remove_members(self, *members: Component | str, timeout: float | None = 5.0) -> tuple[Connector, ...]:
         """Fewer members: see `change`. StateError when one is not a member."""
         leaving = [member if isinstance(member, str) else member.name for member in members]
-        here = [member.name for member in self._rt_direct]
-        for name in leaving:
-            if name not in here:
-                raise StateError(f"{name}: is no member of {self.name}; it has {', '.join(here) or 'none'}")
-        rest = [member for member in self._rt_direct if member.name not in leaving]
-        return await self.change(members=rest, timeout=timeout)
+        return await membership.change(self, membership.Wanted(removing=leaving), timeout)
 
     async def change(
         self,

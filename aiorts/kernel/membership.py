@@ -129,13 +129,26 @@ class Wanted:
     rules: Sequence[Export] | None = None
     order: str | None = None
     groups: str | Sequence[Sequence[str]] | None = None
+    adding: Sequence[Component | str] = ()
+    removing: Sequence[str] = ()
+    """Names."""
+
+    def given(self, composite: Composed) -> Sequence[Component | str]:
+        """The members it is to have, asked when its turn has come: another change may have been made meanwhile."""
+        members = composite._rt_direct if self.members is None else self.members
+        here = [member.name for member in composite._rt_direct]
+        for name in self.removing:
+            if name not in here:
+                raise StateError(f"{name}: is no member of {composite.name}; it has {', '.join(here) or 'none'}")
+        kept = [one for one in members if (one if isinstance(one, str) else one.name) not in self.removing]
+        return [*kept, *self.adding]
 
 
 async def change(composite: Composed, wanted: Wanted, timeout: float | None) -> tuple[Connector, ...]:
     """See `Composite.change`. Once begun it goes on though the caller is cancelled."""
     kernel = composite.kernel
     kernel._check_mine(composite, "change")
-    given = composite._rt_direct if wanted.members is None else wanted.members
+    given = wanted.given(composite)
     concerned = composition_check.resolved(kernel, composite, given)
     contexts = {context for component in (composite, *concerned) for context in component.contexts}
     queued = any(context._inside() for context in contexts)
@@ -148,7 +161,7 @@ async def _change(composite: Composed, wanted: Wanted, timeout: float | None) ->
     kernel = composite.kernel
     async with kernel._roster.composing:
         kernel._check_mine(composite, "change")
-        given = composite._rt_direct if wanted.members is None else wanted.members
+        given = wanted.given(composite)
         after = composition_check.resolved(kernel, composite, given)
         composition_check.check(composite, after, wanted.rules)
         groups = composition_check.grouped(composite, after, wanted.groups)

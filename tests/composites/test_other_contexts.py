@@ -23,6 +23,7 @@ from aiorts import (
 )
 from aiorts.errors import ComponentError, StateError, TransitionTimeout, WiringError
 from aiorts.kernel.context import Context
+from aiorts.model.composition import flow_order
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble
 
@@ -221,3 +222,22 @@ def test_the_exported_port_writes_as_the_members_own_without_a_hop() -> None:
                 await kernel.connect(a.output, sink.input)
 
     simulate(main)
+
+
+@pytest.mark.row(99)
+def test_changes_at_the_same_time_are_made_one_after_the_other() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            a, b, c = (Relay(name) for name in "abc")
+            for one in (b, c):
+                await kernel.add(one)
+            team = await kernel.add(Composite("team", a))
+            loop = await kernel.start(PeriodicContext(100.0), team, activate=True)
+            await asyncio.gather(team.add_members(b), team.add_members(c), team.remove_members(a))
+            assert (team.members, loop.members, a.contexts) == ((b, c), (b, c), ())
+
+    simulate(main)
+
+
+def test_what_stands_behind_a_loop_waits_for_it() -> None:
+    assert flow_order("xab", [("a", "b"), ("b", "a"), ("b", "x")]) == ("a", "b", "x")
