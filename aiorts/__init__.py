@@ -53,6 +53,7 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
+    from aiorts.kernel.composite import Composite, CompositeChanged
     from aiorts.kernel.configuration_events import (
         ConfigurationSetActivated,
         ConfigurationSetAdded,
@@ -101,6 +102,8 @@ __all__ = (
     "ConfigurationSetChanged",
     "ConfigurationSetRemoved",
     "MachineChanged",
+    "Composite",
+    "CompositeChanged",
     "Connected",
     "Connector",
     "Context",
@@ -191,6 +194,7 @@ _HOMES = {
     ),
     "aiorts.kernel.configuring": ("Configuration",),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
+    "aiorts.kernel.composite": ("Composite", "CompositeChanged"),
     "aiorts.kernel.function": ("component",),
     "aiorts.kernel.declarations": ("Declaration", "declaration_of"),
     "aiorts.kernel.machine": ("EventPort", "StateMachine", "StateMachineComponent"),

@@ -17,7 +17,7 @@ from aiorts.kernel.bus import HookAfter, HookBefore
 from aiorts.kernel.driver_state import DriverState
 from aiorts.kernel.driver_task import DriverTask, wait_for_turn
 from aiorts.kernel.hooks import HookKind, bad_return
-from aiorts.kernel.life import Batch, Call, Wait, first_pass
+from aiorts.kernel.life import TURN, Batch, Call, Together, Wait, first_pass
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import leave_behind
 from aiorts.kernel.verdict import judged, left_behind
@@ -26,14 +26,14 @@ from aiorts.kernel.watch import Watch
 if TYPE_CHECKING:
     from aiorts.kernel.member import Member
 
-__all__ = ("TaskDriver",)
+__all__ = ("LeftBehind", "TaskDriver")
 
 _ABSENT = HookKind.ABSENT
 _ASYNC = HookKind.ASYNC
 _NOTHING_LEFT = Batch(iter(()), first_pass)
 
 
-class _LeftBehind(BaseException):
+class LeftBehind(BaseException):
     """This task was abandoned and its hook has returned after all: it must touch nothing any more."""
 
 
@@ -87,11 +87,15 @@ class TaskDriver(DriverState):
                                 await give_turn()
                 elif isinstance(step, Call):
                     outcome = await self._run(step.member, step.hook, step.args)
-                else:
+                elif step is TURN:
                     await give_turn()
+                elif isinstance(step, Together):
+                    from aiorts.kernel.lanes import run_together
+
+                    await run_together(self, step)
         except StopIteration:
             self._end(None)
-        except _LeftBehind:
+        except LeftBehind:
             return
         except BaseException as error:
             # The kernel's own fault: say so, never hang a stop.
@@ -101,6 +105,8 @@ class TaskDriver(DriverState):
 
     def _end(self, error: BaseException | None) -> None:
         self._steps.close()
+        for lane in self.lanes:
+            lane.end()
         self.context._life_ended(error)
         self._over = True
         if self._ended is not None and not self._ended.done():
@@ -165,7 +171,7 @@ class TaskDriver(DriverState):
                 error = result = raised
             if result is not None or self._careful:
                 if self.task is not task:
-                    raise _LeftBehind
+                    raise LeftBehind
                 await self._end_oddly(member, error, result, begun_ns)
                 if self._careful:
                     break
@@ -203,7 +209,7 @@ class TaskDriver(DriverState):
             error = result = raised
         if result is not None or self._careful:
             if self.task is not task:
-                raise _LeftBehind
+                raise LeftBehind
             await self._end_oddly(member, error, result, begun_ns)
             return
         self._member = None
@@ -269,7 +275,7 @@ class TaskDriver(DriverState):
         except BaseException as raised:  # noqa: BLE001 - the border round a hook
             error = raised
         if self.task is not task:
-            raise _LeftBehind
+            raise LeftBehind
         if error is not None or result is not None or self._watch is not None or self.cancelled_by_others:
             error = await self._outcome(member, hook, error, result)
         self._leave(member)

@@ -27,7 +27,9 @@ from aiorts.model.profile import ComponentProfile
 
 if TYPE_CHECKING:
     from aiorts.clock import Clock
+    from aiorts.kernel.composed import Composed
     from aiorts.kernel.context import Context
+    from aiorts.kernel.homes import Home
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.member import Member
     from aiorts.kernel.service_visit import Visit
@@ -63,13 +65,18 @@ class Component(Configurable):
     _rt_log: ComponentLog | None = None
     _rt_deadlines: Mapping[str, float] | None = None
     """Seconds that single hooks may take; see `Kernel.supervise`."""
+    _rt_composes: ClassVar[bool] = False
+    """Whether it stands for others: `kernel/composite.py`."""
+    _rt_composite: Composed | None = None
+    _rt_homes: tuple[Home, ...] = ()
+    """Where it ran before it ran with that composite."""
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, *, _rt_redefines: frozenset[str] = frozenset(), **options: Any) -> None:
         super().__init_subclass__(**options)
         cls._rt_port_declarations = dict(cls._rt_port_declarations)
         cls._rt_parameter_specs = dict(cls._rt_parameter_specs)
         for attribute, value in vars(cls).items():
-            if attribute in _OURS:
+            if attribute in _OURS - _rt_redefines:
                 raise DeclarationError(
                     f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
                 )
@@ -340,6 +347,14 @@ class Component(Configurable):
 
     def _rt_move(self, threaded: bool) -> None:
         """It is about to join a thread context, or has left one."""
+
+    def _rt_unfold(self) -> tuple[Component, ...]:
+        """What runs where it is started."""
+        return (self,)
+
+    def _rt_leaves(self) -> tuple[Component, ...]:
+        """What it is made of."""
+        return (self,)
 
     def _rt_rename(self, name: str) -> None:
         self._rt_host.name = name

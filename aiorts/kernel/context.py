@@ -12,6 +12,7 @@ import logging
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
@@ -23,6 +24,7 @@ from aiorts.kernel.life import Action, Life, Wait
 from aiorts.kernel.member import Member
 from aiorts.kernel.members import Members
 from aiorts.kernel.requests import Requests, Wish
+from aiorts.kernel.unfold import check_free, composed, members_in
 from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.names import check_name
@@ -72,6 +74,8 @@ class Context(Members):
         self._last_hooks = _NO_HOOKS
         self._stopping = False
         self._order = 0
+        self._sections: tuple[tuple[tuple[Component, ...], ...], ...] = ()
+        """Groups of members that run side by side: `kernel/lanes.py`."""
         self._began: asyncio.Future[None] | None = None
         self._now_ns: Callable[[], int] = self._no_time
         """The time on the kernel's clock: its own function, since every hook asks it."""
@@ -147,6 +151,11 @@ class Context(Members):
             StateError: one is a member already, or cannot run here.
         """
         self._check("add")
+        if composed(components):
+            from aiorts.kernel import membership
+
+            await membership.enter(self, components, timeout)
+            return
         for component in components:
             self._check_may_join(component)
         members = [self._new_member(component) for component in components]
@@ -159,6 +168,15 @@ class Context(Members):
             StateError: one is not a member.
         """
         self._check("remove")
+        check_free(components, "leave")
+        if composed(components):
+            from aiorts.kernel import membership
+
+            await membership.leave(self, components, timeout)
+        else:
+            await self._remove(components, timeout)
+
+    async def _remove(self, components: Sequence[Component], timeout: float | None = 5.0) -> None:
         members = [self._member(component) for component in components]
         await self._ask([self._requests.leaving(member) for member in members], timeout)
 
@@ -212,6 +230,8 @@ class Context(Members):
         """Raise StateError when the component cannot run here."""
         if any(member.context is self for member in component._rt_members):
             raise StateError(f"{component.name}: is in {self.name} already")
+        if component._rt_composite is not None:
+            component._rt_composite._rt_check_context(component, self)
         if component._rt_abandoned is not None:
             raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
         if component._rt_kernel is not None:
@@ -237,7 +257,7 @@ class Context(Members):
     ) -> None:
         self._check(event.value)
         if components:
-            members = [self._member(component) for component in components]
+            members = members_in(self, components, state)
         else:
             members = [member for member in self._members if member.state is state]
         await self._ask([self._requests.transition(member, event) for member in members], timeout)
@@ -286,6 +306,10 @@ class Context(Members):
             self._attach(self._new_member(component))
         first = self._members if activate else ()
         asked = self._requests.submit(kernel, [self._requests.transition(m, Transition.ACTIVATE) for m in first])
+        if self._sections:
+            from aiorts.kernel.lanes import cycles
+
+            self._submit(Action(partial(cycles, self)))
         self._began = kernel.loop.create_future()
         self._driver = self._make_driver(kernel)
         await self._began

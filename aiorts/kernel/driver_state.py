@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.driver_task import DriverTask
     from aiorts.kernel.host import Cancellable
+    from aiorts.kernel.lanes import Lane
     from aiorts.kernel.member import Member
 
 __all__ = ("DriverState",)
@@ -51,6 +52,7 @@ class DriverState:
         "context",
         "deadline",
         "hooks_run",
+        "lanes",
         "loop",
         "task",
         "turn",
@@ -72,6 +74,8 @@ class DriverState:
         self.budget: StopBudget | None = None
         self.hooks_run = 0
         """Hooks that took the long way; see `run`."""
+        self.lanes: tuple[Lane, ...] = ()
+        """What runs groups side by side, where there are any."""
         self._stopped_by_host = self.cancelled_by_others = False
         self._careful = False
         """Whether hooks take the long way: they have a deadline or observers, a stop began, or somebody cancelled."""
@@ -125,6 +129,8 @@ class DriverState:
 
     def hurry(self, budget: StopBudget) -> None:
         """A stop began: hooks are limited from now on, the one that runs included."""
+        for lane in self.lanes:
+            lane.hurry(budget)
         if self.budget is None:
             self.budget = budget
             self._careful = True

@@ -14,6 +14,7 @@ from aiorts.errors import DeclarationError, InvalidNameError, StateError
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.port import give_turn
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of, see_through
+from aiorts.kernel.unfold import check_free, composed, unfolded
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -35,8 +36,15 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
         raise StateError(f"{context.name}: runs already")
     for component in components:
         kernel._check_mine(component, "start a context with")
-        context._check_can_add(component)
-    if len(set(map(id, components))) != len(components):
+        if not component._rt_composes:
+            context._check_can_add(component)
+    if composed(components):
+        from aiorts.kernel.composition_check import check_startable
+
+        check_free(components, "start")
+        check_startable([component for component in components if component._rt_composes])
+    running = unfolded(components)
+    if len(set(map(id, running))) != len(running) or len(set(map(id, components))) != len(components):
         raise StateError(f"{context.name or context.kind}: a component was given twice")
     if not context._named and (context.name == "" or context.name in kernel._contexts):
         context.name = kernel._free_name(context.kind or type(context).__name__)
@@ -47,10 +55,13 @@ def check_start(kernel: Kernel, context: Context, components: Sequence[Component
 async def start(kernel: Kernel, context: Context, components: Sequence[Component], *, activate: bool) -> None:
     """Start a context that was checked; when the caller is cancelled, or it cannot begin, nothing of it stays."""
     kernel._pool.look_out()
+    beginning = _start
+    if composed(components):
+        from aiorts.kernel.membership import start as beginning
     starting = kernel_task(
-        kernel.loop, context._start(kernel, components, activate=activate), f"aiorts start {context.name}"
+        kernel.loop, beginning(kernel, context, components, activate=activate), f"aiorts start {context.name}"
     )
-    if owner_of(current_task()) in components:
+    if owner_of(current_task()) in unfolded(components):
         starting.add_done_callback(lambda task: _after_start(kernel, context, task))
         await give_turn()
         return
@@ -63,11 +74,18 @@ async def start(kernel: Kernel, context: Context, components: Sequence[Component
         _forget_unless_running(kernel, context)
 
 
+async def _start(kernel: Kernel, context: Context, components: Sequence[Component], *, activate: bool) -> None:
+    context._sections = ()
+    await context._start(kernel, components, activate=activate)
+
+
 async def _undo(context: Context, starting: asyncio.Task[None]) -> None:
     # It was made first, so it has taken its first step and has a driver, or it has failed.
     if context._kernel is not None:
         await context._stop(StopBudget(context._kernel.loop))
     await asyncio.wait([starting])
+    if context._driver is not None and context._kernel is not None:
+        await context._stop(StopBudget(context._kernel.loop))  # members of composites had to leave others first
     if not starting.cancelled():
         starting.exception()
 

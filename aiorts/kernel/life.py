@@ -9,7 +9,7 @@ came.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -22,7 +22,21 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.member import Member
 
-__all__ = ("TURN", "Action", "Batch", "Call", "Life", "Step", "Steps", "Turn", "Wait", "chain", "first_pass")
+__all__ = (
+    "TURN",
+    "Action",
+    "Batch",
+    "Call",
+    "Life",
+    "Step",
+    "Steps",
+    "Together",
+    "Turn",
+    "Wait",
+    "chain",
+    "first_pass",
+    "second_pass",
+)
 
 _LINKS: Final = 8
 """Causes that an error keeps, itself included; the failure it belongs to comes after them."""
@@ -68,12 +82,20 @@ class Wait:
     deadline_ns: int | None = None
 
 
+@dataclass(slots=True)
+class Together:
+    """Run these groups side by side, in each one member after the other; over when all are."""
+
+    groups: Sequence[Sequence[Member]]
+    hook_of: Callable[[Member], str]
+
+
 class Turn:
     """Let everything else run once."""
 
 
 TURN = Turn()
-Step: TypeAlias = Call | Batch | Wait | Turn
+Step: TypeAlias = Call | Batch | Wait | Turn | Together
 Done: TypeAlias = Callable[[BaseException | None], None]
 Steps: TypeAlias = Generator[Step, "BaseException | None", None]
 
@@ -117,7 +139,7 @@ class Life:
                 context.ticks += 1
                 yield Batch(iter(members), first_pass)
                 if context._updating:
-                    yield Batch(iter(members), _second_pass)
+                    yield Batch(iter(members), second_pass)
                 context._end_cycle(members)
                 worked = True
         yield from self._end()
@@ -306,6 +328,8 @@ class Life:
         old, member.state = member.state, state
         if old is not state:
             self._context._publish(StateChanged(member.component.name, self._context.name, old, state))
+            if member.component._rt_composite is not None:
+                member.component._rt_composite._rt_member_entered(member)
 
 
 def first_pass(member: Member) -> str:
@@ -317,7 +341,8 @@ def first_pass(member: Member) -> str:
     return "on_error" if member.state is _ERROR else ""
 
 
-def _second_pass(member: Member) -> str:
+def second_pass(member: Member) -> str:
+    """The hook of a member in the second pass of a cycle; "" for none."""
     return "on_state_update" if member.updates and member.active and not member.left else ""
 
 

@@ -10,6 +10,7 @@ import asyncio
 import logging
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -24,6 +25,7 @@ from aiorts.kernel.plugins import load_aside
 from aiorts.kernel.ports import InPort, Port, ServicePort
 from aiorts.kernel.solo import run_alone
 from aiorts.kernel.tasks import current_task, kernel_task, leave_behind, owner_of
+from aiorts.kernel.unfold import is_composite
 from aiorts.model.lifecycle import HOOKS
 from aiorts.model.names import Path
 
@@ -50,6 +52,8 @@ class Roster:
         """Tasks that components started and that have not ended."""
         self._arriving: dict[Component, asyncio.Future[None]] = {}
         self._leaving: dict[Component, asyncio.Task[BaseException | None]] = {}
+        self.composing = asyncio.Lock()
+        """Held while a composite changes: one at a time."""
 
     def find(self, path: str) -> Component | Port[Any]:
         """See `Kernel.find`."""
@@ -99,6 +103,8 @@ class Roster:
         self._kinds[type(component)] += 1
         arrived = self._arriving[component] = kernel.loop.create_future()
         try:
+            if is_composite(component):
+                await component._rt_come()
             await self._initialize(component)
         except BaseException:
             self._forget(component)
@@ -106,8 +112,9 @@ class Roster:
         finally:
             del self._arriving[component]
             arrived.set_result(None)
-        for port in component.ports.values():
-            kernel.bus.publish(PortAdded(component.name, port.profile))
+        for name, port in component.ports.items():
+            profile = port.profile if port.name == name else replace(port.profile, name=name)
+            kernel.bus.publish(PortAdded(component.name, profile))
         kernel.bus.publish(ComponentAdded(component.name))
         return component
 
@@ -178,10 +185,17 @@ class Roster:
 
     async def _leave(self, component: Component) -> BaseException | None:
         self.vacate(component)
-        while component.contexts:
+        if is_composite(component):
+            from aiorts.kernel import membership
+
+            try:
+                await membership.change(component, membership.Wanted(()), 5.0)
+            except (TimeoutError, RuntimeError) as error:
+                return error
+        while component._rt_members:
             context = component.contexts[0]
             try:
-                await context.remove(component)
+                await context._remove((component,))
             except (TimeoutError, RuntimeError) as error:
                 # One that stopped meanwhile has let go of it.
                 if context in component.contexts:
@@ -241,6 +255,10 @@ class Roster:
             task.cancel()
 
     def _leave_out(self, component: Component) -> None:
+        if is_composite(component):
+            component._rt_gone()
+        if component._rt_composite is not None:
+            component._rt_composite._rt_drop(component)
         kind = type(component)
         self._kinds[kind] -= 1
         if not self._kinds[kind]:
@@ -255,16 +273,22 @@ class Roster:
     # -- what they change ------------------------------------------------------------------------------------------
 
     def port_added(self, component: Component, port: Port[Any]) -> None:
-        """At run time."""
+        """At run time. WiringError when a composite cannot show it: then it is not there."""
+        if component._rt_composite is not None:
+            component._rt_composite._rt_check_new_port(component, port)
         for member in component._rt_members:
             member.context._port_added(member, port)
         self._kernel.bus.publish(PortAdded(component.name, port.profile))
+        if component._rt_composite is not None:
+            component._rt_composite._rt_ports_changed()
 
     def port_removed(self, component: Component, port: Port[Any]) -> None:
         """Its connectors are gone already."""
         for member in component._rt_members:
             member.context._port_removed(member, port)
         self._kernel.bus.publish(PortRemoved(component.name, port.profile))
+        if component._rt_composite is not None:
+            component._rt_composite._rt_ports_changed()
 
     # -- what they started -----------------------------------------------------------------------------------------
 

@@ -95,14 +95,19 @@ def _line(frame: FrameType) -> Line:
 
 def _current(context: Context) -> Member | None:
     """The member whose hook runs or waits now."""
-    driver = context._driver
-    return None if driver is None else driver.current
+    return _busy(context).current if context._driver is not None else None
+
+
+def _busy(context: Context) -> Any:
+    """The driver that carries out a hook now: the context's own, or the first lane that is at it."""
+    driver: Any = context._driver
+    return next((lane for lane in getattr(driver, "lanes", ()) if lane.current is not None), driver)
 
 
 def _waiting(context: Context) -> Blame | None:
     """The context's own hook, at the line where it waits."""
     member = _current(context)
-    task: Any = getattr(context._driver, "task", None)
+    task: Any = getattr(_busy(context), "task", None)
     if member is None or task is None:
         return None
     lines: list[Line] = []

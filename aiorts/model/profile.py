@@ -148,6 +148,8 @@ class ComponentProfile:
     params: Mapping[str, Any]
     states: Mapping[str, str]
     last_error: str | None = None
+    members: tuple[str, ...] = ()
+    """Of a composite, in order of execution."""
 
 
 @dataclass(frozen=True, slots=True)
