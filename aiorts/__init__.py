@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.function import component
     from aiorts.model.blame import Blame
     from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.profile_schema import profile_schema
+    from aiorts.model.system_profile import SystemProfile
     from aiorts.running import run
 
 __version__ = "0.1.0"
@@ -85,10 +87,12 @@ __all__ = (
     "SimulatedClock",
     "StateChanged",
     "SystemClock",
+    "SystemProfile",
     "ThreadContext",
     "ThreadsExhausted",
     "WouldBlock",
     "component",
+    "profile_schema",
     "run",
 )
 
@@ -102,6 +106,8 @@ _HOMES = {
     "aiorts.kernel.function": ("component",),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.lifecycle": ("LifeCycleState",),
+    "aiorts.model.profile_schema": ("profile_schema",),
+    "aiorts.model.system_profile": ("SystemProfile",),
     "aiorts.running": ("run",),
 }
 """Where each public name lives; what is named nowhere is an event of the bus."""

@@ -62,6 +62,8 @@ FEATURES = {
     64: "A user's own record types without generated code",
     65: "Values checked for range; conversions say what happens on overflow",
     66: "Fields reached by path",
+    79: "Profiles of components, ports, contexts and connectors",
+    85: "The whole system in one document, with a schema",
     123: "Add, select, duplicate, dump, const, filter as components",
     125: "Constants are literals: nothing is evaluated",
     126: "Scale and offset, clamp, several sources for a pin",

@@ -49,6 +49,9 @@ _LOG = logging.getLogger("aiorts.kernel")
 class Event:
     """Something that happened. Subscribing to this class means all events but `HookBefore` and `HookAfter`."""
 
+    sequence: int = field(default=0, compare=False, repr=False, kw_only=True)
+    """Its number on the bus, from 1, without gaps; 0 for one that was not published."""
+
 
 @dataclass(frozen=True, slots=True)
 class ComponentAdded(Event):
@@ -215,6 +218,8 @@ class Bus:
         self._observers: list[tuple[type[Event], Callable[[Any], object]]] = []
         self.hooks_wanted = False
         """Whether anybody asked for HookBefore or HookAfter: they cost nothing otherwise."""
+        self.sequence = 0
+        """Number of the event published last."""
 
     def subscribe(self, kind: type[E], observer: Callable[[E], object]) -> Callable[[], None]:
         """Call `observer` with each event of `kind` (or a class derived from it) until the returned function is
@@ -234,6 +239,8 @@ class Bus:
 
     def publish(self, event: Event) -> None:
         """Tell everybody who wants to know."""
+        self.sequence = sequence = self.sequence + 1
+        object.__setattr__(event, "sequence", sequence)
         quiet = isinstance(event, _QUIET)
         for kind, observer in tuple(self._observers):
             if isinstance(event, kind) and not (quiet and kind is Event):

@@ -33,6 +33,7 @@ async def close(kernel: Kernel) -> None:
         kernel._log_budget.summarize()
         kernel._timers.release()
         kernel._pool.close()
+        kernel._ended = True
         embedding.leave(kernel, kernel.loop)
         if kernel._remove_probe is not None:
             kernel._remove_probe()
