@@ -39,7 +39,9 @@ if TYPE_CHECKING:
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
     from aiorts.kernel.function import component
+    from aiorts.kernel.listening import ConnectorEvent, Happening
     from aiorts.model.blame import Blame
+    from aiorts.model.change import Change, Fresh
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.model.profile_schema import profile_schema
     from aiorts.model.system_profile import SystemProfile
@@ -52,12 +54,14 @@ __all__ = (
     "Blame",
     "Bus",
     "Catalogue",
+    "Change",
     "Clock",
     "Component",
     "ComponentAdded",
     "ComponentRemoved",
     "Connected",
     "Connector",
+    "ConnectorEvent",
     "Context",
     "ContextStarted",
     "ContextStopped",
@@ -66,6 +70,8 @@ __all__ = (
     "EventContext",
     "Extension",
     "ExternalContext",
+    "Fresh",
+    "Happening",
     "HookAfter",
     "HookBefore",
     "HookFailed",
@@ -104,7 +110,9 @@ _HOMES = {
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
+    "aiorts.kernel.listening": ("ConnectorEvent", "Happening"),
     "aiorts.model.blame": ("Blame",),
+    "aiorts.model.change": ("Change", "Fresh"),
     "aiorts.model.lifecycle": ("LifeCycleState",),
     "aiorts.model.profile_schema": ("profile_schema",),
     "aiorts.model.system_profile": ("SystemProfile",),

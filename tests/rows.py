@@ -49,6 +49,7 @@ FEATURES = {
     44: "A writer can wait for a slow reader",
     45: "Reads are awaited; ports are iterated",
     46: "Unread data can be asked for by connector",
+    47: "Listeners of connectors: all 17 kinds fire, and cost nothing where nobody listens",
     48: "Time stamps at write, send, receive or read",
     50: "In-process transport without copies that anyone could change",
     54: "Codecs by name: ours, and those of plugins",
@@ -63,13 +64,19 @@ FEATURES = {
     65: "Values checked for range; conversions say what happens on overflow",
     66: "Fields reached by path",
     79: "Profiles of components, ports, contexts and connectors",
+    81: "Chosen values are monitored at a rate, without an effect",
+    84: "Changes are told, as they happen, to whoever watches",
     85: "The whole system in one document, with a schema",
+    105: "Observers with typed events; a slow one holds nobody up",
     123: "Add, select, duplicate, dump, const, filter as components",
     125: "Constants are literals: nothing is evaluated",
     126: "Scale and offset, clamp, several sources for a pin",
     127: "What happens on overflow and NaN is chosen",
     128: "A whole system simulated with the same result every time",
     130: "Written guarantees of order, delivery and life cycle",
+    # From 201 on: what no other system of the comparison offers, and so has no row there.
+    201: "The interface of a running component changes and everyone sees it",
+    202: "A missed deadline names who held the loop",
 }
 """Number of the row in the comparison and what it is about: each needs a test."""
 

@@ -31,6 +31,10 @@ async def close(kernel: Kernel) -> None:
         if kernel._summary is not None:
             kernel._summary.cancel()
         kernel._log_budget.summarize()
+        kernel.listening.tell()
+        await kernel.bus.aclose()
+        for watch in tuple(kernel._watches):
+            watch.end()
         kernel._timers.release()
         kernel._pool.close()
         kernel._ended = True

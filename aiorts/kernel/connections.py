@@ -42,6 +42,8 @@ class Connections:
             made.append(connector)
         for connector in made:
             self._kernel.bus.publish(Connected(connector.profile))
+            if self._kernel.bus.samples_wanted:
+                self._kernel.listening.made(connector)
         return made
 
     def _free_name(self, given: str, path: str, count: int) -> str:

@@ -5,10 +5,17 @@ Everything here may be called while the system runs, changes nothing and takes n
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, cast
+from weakref import WeakSet
 
 if TYPE_CHECKING:
+    from aiorts.kernel.connector import Connector
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.listening import ConnectorEvent, Listening
+    from aiorts.kernel.monitoring import Monitor
+    from aiorts.kernel.watching import Watch
     from aiorts.model.system_profile import SystemProfile
 
 __all__ = ("Introspection",)
@@ -34,6 +41,71 @@ class Introspection:
         kernel.check_thread("profile")
         kernel.loop  # noqa: B018 - raises ClosedError
         return system_profile(kernel)
+
+    def watch(self, *, length: int = 1024) -> Watch:
+        """What the system is, and then each change of it: an async iterator of `Fresh` and `Change`.
+
+        The first is a `Fresh` with the profile. Applied one after the other (`profile = change.apply(profile)`) they
+        give the profile of each moment, without what changes without an event (`SystemProfile.structure`).
+
+        Args:
+            length: changes that wait for a slow reader; beyond that they are dropped for a fresh profile.
+
+        Raises:
+            ClosedError: the kernel is not open.
+        """
+        from aiorts.kernel.watching import Watch
+
+        kernel = cast("Kernel", self)
+        kernel._require_open("watch")
+        made = Watch(kernel, length)
+        self._watches.add(made)
+        return made
+
+    @cached_property
+    def _watches(self) -> WeakSet[Watch]:
+        return WeakSet()
+
+    def monitor(self, paths: Sequence[str], rate: float = 10.0) -> Monitor:
+        """Values such as "pid0.command.data", "pid0.gain", "loop.lateness" at a rate: an async iterator of `Reading`.
+
+        Nothing is disturbed: no sample is taken, what is missed is counted. What can be named: `monitoring.py`.
+
+        Args:
+            rate: Hz on the kernel's clock, up to 10,000.
+
+        Raises:
+            WiringError: there is no such value now. ConfigurationError: the rate is none. ClosedError: not open.
+        """
+        from aiorts.kernel.monitoring import Monitor
+
+        kernel = cast("Kernel", self)
+        kernel._require_open("monitor")
+        return Monitor(kernel, paths, rate)
+
+    def listen(
+        self, connector: Connector, listener: Callable[[ConnectorEvent], object], *kinds: str
+    ) -> Callable[[], None]:
+        """Tell `listener` what becomes of the samples of a connector, until the returned function is called.
+
+        It is told on the loop, soon after, in order. One that raises is counted and harms nobody. A connector that is
+        listened to is slower; all others are not. For all connectors: `bus.subscribe(ConnectorEvent, listener)`.
+
+        Args:
+            kinds: of `Happening`; all by default.
+
+        Raises:
+            StateError: the connector is not of this kernel, or a real-time thread is at it.
+        """
+        cast("Kernel", self).check_thread("listen")
+        return self.listening.add(connector, listener, kinds)
+
+    @cached_property
+    def listening(self) -> Listening:
+        """Who listens to connectors."""
+        from aiorts.kernel.listening import Listening
+
+        return Listening(cast("Kernel", self))
 
     def _repr_html_(self) -> str:
         from aiorts.kernel.html import kernel_html

@@ -376,6 +376,7 @@ class Kernel(Introspection):
             self._numbering.free(context.name)
 
     def _hooks_wanted_changed(self) -> None:
+        self.listening.all_wanted(self.bus.samples_wanted)
         for context in tuple(self._contexts.values()):
             if context._driver is not None:
                 context._driver.beware()

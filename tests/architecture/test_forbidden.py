@@ -43,6 +43,7 @@ BROAD_EXCEPT = {
     "aiorts/kernel/bulkhead.py:_run_one",
     "aiorts/kernel/bulkhead.py:_run_quickly",
     "aiorts/kernel/bus.py:publish",
+    "aiorts/kernel/observers.py:_work",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
     "aiorts/kernel/watcher.py:_ring",
     "aiorts/kernel/plugins.py:load",
