@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     )
     from aiorts.kernel.catalogue import Catalogue, Extension
     from aiorts.kernel.function import component
+    from aiorts.kernel.heartbeats import ComponentBeat, ContextBeat
     from aiorts.kernel.listening import ConnectorEvent, Happening
     from aiorts.model.blame import Blame
     from aiorts.model.change import Change, Fresh
@@ -58,11 +59,13 @@ __all__ = (
     "Clock",
     "Component",
     "ComponentAdded",
+    "ComponentBeat",
     "ComponentRemoved",
     "Connected",
     "Connector",
     "ConnectorEvent",
     "Context",
+    "ContextBeat",
     "ContextStarted",
     "ContextStopped",
     "Disconnected",
@@ -110,6 +113,7 @@ _HOMES = {
     "aiorts.kernel": ("Bus", "Component", "Connector", "Context", "InPort", "Kernel", "OutPort", "Param"),
     "aiorts.kernel.catalogue": ("Catalogue", "Extension"),
     "aiorts.kernel.function": ("component",),
+    "aiorts.kernel.heartbeats": ("ComponentBeat", "ContextBeat"),
     "aiorts.kernel.listening": ("ConnectorEvent", "Happening"),
     "aiorts.model.blame": ("Blame",),
     "aiorts.model.change": ("Change", "Fresh"),

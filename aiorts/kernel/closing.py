@@ -31,7 +31,10 @@ async def close(kernel: Kernel) -> None:
         if kernel._summary is not None:
             kernel._summary.cancel()
         kernel._log_budget.summarize()
-        kernel.listening.tell()
+        for heartbeat in tuple(kernel._heartbeats):
+            heartbeat.stop()
+        if "listening" in vars(kernel):  # made when somebody first listened
+            kernel.listening.tell()
         await kernel.bus.aclose()
         for watch in tuple(kernel._watches):
             watch.end()

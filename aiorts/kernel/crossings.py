@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from aiorts.kernel import listening
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.blocking import PortLock
 from aiorts.kernel.connector import Connector
@@ -44,7 +43,9 @@ def cross(port: InPort[Any]) -> None:
     """From now on no path at this port has a lock; a thread that is inside with its lock leaves first."""
     if isinstance(port, CrossingInPort):
         return
-    listening.mute(port)
+    from aiorts.kernel.listening import mute  # late: few systems listen, or have such a thread
+
+    mute(port)
     with port._guard():
         source = port.last_source
         tokens = port._tokens
@@ -123,7 +124,9 @@ def uncross(port: InPort[Any]) -> None:
     port._refresh()
     for connector in port._connectors:
         connector.out._refresh()
-    listening.unmute(port)
+    from aiorts.kernel.listening import unmute
+
+    unmute(port)
 
 
 def _become(thing: Any, kind: type[Any]) -> None:

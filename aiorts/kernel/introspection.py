@@ -10,8 +10,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, cast
 from weakref import WeakSet
 
+from aiorts.errors import ConfigurationError
+
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
+    from aiorts.kernel.heartbeats import Heartbeat
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.listening import ConnectorEvent, Listening
     from aiorts.kernel.monitoring import Monitor
@@ -41,6 +44,17 @@ class Introspection:
         kernel.check_thread("profile")
         kernel.loop  # noqa: B018 - raises ClosedError
         return system_profile(kernel)
+
+    async def profile_in_turns(self, hold: float = 0.001) -> SystemProfile:
+        """The same, without holding the loop for longer than `hold` seconds (and one component) at a time.
+
+        Everything that an event tells of is as it is when this returns; counters are of moments since the call.
+        """
+        from aiorts.kernel.watching import system_profile_in_turns
+
+        kernel = cast("Kernel", self)
+        kernel._require_open("profile_in_turns")
+        return await system_profile_in_turns(kernel, hold)
 
     def watch(self, *, length: int = 1024) -> Watch:
         """What the system is, and then each change of it: an async iterator of `Fresh` and `Change`.
@@ -82,6 +96,27 @@ class Introspection:
         kernel = cast("Kernel", self)
         kernel._require_open("monitor")
         return Monitor(kernel, paths, rate)
+
+    def heartbeat(self, interval: float = 1.0) -> Callable[[], None]:
+        """Send a ContextBeat of each context and a ComponentBeat of each component at this interval, in seconds of
+        the kernel's clock, until the returned function is called or the kernel closes.
+
+        Raises:
+            ConfigurationError: the interval is not from 0.001 to 86,400. ClosedError: the kernel is not open.
+        """
+        from aiorts.kernel.heartbeats import Heartbeat
+
+        kernel = cast("Kernel", self)
+        kernel._require_open("heartbeat")
+        if isinstance(interval, bool) or not isinstance(interval, int | float) or not 0.001 <= interval <= 86_400:
+            raise ConfigurationError(f"heartbeat: interval = {interval!r}: expected 0.001 to 86400 seconds")
+        made = Heartbeat(kernel, interval)
+        self._heartbeats.add(made)
+        return made.stop
+
+    @cached_property
+    def _heartbeats(self) -> WeakSet[Heartbeat]:
+        return WeakSet()
 
     def listen(
         self, connector: Connector, listener: Callable[[ConnectorEvent], object], *kinds: str

@@ -376,7 +376,8 @@ class Kernel(Introspection):
             self._numbering.free(context.name)
 
     def _hooks_wanted_changed(self) -> None:
-        self.listening.all_wanted(self.bus.samples_wanted)
+        if self.bus.samples_wanted or "listening" in vars(self):
+            self.listening.all_wanted(self.bus.samples_wanted)
         for context in tuple(self._contexts.values()):
             if context._driver is not None:
                 context._driver.beware()

@@ -16,7 +16,7 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from aiorts.model.system_profile import LogLine
+from aiorts.model.profile import LogLine
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -81,7 +81,7 @@ class Observer:
             self._slow += 1
             if self._may_tell("slow"):
                 told = (self._name, duration_ns / 1e6, type(event).__name__)
-                _LOG.warning("observer %s held the loop for %.0f ms at a %s; make it async def", *told)
+                _LOG.info("observer %s held the loop for %.0f ms at a %s; make it async def", *told)
 
     def end(self) -> None:
         """It was unsubscribed."""

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.ports import Port
 
-__all__ = ("component_report", "connector_report", "context_report", "system_profile")
+__all__ = ("component_report", "connector_report", "context_report", "profile_with", "system_profile", "visible")
 
 _BOUNDS: Final = ("ge", "gt", "le", "lt", "choices", "pattern")
 _KNOWN: Final[WeakKeyDictionary[type, _Kind]] = WeakKeyDictionary()
@@ -54,10 +54,19 @@ class _Kind:
 
 def system_profile(kernel: Kernel) -> SystemProfile:
     """All there is at this moment."""
+    components = kernel.components.items()
+    return profile_with(
+        kernel,
+        {name: component_report(component) for name, component in components if visible(kernel, component)},
+        {name: connector_report(connector) for name, connector in kernel.connectors.items()},
+    )
+
+
+def profile_with(
+    kernel: Kernel, components: dict[str, ComponentReport], connectors: dict[str, ConnectorReport]
+) -> SystemProfile:
+    """The profile of this moment with reports that are at hand."""
     clock = kernel.clock
-    components = {
-        name: component_report(component) for name, component in kernel.components.items() if visible(kernel, component)
-    }
     return SystemProfile(
         kernel.name,
         kernel.bus.sequence,
@@ -71,7 +80,7 @@ def system_profile(kernel: Kernel) -> SystemProfile:
         ),
         _versions(),
         MappingProxyType(components),
-        MappingProxyType({name: connector_report(connector) for name, connector in kernel.connectors.items()}),
+        MappingProxyType(connectors),
         MappingProxyType({name: context_report(context) for name, context in kernel.contexts.items()}),
         MappingProxyType({str(generation): pauses for generation, pauses in kernel.gc_pauses.items()}),
     )

@@ -8,22 +8,33 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from contextlib import closing
+from dataclasses import replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import BusyError
 from aiorts.kernel.bus import Event, Overrun, ThreadsExhausted
-from aiorts.kernel.profiling import component_report, connector_report, context_report, system_profile, visible
+from aiorts.kernel.profiling import (
+    component_report,
+    connector_report,
+    context_report,
+    profile_with,
+    system_profile,
+    visible,
+)
 from aiorts.model.change import Change, Fresh, Part
 from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from types import TracebackType
     from typing import Self
 
     from aiorts.kernel.kernel import Kernel
+    from aiorts.model.system_profile import SystemProfile
 
-__all__ = ("Watch",)
+__all__ = ("Watch", "system_profile_in_turns")
 
 _COUNTS: Final = (Overrun, ThreadsExhausted)
 """Events after which nothing but counters is different."""
@@ -32,13 +43,15 @@ _COUNTS: Final = (Overrun, ThreadsExhausted)
 class Watch:
     """An async iterator of `Fresh` and `Change`; ends with its kernel, or with `close()`. One task iterates."""
 
-    def __init__(self, kernel: Kernel, length: int) -> None:
+    def __init__(self, kernel: Kernel, length: int, sink: Callable[[Change], object] | None = None) -> None:
         self._kernel = kernel
         self._length = length
         self._queue: deque[Change] = deque()
         self._members = {name: _members(kernel, name) for name in kernel.contexts}
         """Of each context, as they were last told: a context that has stopped has none any more."""
-        self._stale = True
+        self._sink = sink
+        """Who takes the changes themselves, in place of a queue."""
+        self._stale = sink is None
         """Whether a fresh profile is due."""
         self._missed = 0
         self._waiter: asyncio.Future[None] | None = None
@@ -95,7 +108,9 @@ class Watch:
             return
         if not parts:
             return
-        if len(self._queue) >= self._length:
+        if self._sink is not None:
+            self._sink(Change(event.sequence, event, parts))
+        elif len(self._queue) >= self._length:
             self._missed += len(self._queue) + 1
             self._stale = True
             self._queue.clear()
@@ -146,6 +161,31 @@ class Watch:
             here = component is not None and visible(kernel, component)
             parts.append(Part("components", name, component_report(component) if component and here else None))
         return parts
+
+
+async def system_profile_in_turns(kernel: Kernel, hold: float) -> SystemProfile:
+    """As `system_profile`, giving the loop a turn after each `hold` seconds; what changed meanwhile is put right."""
+    components: dict[str, Any] = {}
+    connectors: dict[str, Any] = {}
+    changes: list[Change] = []
+    with closing(Watch(kernel, 0, changes.append)):
+        until = perf_counter() + hold
+        for things, reports, report in (
+            (kernel.components, components, component_report),
+            (kernel.connectors, connectors, connector_report),
+        ):
+            for name in tuple(things):
+                thing: Any = things.get(name)
+                if thing is None or (reports is components and not visible(kernel, thing)):
+                    continue
+                reports[name] = report(thing)
+                if perf_counter() >= until:
+                    await asyncio.sleep(0)
+                    until = perf_counter() + hold
+    profile = profile_with(kernel, components, connectors)
+    for change in changes:
+        profile = change.apply(profile)
+    return replace(profile, sequence=kernel.bus.sequence)
 
 
 def _members(kernel: Kernel, name: str) -> tuple[str, ...]:

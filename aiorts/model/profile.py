@@ -22,6 +22,7 @@ __all__ = (
     "ContextProfile",
     "ContextStatistics",
     "HookStatistics",
+    "LogLine",
     "PortProfile",
 )
 
@@ -136,3 +137,15 @@ class ContextProfile:
     rate: float | None
     running: bool
     members: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """One of the last lines that a component logged."""
+
+    monotonic_ns: int
+    """When, on the kernel's clock; compare with `ClockReport.monotonic_ns`."""
+    level: str
+    text: str
+    """At most 500 characters."""
+    hook: str = ""

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from aiorts.model.blame import GcPauses
 from aiorts.model.plain import plain
-from aiorts.model.profile import ConnectorProfile, ConnectorStatistics, ContextStatistics, PortProfile
+from aiorts.model.profile import ConnectorProfile, ConnectorStatistics, ContextStatistics, LogLine, PortProfile
 
 __all__ = (
     "PROFILE_VERSION",
@@ -24,7 +24,6 @@ __all__ = (
     "ConfigurationReport",
     "ConnectorReport",
     "ContextReport",
-    "LogLine",
     "ParameterReport",
     "SystemProfile",
 )
@@ -32,18 +31,6 @@ __all__ = (
 PROFILE_VERSION: Final = 1
 """Raised whenever a reader of the last one would be misled."""
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
-
-
-@dataclass(frozen=True, slots=True)
-class LogLine:
-    """One of the last lines that a component logged."""
-
-    monotonic_ns: int
-    """When, on the kernel's clock; compare with `ClockReport.monotonic_ns`."""
-    level: str
-    text: str
-    """At most 500 characters."""
-    hook: str = ""
 
 
 @dataclass(frozen=True, slots=True)

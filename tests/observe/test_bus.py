@@ -134,7 +134,7 @@ def test_an_observer_that_holds_the_loop_is_named(caplog: pytest.LogCaptureFixtu
 
     bus = Bus()
     bus.subscribe(ComponentAdded, hog)
-    with caplog.at_level(logging.WARNING, "aiorts"):
+    with caplog.at_level(logging.INFO, "aiorts"):
         bus.publish(ComponentAdded("x"))
         bus.publish(ComponentAdded("y"))
     (statistics,) = bus.observers

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -252,5 +254,78 @@ def test_a_watch_ends_with_its_kernel_and_tells_the_end() -> None:
         with pytest.raises(ClosedError):
             kernel.watch()
         assert kernel.bus.observers == ()
+
+    simulate(main)
+
+
+@settings(max_examples=25)
+@given(OPERATIONS)
+def test_a_profile_taken_in_turns_is_as_true_as_one_of_a_moment(operations: list[tuple[str, int, int]]) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            for number in range(4):
+                await kernel.add(Node(f"node{number}"))
+            profiling = asyncio.create_task(kernel.profile_in_turns(0.0))
+            await asyncio.sleep(0)
+            for operation in operations:
+                if operation[0] != "catch_up":
+                    await operate(kernel, *operation)
+                    if profiling.done():
+                        taken, now = profiling.result(), kernel.profile()
+                        if taken.sequence == now.sequence:
+                            assert taken.structure() == now.structure()
+                        profiling = asyncio.create_task(kernel.profile_in_turns(0.0))
+            await profiling
+            assert (await kernel.profile_in_turns(0.0)).structure() == kernel.profile().structure()
+            assert kernel.bus.observers == ()
+
+    simulate(main)
+
+
+def test_a_thousand_components_are_profiled_without_holding_the_loop() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        turns = 0
+
+        async def count() -> None:
+            nonlocal turns
+            while True:
+                turns += 1
+                await asyncio.sleep(0)
+
+        async with Kernel() as kernel:
+            nodes = [await kernel.add(Node(f"node{number}")) for number in range(1000)]
+            for one, other in pairwise(nodes):
+                await kernel.connect(one.out, other.into)
+            counting = asyncio.create_task(count())
+            profile = await kernel.profile_in_turns(0.0005)
+            counting.cancel()
+            assert turns >= 3
+            assert profile.structure() == kernel.profile().structure()
+            begun = time.perf_counter()
+            assert len(kernel.profile().components) == 1000
+            assert time.perf_counter() - begun < 2.0  # 23 ms on an idle machine
+
+    simulate(main)
+
+
+def test_a_component_that_is_still_initialised_is_in_no_profile() -> None:
+    class Slow(Component):
+        async def on_initialize(self) -> None:
+            self.add_port("early", OutPort(TimedDouble))
+            await asyncio.sleep(1.0)
+            raise ValueError("no")
+
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            follower = Follower(kernel)
+            await follower.catch_up()
+            adding = asyncio.create_task(kernel.add(Slow("slow")))
+            await asyncio.sleep(0.5)
+            assert "slow" in kernel.components
+            for profile in (kernel.profile(), await kernel.profile_in_turns(0.0)):
+                assert dict(profile.components) == {}
+            with pytest.raises(ValueError, match="no"):
+                await adding
+            assert await follower.catch_up() == kernel.profile().structure()
 
     simulate(main)
