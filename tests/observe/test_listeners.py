@@ -4,11 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import warnings
 from typing import Any
 
 import pytest
+from anyio import WouldBlock
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from aiorts import Component, ExternalContext, InPort, Kernel, OutPort, SimulatedClock, StateChanged, ThreadContext
+from aiorts import (
+    Component,
+    ExternalContext,
+    InPort,
+    Kernel,
+    OutPort,
+    RealtimeContext,
+    SimulatedClock,
+    StateChanged,
+    ThreadContext,
+)
 from aiorts.errors import ReadTimeout, StateError, WriteTimeout
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.connector import Connector as PlainConnector
@@ -387,5 +401,105 @@ def test_who_cannot_be_listened_to_is_told() -> None:
             await kernel.disconnect(wire)
             with pytest.raises(StateError, match="is not a connector"):
                 kernel.listen(wire, lambda event: None)
+
+    simulate(main)
+
+
+@pytest.mark.parametrize("options", [{}, {"subscription": "periodic", "push_rate": 100.0}])
+async def test_who_listens_hears_again_when_a_real_time_thread_has_gone(
+    options: dict[str, Any], anyio_backend: Any
+) -> None:
+    class Reader(Sink):
+        def on_execute(self) -> None:
+            self.into.drain()
+
+    heard = Heard()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a machine without the privilege says so
+        async with Kernel() as kernel:
+            source, reader = await kernel.add(Source()), await kernel.add(Reader())
+            wire = await kernel.connect(source.out, reader.into, **options)
+            kernel.listen(wire, heard)
+            context = await kernel.start(RealtimeContext(50.0), reader, activate=True)
+            with pytest.raises(StateError, match="real-time"):
+                kernel.listen(wire, heard)
+            source.out.write_nowait(value(1.0))
+            await context.stop()
+            await told()
+            assert heard.take() == []
+            source.out.write_nowait(value(2.0))
+            await told()
+            assert ("buffer_write", 2.0) in heard.take()
+            assert wire.statistics.balanced
+
+
+OPERATIONS = st.lists(
+    st.sampled_from(("write", "write", "write", "read", "latest", "drain", "peek", "wait", "toggle", "advance")),
+    max_size=30,
+)
+OPTIONS = st.sampled_from(
+    (
+        {},
+        {"length": 2},
+        {"length": 2, "full": "reject"},
+        {"length": 1, "full": "block", "timeout": 0.1},
+        {"subscription": "new"},
+        {"push": "skip", "skip": 1, "subscription": "new"},
+        {"dataflow": "pull"},
+        {"subscription": "periodic", "push": "all", "push_rate": 10.0, "length": 3},
+        {"subscription": "periodic", "push": "fifo", "push_rate": 10.0, "full": "block", "length": 2},
+    )
+)
+
+
+@settings(max_examples=150)
+@given(OPERATIONS, OPTIONS, st.booleans())
+def test_listening_changes_nothing_for_the_ports(operations: list[str], options: dict[str, Any], several: bool) -> None:
+    async def system(listened: bool) -> list[Any]:
+        seen: list[Any] = []
+        async with Kernel() as kernel:
+            source, sink = await kernel.add(Source()), await kernel.add(Sink())
+            wires = [await kernel.connect(source.out, sink.into, **options)]
+            if several:
+                wires.append(await kernel.connect(source.out, sink.into, allow_duplicate=True))
+            stop: Any = None
+            number = 0.0
+            for operation in operations:
+                if operation == "write":
+                    number += 1.0
+                    try:
+                        seen.append(await source.out.write(value(number)))
+                    except WriteTimeout as error:
+                        seen.append(str(error))
+                elif operation == "read":
+                    try:
+                        seen.append(sink.into.read_nowait())
+                    except WouldBlock:
+                        seen.append("none")
+                elif operation == "latest":
+                    seen.append(sink.into.latest)
+                elif operation == "drain":
+                    seen.append(sink.into.drain())
+                elif operation == "peek":
+                    seen.append((sink.into.peek(), sink.into.is_new))
+                elif operation == "wait":
+                    try:
+                        async with asyncio.timeout(0.01):
+                            seen.append(await sink.into.read())
+                    except TimeoutError:
+                        seen.append("waited")
+                elif operation == "advance":
+                    await asyncio.sleep(0.15)
+                elif listened and stop is None:
+                    stop = kernel.listen(wires[0], lambda event: None)
+                elif listened:
+                    stop()
+                    stop = None
+                seen.append([(w.statistics.written, w.statistics.delivered, dict(w.statistics.dropped)) for w in wires])
+                assert all(wire.statistics.balanced for wire in wires)
+        return seen
+
+    async def main(clock: SimulatedClock) -> None:
+        assert await system(True) == await system(False)
 
     simulate(main)
