@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from aiorts import (
@@ -94,6 +94,32 @@ OPERATIONS = st.lists(
 )
 
 
+SCRIPT: list[tuple[str, int, int]] = [
+    *[("add", 0, 0)] * 3,
+    ("add_bad", 0, 0),
+    ("connect", 0, 1),
+    ("connect", 1, 1),
+    ("start", 0, 1),
+    ("start", 2, 2),
+    ("tick", 0, 0),
+    ("join", 1, 0),
+    ("activate", 0, 0),
+    ("port", 0, 2),
+    ("configure", 1, 3),
+    ("fail", 0, 0),
+    ("tick", 0, 0),
+    ("reset", 0, 0),
+    ("rate", 2, 1),
+    ("unport", 0, 2),
+    ("leave", 1, 0),
+    ("disconnect", 0, 0),
+    ("stop", 0, 1),
+    ("remove", 0, 0),
+    ("remove", 0, 0),
+]
+"""Everything once, where it is possible."""
+
+
 async def operate(kernel: Kernel, operation: str, one: int, other: int) -> None:
     """One change of the system, or none when it is not possible now."""
     components, contexts = list(kernel.components.values()), list(kernel.contexts.values())
@@ -147,6 +173,7 @@ async def operate(kernel: Kernel, operation: str, one: int, other: int) -> None:
 
 @pytest.mark.row(84)
 @settings(max_examples=60)
+@example(SCRIPT)
 @given(OPERATIONS)
 def test_changes_applied_to_the_snapshot_give_the_later_snapshot(operations: list[tuple[str, int, int]]) -> None:
     async def main(clock: SimulatedClock) -> None:
@@ -259,6 +286,7 @@ def test_a_watch_ends_with_its_kernel_and_tells_the_end() -> None:
 
 
 @settings(max_examples=25)
+@example(SCRIPT)
 @given(OPERATIONS)
 def test_a_profile_taken_in_turns_is_as_true_as_one_of_a_moment(operations: list[tuple[str, int, int]]) -> None:
     async def main(clock: SimulatedClock) -> None:
