@@ -66,18 +66,23 @@ if TYPE_CHECKING:
     from aiorts.kernel.configuring import Configuration
     from aiorts.kernel.declarations import Declaration, declaration_of
     from aiorts.kernel.function import component
+    from aiorts.kernel.heartbeats import ComponentBeat, ContextBeat
+    from aiorts.kernel.listening import ConnectorEvent, Happening
     from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
     from aiorts.kernel.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
     from aiorts.kernel.modes import ModeChanged, MultiModeComponent, Participant
     from aiorts.kernel.supervision import Helped, HelpExhausted, Supervised
     from aiorts.kernel.watchdog import LoopStall, LoopStalls
     from aiorts.model.blame import Blame
+    from aiorts.model.change import Change, Fresh
     from aiorts.model.charting import Chart, ChartWarning
     from aiorts.model.lifecycle import LifeCycleState
     from aiorts.model.naming import NamePolicy
+    from aiorts.model.profile_schema import profile_schema
     from aiorts.model.sequence import StartRule
     from aiorts.model.statechart import After, Always, End, History, On, Parallel, State
     from aiorts.model.supervision import Supervision
+    from aiorts.model.system_profile import SystemProfile
     from aiorts.running import run
 
 __version__ = "0.1.0"
@@ -92,9 +97,11 @@ __all__ = (
     "Catalogue",
     "Chart",
     "ChartWarning",
+    "Change",
     "Clock",
     "Component",
     "ComponentAdded",
+    "ComponentBeat",
     "ComponentRemoved",
     "Configuration",
     "ConfigurationSetActivated",
@@ -106,7 +113,9 @@ __all__ = (
     "CompositeChanged",
     "Connected",
     "Connector",
+    "ConnectorEvent",
     "Context",
+    "ContextBeat",
     "ContextStarted",
     "ContextStopped",
     "Declaration",
@@ -120,6 +129,8 @@ __all__ = (
     "History",
     "HelpExhausted",
     "Helped",
+    "Fresh",
+    "Happening",
     "HookAfter",
     "HookBefore",
     "HookFailed",
@@ -166,11 +177,13 @@ __all__ = (
     "Supervised",
     "Supervision",
     "SystemClock",
+    "SystemProfile",
     "ThreadContext",
     "ThreadsExhausted",
     "WouldBlock",
     "component",
     "declaration_of",
+    "profile_schema",
     "run",
 )
 
@@ -209,6 +222,11 @@ _HOMES = {
     "aiorts.model.naming": ("NamePolicy",),
     "aiorts.model.sequence": ("StartRule",),
     "aiorts.model.supervision": ("Supervision",),
+    "aiorts.kernel.heartbeats": ("ComponentBeat", "ContextBeat"),
+    "aiorts.kernel.listening": ("ConnectorEvent", "Happening"),
+    "aiorts.model.change": ("Change", "Fresh"),
+    "aiorts.model.profile_schema": ("profile_schema",),
+    "aiorts.model.system_profile": ("SystemProfile",),
     "aiorts.running": ("run",),
 }
 """Where each public name lives; what is named nowhere is an event of the bus."""

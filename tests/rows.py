@@ -54,6 +54,7 @@ FEATURES = {
     44: "A writer can wait for a slow reader",
     45: "Reads are awaited; ports are iterated",
     46: "Unread data can be asked for by connector",
+    47: "Listeners of connectors: all 17 kinds fire, and cost nothing where nobody listens",
     48: "Time stamps at write, send, receive or read",
     50: "In-process transport without copies that anyone could change",
     54: "Codecs by name: ours, and those of plugins",
@@ -87,6 +88,15 @@ FEATURES = {
     98: "Composites: shared context and order, exported ports",
     99: "Members of a composite change while it runs: all or nothing",
     100: "What a member's error means for its composite is chosen",
+    79: "Profiles of components, ports, contexts and connectors",
+    81: "Chosen values are monitored at a rate, without an effect",
+    84: "Changes are told, as they happen, to whoever watches",
+    85: "The whole system in one document, with a schema",
+    87: "Components loaded, made and ended by name while the process runs",
+    88: "What went wrong when loading is told to who asked",
+    94: "Whoever manages the process is told of every step",
+    95: "Logging by component, with levels and several sinks",
+    105: "Observers with typed events; a slow one holds nobody up",
     123: "Add, select, duplicate, dump, const, filter as components",
     124: "A component's interface changes while it runs",
     125: "Constants are literals: nothing is evaluated",
@@ -94,6 +104,9 @@ FEATURES = {
     127: "What happens on overflow and NaN is chosen",
     128: "A whole system simulated with the same result every time",
     130: "Written guarantees of order, delivery and life cycle",
+    # From 201 on: what no other system of the comparison offers, and so has no row there.
+    201: "The interface of a running component changes and everyone sees it",
+    202: "A missed deadline names who held the loop",
 }
 """Number of the row in the comparison and what it is about: each needs a test."""
 

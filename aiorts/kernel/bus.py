@@ -1,18 +1,20 @@
 """Typed events for observers: what happened, as frozen values, in the order it happened.
 
-An observer is a plain function called on the kernel's loop. One that raises is logged and goes on being called; one
-that is slow slows only the loop it was given. Nothing is kept: an observer that comes late has missed what was
-before.
+An observer is a function called on the kernel's loop, or a coroutine function with a bounded queue of its own. One
+that raises is counted and logged and goes on being called; one that holds the loop is named. Nothing is kept: an
+observer that comes late has missed what was before.
 """
 
 from __future__ import annotations
 
-import logging
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from time import perf_counter_ns
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from aiorts.errors import DeclarationError
+from aiorts.kernel.observers import AsyncObserver, Observer, ObserverStatistics, is_async
 
 if TYPE_CHECKING:
     from aiorts.model.blame import Blame
@@ -35,6 +37,7 @@ __all__ = (
     "HookFailed",
     "MemberAdded",
     "MemberRemoved",
+    "Observer",
     "Overrun",
     "ParametersChanged",
     "PortAdded",
@@ -45,13 +48,19 @@ __all__ = (
     "ThreadsExhausted",
 )
 
-_LOG = logging.getLogger("aiorts.kernel")
-
 
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that happened. Subscribing to this class means all events but `HookBefore`, `HookAfter` and
     `ServiceCalled`."""
+
+    quiet: ClassVar[bool] = False
+    """Whether it is only sent to those who subscribe to its very class."""
+    of_samples: ClassVar[bool] = False
+    """Whether connectors must take the long way to have it."""
+
+    sequence: int = field(default=0, compare=False, repr=False, kw_only=True)
+    """Its number on the bus, from 1, without gaps; 0 for one that was not published."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +162,7 @@ class HookFailed(Event):
 class HookBefore(Event):
     """A hook is about to run; only sent to those who subscribe to this very class."""
 
+    quiet: ClassVar[bool] = True
     component: str
     context: str
     hook: str
@@ -162,6 +172,7 @@ class HookBefore(Event):
 class HookAfter(Event):
     """A hook has run; `error` is what it raised. Only sent to those who subscribe to this very class."""
 
+    quiet: ClassVar[bool] = True
     component: str
     context: str
     hook: str
@@ -211,6 +222,8 @@ class ParametersChanged(Event):
 class ServiceCalled(Event):
     """A call through a service port has ended; only sent to those who subscribe to this very class."""
 
+    quiet: ClassVar[bool] = True
+
     caller: str
     """The required interface, as a path; so is the provided one."""
     provider: str
@@ -233,61 +246,90 @@ class CallFailed(Event):
 
 
 E = TypeVar("E", bound=Event)
-_OF_HOOKS = (HookBefore, HookAfter)
-_QUIET = (*_OF_HOOKS, ServiceCalled)
+_HOOKS = (HookBefore, HookAfter)
 
 
 class Bus:
     """Who wants to hear of what."""
 
-    def __init__(self, hooks_wanted_changed: Callable[[], None] = lambda: None) -> None:
-        self._hooks_wanted_changed = hooks_wanted_changed
-        self._observers: list[tuple[type[Event], Callable[[Any], object]]] = []
+    def __init__(self, wanted_changed: Callable[[], None] = lambda: None) -> None:
+        self._wanted_changed = wanted_changed
+        self._observers: tuple[Observer, ...] = ()
         self._wanted: dict[type[Event], bool] = {}
         self.hooks_wanted = False
         """Whether anybody asked for HookBefore or HookAfter: they cost nothing otherwise."""
+        self.samples_wanted = False
+        """Whether anybody asked for ConnectorEvent of all connectors; the same."""
         self.calls_wanted = False
         """Whether anybody asked for ServiceCalled."""
+        self.sequence = 0
+        """Number of the event published last."""
 
-    def subscribe(self, kind: type[E], observer: Callable[[E], object]) -> Callable[[], None]:
+    @property
+    def observers(self) -> tuple[ObserverStatistics, ...]:
+        """Who listens, and what came of it."""
+        return tuple(observer.statistics for observer in self._observers)
+
+    def subscribe(
+        self,
+        kind: type[E],
+        observer: Callable[[E], object],
+        *,
+        length: int = 1024,
+    ) -> Callable[[], None]:
         """Call `observer` with each event of `kind` (or a class derived from it) until the returned function is
-        called."""
+        called.
+
+        A plain function is called at once, on the loop: it must not take long. An `async def` is awaited in a task of
+        its own, one event after the other; at most `length` events wait for it, the oldest beyond are dropped and
+        counted. One that raises is counted and logged, and goes on being called.
+        """
         if not (isinstance(kind, type) and issubclass(kind, Event)):
             raise DeclarationError(f"subscribe({kind!r}): expected a class of events, such as StateChanged")
-        entry = (kind, observer)
-        self._observers.append(entry)
+        entry = (AsyncObserver if is_async(observer) else Observer)(kind, observer, length)
+        self._observers += (entry,)
         self._recount()
 
         def unsubscribe() -> None:
             if entry in self._observers:
-                self._observers.remove(entry)
+                self._observers = tuple(one for one in self._observers if one is not entry)
+                entry.end()
                 self._recount()
 
         return unsubscribe
 
-    def publish(self, event: Event) -> None:
-        """Tell everybody who wants to know."""
-        quiet = isinstance(event, _QUIET)
-        for kind, observer in tuple(self._observers):
-            if isinstance(event, kind) and not (quiet and kind is Event):
+    def publish(self, event: Event, listeners: tuple[Observer, ...] = ()) -> None:
+        """Tell everybody who wants to know, and these listeners."""
+        self.sequence = sequence = self.sequence + 1
+        object.__setattr__(event, "sequence", sequence)
+        for observer in (*listeners, *self._observers) if listeners else self._observers:
+            kind = observer.kind
+            if isinstance(event, kind) and not (event.quiet and kind is Event):
+                began_ns = perf_counter_ns()
                 try:
-                    observer(event)
+                    observer.tell(event)
                 except KeyboardInterrupt:
                     raise
                 except BaseException:  # noqa: BLE001 - an observer's fault must not become the kernel's
-                    _LOG.exception("observer %r failed at %r", observer, event)
+                    observer.failed(event)
+                observer.took(perf_counter_ns() - began_ns, event)
+
+    async def aclose(self) -> None:
+        """Give the asynchronous observers a second for what waits, and end them."""
+        await asyncio.gather(*(observer.aclose() for observer in self._observers))
 
     def wants(self, kind: type[Event]) -> bool:
         """Whether anybody would be told of an event of `kind`: what is costly to say is not said to nobody."""
         known = self._wanted.get(kind)
         if known is None:
-            known = self._wanted[kind] = any(issubclass(kind, wanted) for wanted, _ in self._observers)
+            known = self._wanted[kind] = any(issubclass(kind, observer.kind) for observer in self._observers)
         return known
 
     def _recount(self) -> None:
-        self.calls_wanted = any(kind is ServiceCalled for kind, _ in self._observers)
-        wanted = any(kind in _OF_HOOKS for kind, _ in self._observers)
+        hooks = any(observer.kind in _HOOKS for observer in self._observers)
+        self.calls_wanted = any(observer.kind is ServiceCalled for observer in self._observers)
         self._wanted.clear()
-        if self.hooks_wanted is not wanted:
-            self.hooks_wanted = wanted
-            self._hooks_wanted_changed()
+        samples = any(observer.kind.of_samples for observer in self._observers)
+        if self.hooks_wanted is not hooks or self.samples_wanted is not samples:
+            self.hooks_wanted, self.samples_wanted = hooks, samples
+            self._wanted_changed()

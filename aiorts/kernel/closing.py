@@ -34,9 +34,17 @@ async def close(kernel: Kernel) -> None:
         if kernel._summary is not None:
             kernel._summary.cancel()
         kernel._log_budget.summarize()
+        for heartbeat in tuple(kernel._heartbeats):
+            heartbeat.stop()
+        if "listening" in vars(kernel):  # made when somebody first listened
+            kernel.listening.tell()
+        await kernel.bus.aclose()
+        for watch in tuple(kernel._watches):
+            watch.end()
         kernel._timers.release()
         kernel._pool.close()
         kernel._end_watching()
+        kernel._ended = True
         embedding.leave(kernel, kernel.loop)
         if kernel._remove_probe is not None:
             kernel._remove_probe()

@@ -48,6 +48,8 @@ class Connections:
             made.append(connector)
         for connector in made:
             self._kernel.bus.publish(Connected(connector.profile))
+            if self._kernel.bus.samples_wanted:
+                self._kernel.listening.made(connector)
         return made
 
     def _make_services(self, ports: Sequence[Any], options: Mapping[str, Any]) -> list[Any]:

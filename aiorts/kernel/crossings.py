@@ -5,8 +5,9 @@ Users hold the objects, so their class is changed. A thread that is inside with 
 
 from __future__ import annotations
 
+import sys
 from collections import deque
-from typing import Any
+from typing import Any, Final
 
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.blocking import PortLock
@@ -17,6 +18,9 @@ from aiorts.kernel.crossing_port import CrossingInPort
 from aiorts.kernel.ports import InPort, Port, ServicePort
 
 __all__ = ("cross", "cross_all", "fit", "lock_all", "uncross", "uncross_all", "uncross_unneeded")
+
+_LISTENING: Final = "aiorts.kernel.listening"
+"""Asked only where it was imported: where it was not, nobody listens."""
 
 
 def cross_all(port: Port[Any]) -> None:
@@ -47,6 +51,8 @@ def cross(port: InPort[Any]) -> None:
     """From now on no path at this port has a lock; a thread that is inside with its lock leaves first."""
     if isinstance(port, CrossingInPort):
         return
+    if (listening := sys.modules.get(_LISTENING)) is not None:
+        listening.mute(port)
     with port._guard():
         source = port.last_source
         tokens = port._tokens
@@ -134,6 +140,8 @@ def uncross(port: InPort[Any]) -> None:
     port._refresh()
     for connector in port._connectors:
         connector.out._refresh()
+    if (listening := sys.modules.get(_LISTENING)) is not None:
+        listening.unmute(port)
 
 
 def _become(thing: Any, kind: type[Any]) -> None:

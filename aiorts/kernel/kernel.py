@@ -24,6 +24,7 @@ from aiorts.kernel.connections import Connections
 from aiorts.kernel.context import Context
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.deadman import Deadman
+from aiorts.kernel.introspection import Introspection
 from aiorts.kernel.log import SharedBudget
 from aiorts.kernel.pool import PoolWatch
 from aiorts.kernel.ports import Port, Service
@@ -46,7 +47,7 @@ C = TypeVar("C", bound=Component)
 X = TypeVar("X", bound=Context)
 
 
-class Kernel(ConfigurationFiles, Supervising):
+class Kernel(ConfigurationFiles, Introspection, Supervising):
     """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
 
     Args:
@@ -109,6 +110,7 @@ class Kernel(ConfigurationFiles, Supervising):
         # Made once: each look-up of a method makes another, and every connector and context keeps them.
         self._clock_ns, self._call_at, self._call_later = clock.time_ns, self._timers.call_at, self.call_later
         self._closing_begun = loop.create_future()
+        self._opened_ns = clock.monotonic_ns()
         self._timers.acquire()
         add_probe = getattr(clock, "add_probe", None)
         if add_probe is not None:
@@ -207,11 +209,6 @@ class Kernel(ConfigurationFiles, Supervising):
             f"<Kernel {self.name} {state} {len(self.components)} components {len(self._contexts)} contexts "
             f"{len(self.connectors)} connectors>"
         )
-
-    def _repr_html_(self) -> str:
-        from aiorts.kernel.html import kernel_html
-
-        return kernel_html(self)
 
     # -- components ------------------------------------------------------------------------------------------------
 
@@ -385,6 +382,8 @@ class Kernel(ConfigurationFiles, Supervising):
             self._numbering.free(context.name)
 
     def _hooks_wanted_changed(self) -> None:
+        if self.bus.samples_wanted or "listening" in vars(self):
+            self.listening.all_wanted(self.bus.samples_wanted)
         for context in tuple(self._contexts.values()):
             if context._driver is not None:
                 context._driver.beware()

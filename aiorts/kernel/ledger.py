@@ -26,10 +26,12 @@ _NOTHING: Final[Mapping[str, int]] = MappingProxyType({})
 class Ledger:
     """The counts of one connector."""
 
-    __slots__ = ("_displaced", "_dropped", "_full", "_push", "_shared", "_written", "out")
+    __slots__ = ("_displaced", "_dropped", "_full", "_listening", "_push", "_shared", "_written", "out")
 
     _full: FullPolicy
     _push: Push
+    _listening: Any
+    """Who listens (`listening.py`); not even set where nobody ever did."""
 
     def __init__(self, out: OutPort[Any]) -> None:
         self.out = out

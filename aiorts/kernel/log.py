@@ -12,9 +12,11 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from aiorts.model.profile import LogLine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +47,8 @@ _STACK_BYTES: Final = 4_000
 _MAX_KEYS: Final = 256
 _MAX_CAUSES: Final = 20
 _TEMPLATE_SHOWN: Final = 200
+_KEPT: Final = 16
+_KEPT_LENGTH: Final = 500
 
 
 class LogFields(NamedTuple):
@@ -133,7 +137,18 @@ class ComponentLog:
     nanoseconds. Safe to use from several threads.
     """
 
-    __slots__ = ("_dropped", "_fields", "_keys", "_lock", "_now_ns", "_second_ns", "_shared", "_spent", "logger")
+    __slots__ = (
+        "_dropped",
+        "_fields",
+        "_kept",
+        "_keys",
+        "_lock",
+        "_now_ns",
+        "_second_ns",
+        "_shared",
+        "_spent",
+        "logger",
+    )
 
     def __init__(
         self,
@@ -152,6 +167,13 @@ class ComponentLog:
         self._second_ns = now_ns()
         self._spent = 0
         self._dropped = 0
+        self._kept: deque[tuple[int, int, str, str]] = deque(maxlen=_KEPT)
+
+    @property
+    def last_lines(self) -> tuple[LogLine, ...]:
+        """The last 16 lines of a level that was listened to, oldest first; a repeated one stands here once."""
+        names = logging.getLevelName
+        return tuple(LogLine(at_ns, names(level), text, hook) for at_ns, level, text, hook in tuple(self._kept))
 
     def __repr__(self) -> str:
         return f"<ComponentLog {self._fields().component} on {self.logger.name!r}>"
@@ -230,6 +252,7 @@ class ComponentLog:
         for (old_level, template), count in old:
             if self._afford(now, _LINE_BYTES + min(len(template), _TEMPLATE_SHOWN), count):
                 self._emit_count(old_level, template, count)
+        self._kept.append((now, level, _text(key[1], args)[:_KEPT_LENGTH], self._fields().hook))
         attached = _attached_bytes(exc_info, stack_info)
         traceback = 2 + 3 * (attached // _FRAME_BYTES) if attached else 0
         if self._afford(now, _line_bytes(key[1], args) + attached, 1 + repeated, traceback):
@@ -294,11 +317,15 @@ def _times(count: int) -> str:
     return f" (repeated {count} times)" if count > 1 else " (repeated 1 time)"
 
 
-def _line_bytes(template: str, args: tuple[object, ...]) -> int:
+def _text(template: str, args: tuple[object, ...]) -> str:
     try:
-        text = template % (args[0] if len(args) == 1 and isinstance(args[0], Mapping) else args) if args else template
+        return template % (args[0] if len(args) == 1 and isinstance(args[0], Mapping) else args) if args else template
     except (TypeError, ValueError, KeyError):
-        text = template  # the handler reports the bad template, as it does for every logger
+        return template  # the handler reports the bad template, as it does for every logger
+
+
+def _line_bytes(template: str, args: tuple[object, ...]) -> int:
+    text = _text(template, args)
     return _LINE_BYTES + (len(text) if text.isascii() else len(text.encode("utf-8", "replace")))
 
 

@@ -25,6 +25,7 @@ __all__ = (
     "InterfaceProfile",
     "MethodProfile",
     "ParameterProfile",
+    "LogLine",
     "PortProfile",
 )
 
@@ -192,3 +193,15 @@ class ContextProfile:
     rate: float | None
     running: bool
     members: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """One of the last lines that a component logged."""
+
+    monotonic_ns: int
+    """When, on the kernel's clock; compare with `ClockReport.monotonic_ns`."""
+    level: str
+    text: str
+    """At most 500 characters."""
+    hook: str = ""

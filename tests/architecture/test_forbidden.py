@@ -45,6 +45,7 @@ BROAD_EXCEPT = {
     "aiorts/kernel/bus.py:publish",
     # Round a component's own check of a configuration: whatever it raises refuses the change.
     "aiorts/kernel/commit.py:_asked",
+    "aiorts/kernel/observers.py:_work",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
     "aiorts/kernel/watcher.py:_ring",
     "aiorts/kernel/plugins.py:load",

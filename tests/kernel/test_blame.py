@@ -85,6 +85,7 @@ async def held_by(
 
 
 @pytest.mark.anyio
+@pytest.mark.row(202)
 async def test_a_neighbour_that_sleeps_is_named_with_component_hook_and_line() -> None:
     async with Kernel() as kernel:
         busy = await kernel.add(Busy("camera0"))

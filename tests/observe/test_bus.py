@@ -1,0 +1,188 @@
+"""Observers: numbered events for all, and no observer can slow or harm the system beyond its own share."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from typing import Any
+
+import pytest
+
+from aiorts import (
+    Bus,
+    Component,
+    ComponentAdded,
+    ComponentRemoved,
+    Event,
+    ExternalContext,
+    HookAfter,
+    HookBefore,
+    Kernel,
+    SimulatedClock,
+    StateChanged,
+)
+from aiorts.model.lifecycle import HOOKS
+from aiorts.testing import simulate
+from kernel_parts import PlainDiary, raising
+
+
+class Part(Component):
+    pass
+
+
+@pytest.mark.row(84)
+def test_events_are_numbered_without_gaps() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        heard: list[Event] = []
+        async with Kernel() as kernel:
+            kernel.bus.subscribe(Event, heard.append)
+            for number in range(3):
+                part = await kernel.add(Part(f"part{number}"))
+                await kernel.start(ExternalContext(), part, activate=True)
+            assert [event.sequence for event in heard] == list(range(1, len(heard) + 1))
+            assert kernel.bus.sequence == kernel.profile().sequence == len(heard)
+        assert [event.sequence for event in heard] == list(range(1, len(heard) + 1))
+
+    simulate(main)
+
+
+@pytest.mark.row(84, 105)
+def test_a_stuck_observer_holds_nobody_up_and_what_it_misses_is_counted(caplog: pytest.LogCaptureFixture) -> None:
+    """In OpenRTM an observer that does not answer freezes the component that tells it (OpenRTM-aist#286)."""
+
+    async def main(clock: SimulatedClock) -> None:
+        heard: list[Event] = []
+        others: list[Event] = []
+
+        async def stuck(event: Event) -> None:
+            heard.append(event)
+            await asyncio.Event().wait()
+
+        async with Kernel() as kernel:
+            kernel.bus.subscribe(StateChanged, stuck, length=4)
+            kernel.bus.subscribe(StateChanged, others.append)
+            part = await kernel.add(Part("part"))
+            context = await kernel.start(ExternalContext(), part)
+            for _ in range(10):
+                await context.activate(part)
+                await context.deactivate(part)
+            statistics = kernel.bus.observers[0]
+            assert (statistics.calls, statistics.waiting, statistics.dropped) == (1, 4, 15)
+            assert len(heard) == 1
+            assert len(others) == 20
+            began = clock.monotonic_ns()
+        assert clock.monotonic_ns() - began <= 2_000_000_000
+
+    with caplog.at_level(logging.WARNING, "aiorts"):
+        simulate(main)
+    assert len([r for r in caplog.records if "too slow" in r.getMessage()]) == 1
+
+
+@pytest.mark.row(84)
+def test_a_slow_observer_hears_everything_in_order_also_the_end() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        heard: list[Any] = []
+
+        async def slow(event: ComponentAdded | ComponentRemoved) -> None:
+            await asyncio.sleep(0.01)
+            heard.append((type(event), event.component))
+
+        async with Kernel() as kernel:
+            kernel.bus.subscribe(ComponentAdded, slow)
+            kernel.bus.subscribe(ComponentRemoved, slow)
+            for number in range(5):
+                await kernel.add(Part(f"p{number}"))
+        assert [name for kind, name in heard if kind is ComponentAdded] == ["p0", "p1", "p2", "p3", "p4"]
+        assert [name for kind, name in heard if kind is ComponentRemoved] == ["p4", "p3", "p2", "p1", "p0"]
+
+    simulate(main)
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_an_observer_that_raises_is_counted_and_told_once(asynchronous: bool, caplog: pytest.LogCaptureFixture) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        def bad(event: Event) -> None:
+            raise RuntimeError("mine")
+
+        async def async_bad(event: Event) -> None:
+            raise RuntimeError("mine")
+
+        heard: list[Event] = []
+        async with Kernel() as kernel:
+            kernel.bus.subscribe(StateChanged, async_bad if asynchronous else bad)
+            kernel.bus.subscribe(StateChanged, heard.append)
+            part = await kernel.add(Part("part"))
+            context = await kernel.start(ExternalContext(), part)
+            for _ in range(10):
+                await context.activate(part)
+                await context.deactivate(part)
+            await asyncio.sleep(1.0)
+            assert kernel.bus.observers[0].errors == 20
+            assert len(heard) == 20
+            assert part.last_error is None
+
+    with caplog.at_level(logging.ERROR, "aiorts"):
+        simulate(main)
+    (record,) = [r for r in caplog.records if "observer" in r.getMessage()]
+    assert record.exc_info is not None
+
+
+def test_an_observer_that_holds_the_loop_is_named(caplog: pytest.LogCaptureFixture) -> None:
+    def hog(event: Event) -> None:
+        time.sleep(0.06)
+
+    bus = Bus()
+    bus.subscribe(ComponentAdded, hog)
+    with caplog.at_level(logging.INFO, "aiorts"):
+        bus.publish(ComponentAdded("x"))
+        bus.publish(ComponentAdded("y"))
+    (statistics,) = bus.observers
+    assert statistics.slow == 2
+    assert statistics.max_ns >= 60_000_000
+    (record,) = caplog.records
+    assert "hog held the loop" in record.getMessage()
+
+
+def test_an_observer_can_end_itself_and_others() -> None:
+    bus = Bus()
+    heard: list[str] = []
+
+    def first(event: Event) -> None:
+        heard.append("first")
+        stop_first()
+
+    stop_first = bus.subscribe(ComponentAdded, first)
+    bus.subscribe(ComponentAdded, lambda event: heard.append("second"))
+    bus.publish(ComponentAdded("x"))
+    bus.publish(ComponentAdded("x"))
+    assert heard == ["first", "second", "second"]
+    stop_first()
+
+
+@pytest.mark.row(20)
+def test_every_hook_is_told_before_and_after_with_its_outcome() -> None:
+    """OpenRTM's post-listeners are told a return code; here it is the exception itself."""
+
+    async def main(clock: SimulatedClock) -> None:
+        heard: list[HookBefore | HookAfter] = []
+        error = ValueError("hot")
+        async with Kernel() as kernel:
+            kernel.bus.subscribe(HookBefore, heard.append)
+            kernel.bus.subscribe(HookAfter, heard.append)
+            diary = await kernel.add(PlainDiary("part"))
+            context = await kernel.start(ExternalContext(name="loop"), diary, activate=True)
+            await context.tick()
+            await context.deactivate(diary)
+            await context.activate(diary)
+            diary.plan["on_execute"] = raising(error)
+            await context.tick()
+            await context.tick()
+            await context.reset(diary)
+        ran = [event.hook for event in heard if isinstance(event, HookBefore)]
+        assert ran == [event.hook for event in heard if isinstance(event, HookAfter)] == diary.ran
+        assert set(ran) == set(HOOKS) - {"on_rate_changed"}
+        failed = [event.hook for event in heard if isinstance(event, HookAfter) and event.error is error]
+        assert failed == ["on_execute"]
+
+    simulate(main)

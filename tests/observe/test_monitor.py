@@ -1,0 +1,152 @@
+"""Monitoring looks at chosen values at a rate and changes nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext, SimulatedClock
+from aiorts.errors import ClosedError, ConfigurationError, WiringError
+from aiorts.testing import simulate
+from aiorts.types import TimedDouble
+
+pytestmark = pytest.mark.row(81)
+SECOND = 1_000_000_000
+
+
+class Source(Component):
+    out = OutPort(TimedDouble)
+    gain = Param(2.0)
+    sent = 0.0
+
+    def on_execute(self) -> None:
+        self.sent += 1.0
+        self.out.write_nowait(TimedDouble(0, self.sent))
+
+
+class Sink(Component):
+    into = InPort(TimedDouble)
+
+    def on_initialize(self) -> None:
+        self.got: list[float] = []
+
+    def on_execute(self) -> None:
+        self.got += [sample.data for sample in self.into.drain()]
+
+
+async def system(kernel: Kernel) -> tuple[Source, Sink, Any]:
+    source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+    await kernel.connect(source.out, sink.into, name="wire", length=1000)
+    loop = await kernel.start(PeriodicContext(10.0, name="loop"), source, activate=True)
+    return source, sink, loop
+
+
+PATHS = ["source.out.data", "sink.into", "source.gain", "source.state", "loop.lateness", "loop.ticks", "wire.written"]
+
+
+def test_values_come_at_the_rate_with_the_time_and_no_sample_is_taken() -> None:
+    """OpenRTM's get_monitoring raises InterfaceNotImplemented; its status list is empty."""
+
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            source, sink, _ = await system(kernel)
+            await clock.advance(0.05)
+            begun = clock.monotonic_ns()
+            readings = []
+            async for reading in kernel.monitor(PATHS, rate=2.0):
+                readings.append(reading)
+                if len(readings) == 5:
+                    break
+            assert [r.monotonic_ns - begun for r in readings] == [n * SECOND // 2 for n in range(5)]
+            assert [r.values["loop.ticks"] for r in readings] == [r.values["wire.written"] for r in readings]
+            assert [r.values["source.out.data"] for r in readings] == [float(r.values["loop.ticks"]) for r in readings]
+            assert readings[-1].values["sink.into"] == TimedDouble(0, source.sent)
+            assert readings[-1].values["source.gain"] == 2.0
+            assert readings[-1].values["source.state"] == "active"
+            assert readings[-1].values["loop.lateness"] == 0.0
+            assert [r.missed for r in readings] == [0] * 5
+            assert [s.data for s in sink.into.drain()] == [float(n + 1) for n in range(int(source.sent))]
+
+    simulate(main)
+
+
+def test_what_was_read_is_still_seen_and_a_component_that_went_is_none() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            source, sink, _ = await system(kernel)
+            monitor = kernel.monitor(["sink.into.data", "source.gain"], rate=10.0)
+            await clock.advance(0.35)
+            taken = [s.data for s in sink.into.drain()]
+            assert (await anext(monitor)).values == {"sink.into.data": taken[-1], "source.gain": 2.0}
+            await source.configure(gain=5.0)
+            assert (await anext(monitor)).values["source.gain"] == 5.0
+            await kernel.remove(source)
+            assert (await anext(monitor)).values["source.gain"] is None
+
+    simulate(main)
+
+
+def test_a_slow_reader_is_told_what_it_missed() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            await system(kernel)
+            monitor = kernel.monitor(["loop.ticks"], rate=10.0)
+            assert (await anext(monitor)).missed == 0
+            await asyncio.sleep(1.05)
+            assert (await anext(monitor)).missed == 9
+            first = clock.monotonic_ns()
+            await anext(monitor)
+            assert clock.monotonic_ns() - first < SECOND // 10
+
+    simulate(main)
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("sourc.gain", "did you mean source"),
+        ("source.gian", "it has out, gain, state"),
+        ("loop.speed", "it has ticks"),
+        ("wire.speed", "it has written"),
+        ("source", "no component"),
+    ],
+)
+def test_what_is_not_there_is_refused_with_what_there_is(path: str, says: str) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            await system(kernel)
+            with pytest.raises(WiringError, match=says):
+                kernel.monitor([path])
+
+    simulate(main)
+
+
+@pytest.mark.parametrize("rate", [0, -1.0, float("nan"), float("inf"), True, "10"])
+def test_a_rate_that_is_none_is_refused(rate: Any) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            await system(kernel)
+            with pytest.raises(ConfigurationError):
+                kernel.monitor(["loop.ticks"], rate=rate)
+            with pytest.raises(ConfigurationError):
+                kernel.monitor("loop.ticks")
+
+    simulate(main)
+
+
+def test_it_ends_with_its_kernel() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            await system(kernel)
+            monitor = kernel.monitor(["loop.ticks"], rate=0.01)
+            await anext(monitor)
+            waiting = asyncio.create_task(anext(monitor, None))
+            await asyncio.sleep(0)
+        assert await waiting is None
+        assert clock.monotonic_ns() < 10 * SECOND
+        with pytest.raises(ClosedError):
+            kernel.monitor(["loop.ticks"])
+
+    simulate(main)
