@@ -83,6 +83,7 @@ def test_one_document_has_the_whole_system() -> None:
                 "type": "TimedDouble",
                 "unit": "m",
                 "shape": None,
+                "interfaces": [],
                 "doc": "what it measured",
                 "connectors": ["force"],
             }
