@@ -17,7 +17,7 @@ from aiorts import Catalogue, Component, EventContext, InPort, Kernel, PeriodicC
 from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.single import component_class
 from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
-from aiorts.system import ClockEntry, build, load, prepare
+from aiorts.system import ClockEntry, build, construct, load, prepare
 
 __all__ = ("DEFAULT_RATE", "Target", "find_target")
 
@@ -141,5 +141,5 @@ def _params(name: str, cls: type[Component], changes: Iterable[str]) -> Mapping[
         if dot and component != name:
             raise ConfigurationError(f"--set {text[:80]!r}: the component is called {name!r}; write {param}=VALUE")
         params[param] = value
-    cls(name).params.check(params)
+    construct(cls, name).params.check(params)
     return params

@@ -17,6 +17,7 @@ from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, St
 from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, ParametersChanged, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
+from aiorts.kernel.constructing import construct
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
@@ -77,7 +78,7 @@ class Roster:
             cls = kind
         if not (isinstance(cls, type) and issubclass(cls, Component)):
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
-        component = cls(name)
+        component = construct(cls, name)
         if name == "" and not component._rt_named:
             component._rt_rename(self._kernel._free_name(cls.__name__))
         return await self.add(component, params)

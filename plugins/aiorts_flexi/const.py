@@ -65,7 +65,7 @@ class FlexiConst(FlexiComponent):
         Option(("-r", "--rate"), "rate", "number", "samples in a second (default 1)"),
         Option(("-s", "--seconds"), "seconds", "number", "seconds from one sample to the next, in place of a rate"),
         Option(("--continuous",), "continuous", "flag", "as fast as the reader takes them"),
-        Option(("--count",), "count", "number", "end after so many samples of each port"),
+        Option(("--count",), "count", "number", "end after so many samples of each port; 0 is never"),
         Option(("--port-names",), "names", "text", "names of the out-ports, separated by commas"),
         VERBOSITY,
     )
@@ -85,7 +85,8 @@ class FlexiConst(FlexiComponent):
             raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
         if len(self.names) > len(self.outputs):
             raise ConfigurationError(
-                f"{self.name}: {len(self.names)} names for {len(self.outputs)} out-ports; give at most one for each"
+                f"{self.name}: {_many(len(self.names), 'name')} for {_many(len(self.outputs), 'out-port')}; "
+                "give at most one for each"
             )
         self._types = [_type(text, f"output{number}") for number, text in enumerate(self.outputs)]
         self._samples()
@@ -120,7 +121,8 @@ class FlexiConst(FlexiComponent):
     def _samples(self) -> list[Any]:
         if len(self.constants) != len(self._types):
             raise ConfigurationError(
-                f"{self.name}: {len(self.constants)} constants for {len(self._types)} out-ports; give one for each"
+                f"{self.name}: {_many(len(self.constants), 'constant')} for {_many(len(self._types), 'out-port')}; "
+                "give one for each"
             )
         return [
             sample_of(cls, text, f"constant {number}", length)
@@ -199,3 +201,7 @@ def _type(text: str, name: str) -> tuple[type, int]:
         return parse_type(text, name), 0
     spec = parse_port(text, name)
     return spec.type, spec.length
+
+
+def _many(count: int, word: str) -> str:
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"
