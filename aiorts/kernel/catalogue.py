@@ -198,7 +198,7 @@ class Catalogue:
         if len(files) > _MOST_FILES:
             self._problem(f"folder {folder}", f"{len(files)} Python files; the first {_MOST_FILES} were looked into")
         for path in files[:_MOST_FILES]:
-            yield from self._defined(path)
+            yield from self.defined_in(path)
 
     def _is(self, path: Path, what: Callable[[Path], bool]) -> bool:
         try:
@@ -226,7 +226,7 @@ class Catalogue:
             if kind:
                 yield Extension(kind, extension, target, source, folder, name)
 
-    def _defined(self, path: Path) -> Iterator[Extension]:
+    def defined_in(self, path: Path) -> Iterator[Extension]:
         """Classes that derive from Component, or from one of the same file that does; functions made components."""
         try:
             with warnings.catch_warnings():
