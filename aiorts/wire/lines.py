@@ -153,9 +153,7 @@ class LineReader:
         there = ", ".join(self._forms)
         if name == "":
             raise RecordError(f'which in-port? write {{"port": NAME, "data": ...}}; there are {there}')
-        near = get_close_matches(str(name)[:100], self._forms, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {there}; the writer's ports need these names"
-        raise RecordError(f"no in-port {_shown(name)}; {hint}")
+        raise RecordError(f"no in-port {_shown(name)}; there are {there}; the writer's ports need these names")
 
 
 class _Form:
