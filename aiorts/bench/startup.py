@@ -95,7 +95,13 @@ def cases(folder: Path) -> tuple[Case, ...]:
             None,
             (Aim("import asyncio"),),
         ),
-        ("aiorts --help", "the command", ["-m", "aiorts", "--help"], "Commands", (Aim(click, factor=1.5),)),
+        (
+            "aiorts --help",
+            "the command",
+            ["-m", "aiorts", "--help"],
+            "Components, as filters",
+            (Aim(click, factor=1.5),),
+        ),
         ("aiorts --version", "the command", ["-m", "aiorts", "--version"], "aiorts", (Aim(click, factor=1.5),)),
         (
             "first sample",

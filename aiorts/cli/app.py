@@ -18,7 +18,7 @@ from aiorts import __version__
 from aiorts.cli.completion import completes
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
 from aiorts.cli.output import say_json
-from aiorts.cli.plugins_option import catalogue_of, plugins_option
+from aiorts.cli.plugins_option import catalogue_of, plugins_option, use_environment
 from aiorts.cli.report import printed, report, report_error
 from aiorts.errors import AiortsError, PluginError
 
@@ -57,6 +57,10 @@ class _LazyGroup(HelpfulGroup):
     """A group that knows the names and one line of help of its commands without importing them."""
 
     own = _COMMANDS
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        use_environment()  # before --help, which comes before an option that is not given
+        return super().parse_args(ctx, args)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [*_COMMANDS, *(name for kind in ("commands", "components") for name in _offered(kind))]

@@ -13,20 +13,32 @@ from typing import Any, Final
 
 import click
 
-from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, StateChanged
+from aiorts import (
+    Catalogue,
+    Component,
+    EventContext,
+    InPort,
+    Kernel,
+    LifeCycleState,
+    OutPort,
+    StateChanged,
+    declaration_of,
+)
 from aiorts.cli.completion import completer_of
 from aiorts.cli.ends import Ends
+from aiorts.cli.output import plain, table
 from aiorts.cli.report import report, report_error
 from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.type_modules import import_types
 from aiorts.errors import AiortsError, ConfigurationError
-from aiorts.system import FrameInput, StandardInput
+from aiorts.system import FrameInput, StandardInput, construct
 from aiorts.types import type_name
 
 __all__ = ("command_of", "load_component")
 
 _WAYS: Final = {"length": 1000, "full": "block", "timeout": None}
+_WORDS: Final = {"in": "in ", "out": "out"}
 _OURS: Final = (
     click.Option(["--count"], type=click.IntRange(min=1), metavar="N", help="End after N samples."),
     click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
@@ -57,8 +69,24 @@ def command_of(name: str, cls: type[Component]) -> click.Command:
 
 def _help(cls: type[Component]) -> str:
     first = inspect.cleandoc(cls.__doc__ or cls.__name__)
-    ports = getattr(cls, "interface", "").replace("`", "")
-    return f'{first}\n\nA line in: {{"port": "input0", "data": 1.5}}, or the bare data.\n\nPorts: {ports or "its own"}'
+    more = inspect.cleandoc(getattr(cls, "help_text", ""))
+    if interface := getattr(cls, "interface", "").replace("`", ""):
+        ports, names = f"Ports: {interface}", ["input0"]
+    else:
+        ports, names = _ports_of(cls)
+    line = (
+        f'A line in: {{"port": "{names[0]}", "data": ...}}, or the bare data where there is one in-port.'
+        if names
+        else ""
+    )
+    return "\n\n".join(part for part in (first, more, line, ports) if part)
+
+
+def _ports_of(cls: type[Component]) -> tuple[str, list[str]]:
+    """A table of the ports that the class declares, and the names of the in-ports."""
+    ports = [port for port in declaration_of(cls).ports if port.direction in _WORDS]
+    rows = [(_WORDS[port.direction], port.name, port.type, port.unit or "", port.doc) for port in ports]
+    return f"\b\nPorts:\n{table(rows) or '  none'}", [port.name for port in ports if port.direction == "in"]
 
 
 # -- options -----------------------------------------------------------------------------------------------------------
@@ -82,9 +110,17 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
 
 def _from_parameters(cls: type[Component]) -> list[click.Option]:
     return [
-        click.Option([_flag(name), f"param_{name}"], help=parameter.spec.doc, metavar="VALUE")
-        for name, parameter in cls("draft").params.items()
+        click.Option([_flag(name), f"param_{name}"], help=_told(parameter.spec), metavar="VALUE")
+        for name, parameter in construct(cls, "draft").params.items()
     ]
+
+
+def _told(spec: Any) -> str:
+    """What a parameter is, its type, default and range."""
+    default = plain(spec.default)
+    unit = f" {spec.unit}" if spec.unit else ""
+    rules = (spec.type_text, f"default {default if default != '' else repr(default)}{unit}", str(spec.constraint))
+    return f"{spec.doc} [{'; '.join(filter(None, rules))}]".strip()
 
 
 def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any], str]:
@@ -139,7 +175,7 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
 def _check(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> None:
     """ConfigurationError names the option whose value its parameter does not take."""
     flags = {option.param: option.flags[-1] for option in table}
-    draft = cls("draft")
+    draft = construct(cls, "draft")
     for name, value in params.items():
         try:
             draft.params.check({name: value})

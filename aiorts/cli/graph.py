@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Final
 
 import click
 
@@ -12,6 +13,16 @@ from aiorts.errors import ConfigurationError
 from aiorts.system import GRAPH_FORMATS, graph, load
 
 __all__ = ("graph_command",)
+
+_ENDINGS: Final = {
+    "": "mermaid",
+    ".mmd": "mermaid",
+    ".mermaid": "mermaid",
+    ".md": "mermaid",
+    ".svg": "svg",
+    ".dot": "dot",
+    ".gv": "dot",
+}
 
 
 @click.command("graph", short_help="Draw a system file.")
@@ -27,9 +38,10 @@ def graph_command(
 
     mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run.
     """
+    form = form or _form_of(output)
     system = load(file, changes)
     with quietly():
-        text = graph(system, form or _form_of(output), catalogue_of(system, plugins))
+        text = graph(system, form, catalogue_of(system, plugins))
     if output is None or output == "-":
         click.echo(text, nl=False)
         return 0
@@ -39,7 +51,10 @@ def graph_command(
 
 def _form_of(output: str | None) -> str:
     ending = Path(output).suffix.lower() if output else ""
-    return {".svg": "svg", ".dot": "dot", ".gv": "dot"}.get(ending, "mermaid")
+    if ending not in _ENDINGS and not (output and Path(output).exists() and not Path(output).is_file()):
+        there = ", ".join(filter(None, _ENDINGS))
+        raise click.UsageError(f"-o {output}: no drawing ends in {ending}; there are {there}; or give --format")
+    return _ENDINGS.get(ending, "mermaid")
 
 
 def _write(path: Path, text: str) -> None:

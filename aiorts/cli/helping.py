@@ -9,7 +9,6 @@ import click
 
 from aiorts.cli.codes import CODES
 from aiorts.cli.output import say, table
-from aiorts.errors import ConfigurationError
 
 __all__ = ("help_",)
 
@@ -62,5 +61,5 @@ def _explained(code: str) -> str:
     if one is None:
         near = get_close_matches(code[:60].upper(), CODES, n=1)
         hint = f"did you mean {near[0]}?" if near else "aiorts help errors lists them"
-        raise ConfigurationError(f"no error code {code[:60]!r}; {hint}")
+        raise click.UsageError(f"no error code {code[:60]!r}; {hint}")
     return f"{code.upper()}: {one.meaning}\n  cause   {one.cause}\n  remedy  {one.remedy}"

@@ -20,6 +20,7 @@ from aiorts.cli.output import plain, say, say_json, table
 from aiorts.cli.record_types import profile_of_type
 from aiorts.cli.subjects import Subject, find_subject
 from aiorts.cli.type_modules import import_types
+from aiorts.system import construct
 
 __all__ = ("inspect",)
 
@@ -88,7 +89,7 @@ def draw(subject: Subject, given: Iterable[str], name: str) -> Drawn:
     ports = list(declaration.ports)
     make_ports = getattr(subject.cls, "make_ports", None)
     if make_ports is not None and not missing:
-        component: Component = subject.cls(subject.cls.__name__.lower())
+        component: Component = construct(subject.cls, subject.cls.__name__.lower())
         for key, value in component.params.check(params).items():
             setattr(component, key, value)
         make_ports(component)
@@ -195,7 +196,10 @@ def _component_text(drawn: Drawn) -> str:
         parts.append(f"Parameters\n{table(rows)}")
     parts.append(f"Hooks\n  {', '.join(profile['hooks']) or 'none'}")
     if drawn.options:
-        told = [(", ".join(row.flags), row.help, "required" if row.required else "") for row in drawn.options]
+        told = [
+            (", ".join(row.flags), row.param and f"sets {row.param}", row.help, "required" if row.required else "")
+            for row in drawn.options
+        ]
         parts.append(f"Options\n{table(told)}")
     if drawn.command:
         parts.append(f"Run it: aiorts {drawn.command} --help")

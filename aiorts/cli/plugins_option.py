@@ -11,7 +11,7 @@ import click
 
 from aiorts import Catalogue
 
-__all__ = ("ENVIRONMENT", "catalogue_of", "plugins_option")
+__all__ = ("ENVIRONMENT", "catalogue_of", "plugins_option", "use_environment")
 
 ENVIRONMENT: Final = "AIORTS_PLUGINS"
 """Folders, separated as in PATH; those of the command line come first."""
@@ -24,9 +24,14 @@ def catalogue_of(more: Iterable[Path] = ()) -> Catalogue:
     return Catalogue((*known.folders, *added)) if added else known
 
 
-def _named(context: click.Context, option: click.Parameter, folders: tuple[Path, ...]) -> None:
+def use_environment(folders: Iterable[Path] = ()) -> None:
+    """Have every command see the folders that the environment names, after these."""
     named = (Path(folder) for folder in os.environ.get(ENVIRONMENT, "").split(os.pathsep) if folder)
     Catalogue((*folders, *named)).make_default()
+
+
+def _named(context: click.Context, option: click.Parameter, folders: tuple[Path, ...]) -> None:
+    use_environment(folders)
 
 
 plugins_option = click.option(

@@ -7,6 +7,7 @@ error is closed or full.
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 import traceback
 from collections.abc import Callable
@@ -32,6 +33,9 @@ __all__ = (
 )
 
 LONGEST: Final = 240
+_END: Final = 70
+"""Characters of the end that are kept."""
+_FOLDER: Final = re.compile(r"(?<![\w.])/(?:[^\s/:;,()'\"]+/)+")
 ADVICE: Final = "; --debug shows the traceback"
 
 
@@ -87,9 +91,12 @@ def one_line(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """One line of at most LONGEST characters: the end, which says what to do, is kept."""
+    """One line of at most LONGEST characters: folders are left out first; the end, which says what to do, is kept."""
     line = one_line(text)
-    return f"{line[: LONGEST - 73]}...{line[-70:]}" if len(line) > LONGEST else line
+    for folder in sorted(set(_FOLDER.findall(line)), key=len, reverse=True):
+        if len(line) > LONGEST:
+            line = line.replace(folder, ".../")
+    return f"{line[: LONGEST - 3 - _END]}...{line[-_END:]}" if len(line) > LONGEST else line
 
 
 def say(*lines: str) -> None:

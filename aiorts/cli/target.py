@@ -17,7 +17,7 @@ from aiorts import Catalogue, Component, EventContext, InPort, Kernel, PeriodicC
 from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.single import component_class
 from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
-from aiorts.system import ClockEntry, build, load, prepare
+from aiorts.system import ClockEntry, build, construct, load, prepare
 
 __all__ = ("DEFAULT_RATE", "Target", "find_target")
 
@@ -51,6 +51,8 @@ def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate
     for folder in folders:
         if not folder.is_dir():
             raise ConfigurationError(f"--plugins {folder}: no such folder; name one with plugins in it")
+    if text.endswith(".py") and Path(text).is_file():
+        raise ConfigurationError(f"{text}: no system file; {_give_class(Path(text))}")
     if _is_file(text):
         if rate is not None:
             raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
@@ -71,6 +73,13 @@ def _is_file(text: str) -> bool:
         return False
 
 
+def _give_class(path: Path) -> str:
+    names = [one.name for one in Catalogue((path.parent,)).defined_in(path)]
+    if not names:
+        return f"give {path}:CLASS; it has no component"
+    return f"give {path}:{names[0] if len(names) == 1 else 'CLASS'}; it has {', '.join(names[:10])}"
+
+
 def _no_such(text: str, catalogue: Catalogue) -> str:
     components = catalogue.extensions("components")
     try:
@@ -88,6 +97,8 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
     try:
         system = load(text, changes)
     except SystemFileError as error:
+        if f"{text}: --set " in str(error):
+            raise ConfigurationError(str(error)).like(error) from None
         if not Path(text).parent.is_dir() or Path(text).exists() or "cannot be read" not in str(error):
             raise
         near = get_close_matches(Path(text).name, [path.name for path in Path(text).parent.glob("*.toml")], n=1)
@@ -141,5 +152,5 @@ def _params(name: str, cls: type[Component], changes: Iterable[str]) -> Mapping[
         if dot and component != name:
             raise ConfigurationError(f"--set {text[:80]!r}: the component is called {name!r}; write {param}=VALUE")
         params[param] = value
-    cls(name).params.check(params)
+    construct(cls, name).params.check(params)
     return params

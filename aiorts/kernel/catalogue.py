@@ -198,7 +198,7 @@ class Catalogue:
         if len(files) > _MOST_FILES:
             self._problem(f"folder {folder}", f"{len(files)} Python files; the first {_MOST_FILES} were looked into")
         for path in files[:_MOST_FILES]:
-            yield from self._defined(path)
+            yield from self.defined_in(path)
 
     def _is(self, path: Path, what: Callable[[Path], bool]) -> bool:
         try:
@@ -226,8 +226,8 @@ class Catalogue:
             if kind:
                 yield Extension(kind, extension, target, source, folder, name)
 
-    def _defined(self, path: Path) -> Iterator[Extension]:
-        """The classes that derive from Component, or from one of the same file that does."""
+    def defined_in(self, path: Path) -> Iterator[Extension]:
+        """Classes that derive from Component, or from one of the same file that does; functions made components."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # about its text: whoever imports it will see them
@@ -239,9 +239,12 @@ class Catalogue:
             return
         components = {"Component"}
         for node in tree.body:
+            name = _made_of_function(node)
             if isinstance(node, ast.ClassDef) and components.intersection(map(_last_name, node.bases)):
                 components.add(node.name)
-                yield Extension("components", node.name, f"{path.name}:{node.name}", f"file {path}", path.parent)
+                name = node.name
+            if name:
+                yield Extension("components", name, f"{path.name}:{name}", f"file {path}", path.parent)
 
     def _content(self, path: Path) -> bytes:
         try:
@@ -271,6 +274,23 @@ def _resolved(folder: Path | None) -> str:
         return "" if folder is None else str(folder.resolve())
     except (OSError, RuntimeError):  # a loop of links
         return str(folder)
+
+
+def _made_of_function(node: ast.stmt) -> str:
+    """The name of a component that `@component` or `name = component(...)` makes here; else ""."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        return node.name if any(_is_maker(one) for one in node.decorator_list) else ""
+    if isinstance(node, ast.Assign) and len(node.targets) == 1 and isinstance(node.value, ast.Call):
+        return getattr(node.targets[0], "id", "") if _is_maker(node.value) else ""
+    return ""
+
+
+def _is_maker(called: ast.expr) -> bool:
+    """Whether it is aiorts' `component`, `aiorts.component` or a call of it."""
+    called = called.func if isinstance(called, ast.Call) else called
+    if isinstance(called, ast.Attribute):
+        return called.attr == "component" and getattr(called.value, "id", "") == "aiorts"
+    return getattr(called, "id", "") == "component"
 
 
 def _last_name(base: ast.expr) -> str:

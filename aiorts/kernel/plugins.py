@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import importlib
 import importlib.util
+import os
 import sys
 import threading
 import zlib
@@ -40,6 +41,8 @@ __all__ = (
 
 API: Final = 1
 """What aiorts offers to plugins; a module of one that sets `AIORTS_API` says which it was written for."""
+_OURS: Final = str(Path(__file__).parents[1]) + os.sep
+"""Where aiorts itself lies."""
 _LONGEST: Final = 30.0
 """Seconds that an import may take."""
 
@@ -73,7 +76,7 @@ def load(extension: Extension) -> Any:
 
 
 def cause_of(error: BaseException) -> str:
-    """What an import raised, with the file and line that it came from."""
+    """What an import raised, with the file and line of the plugin that it came from: none of aiorts itself."""
     if isinstance(error, SyntaxError):
         text, file, line = error.msg, error.filename, error.lineno
     else:
@@ -81,7 +84,7 @@ def cause_of(error: BaseException) -> str:
     trace = error.__traceback__
     while trace is not None and not isinstance(error, SyntaxError):
         name = trace.tb_frame.f_code.co_filename
-        if not name.startswith("<") and name != __file__:
+        if not name.startswith(("<", _OURS)):
             file, line = name, trace.tb_lineno
         trace = trace.tb_next
     where = "" if file is None else f" ({file}, line {line})"

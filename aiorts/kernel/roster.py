@@ -18,6 +18,7 @@ from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, St
 from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
 from aiorts.kernel.component import Component
+from aiorts.kernel.constructing import construct
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.leftovers import leftovers
 from aiorts.kernel.life import chain
@@ -84,7 +85,7 @@ class Roster:
             cls = kind
         if not (isinstance(cls, type) and issubclass(cls, Component)):
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
-        component = cls(name)
+        component = construct(cls, name)
         if name == "" and not component._rt_named:
             component._rt_rename(self._kernel._instance_name(cls))
         return await self.add(component, params)

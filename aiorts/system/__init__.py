@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from aiorts.kernel.constructing import construct
 from aiorts.system.arguments import option_params, parse_options
 from aiorts.system.build import Blueprint, build, prepare
 from aiorts.system.check import check, check_text
@@ -35,6 +36,7 @@ __all__ = (
     "build",
     "check",
     "check_text",
+    "construct",
     "graph",
     "is_source",
     "load",

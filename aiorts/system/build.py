@@ -18,6 +18,9 @@ from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.ports import Port
 from aiorts.model.lifecycle import LifeCycleState
+from aiorts.system.check import of_draft
+from aiorts.system.joints import end_key
+from aiorts.system.places import Key
 from aiorts.system.survey import Survey, survey
 from aiorts.system.values import ConnectionEntry, SystemFile
 
@@ -74,15 +77,19 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     for entry in plan.system.components.values():
         try:
             await kernel.create(plan.types[entry.name], entry.name, **plan.params[entry.name])
+        except AiortsError as error:
+            error.add_note(_place_of(plan.system, entry.name, error))
+            raise
         except BaseException as error:
             error.add_note(entry.name)
             raise
     for connection in plan.system.connections:
-        ports = [_port(plan.system, kernel, connection, path) for path in connection.ports]
+        ports = [_port(plan.system, kernel, connection, number) for number in range(len(connection.ports))]
         try:
             await kernel.connect(*ports, **connection.options)
         except WiringError as error:
-            raise WiringError(f"{plan.system.path}: {connection.place}: {error}") from None
+            where = plan.system.at(*_blamed(connection, str(error)))
+            raise WiringError(f"{where}: {connection.place}: {error}") from None
     for context in plan.system.contexts.values():
         members = [kernel.components[name] for name in context.members]
         await kernel.start(plan.contexts[context.name], *members)
@@ -123,22 +130,39 @@ def _readers_first(system: SystemFile) -> list[str]:
     return list(ordered)
 
 
-def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, path: str) -> Port[Any]:
+def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, number: int) -> Port[Any]:
+    path = connection.ports[number]
     try:
         found = kernel.find(path)
     except AiortsError as error:
         component, _, name = path.partition(".")
         near = get_close_matches(name, kernel.components[component].ports, n=1)
         hint = f"; did you mean {component}.{near[0]}?" if near else ""
-        raise SystemFileError(f"{system.path}: {connection.place}: {error}{hint}") from None
+        where = system.at(*end_key(connection, number))
+        raise SystemFileError(f"{where}: {connection.place}: {error}{hint}") from None
     assert isinstance(found, Port)  # noqa: S101 - the parser has seen that the path names one
     return found
+
+
+def _place_of(system: SystemFile, name: str, error: AiortsError) -> str:
+    """The component that could not be made, and where in the file it is said what it is to be."""
+    if not system.text:
+        return name
+    said = of_draft(system, name, error)
+    place = said.place or system.place(*said.key)
+    return f"{system.path}:{place.line}:{place.column}: {name}"
+
+
+def _blamed(connection: ConnectionEntry, why: str) -> Key:
+    """Where the end stands that an error speaks of: the first in-port that it names, else the first there is."""
+    named = (number for number, path in enumerate(connection.ports) if number and f"{path}:" in why)
+    return end_key(connection, next(named, 1))
 
 
 def _check_declared(found: Survey) -> None:
     """Refuse a port that its class does not declare, unless the class may make ports itself."""
     for connection in found.system.connections:
-        for path in connection.ports:
+        for number, path in enumerate(connection.ports):
             component, _, name = path.partition(".")
             cls = found.types.get(component)
             if cls is None:
@@ -147,4 +171,4 @@ def _check_declared(found: Survey) -> None:
             near = get_close_matches(name, declared, n=1)
             if near and name not in declared:
                 what = f"{component} has no port {name!r}; did you mean {near[0]!r}?"
-                found.say(("connections", connection.number - 1), SystemFileError(what), connection.place)
+                found.say(end_key(connection, number), SystemFileError(what), connection.place)

@@ -63,7 +63,7 @@ def check_text(
         for fault in found.faults
     ]
     drafts = _drafts(found)
-    said += [_of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
+    said += [of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
     said += _of_members(found, drafts)
     said += joint_findings(found, drafts)
     said += whole_findings(found, drafts, whole=not mistakes)
@@ -97,7 +97,7 @@ def _of_members(found: Survey, drafts: dict[str, Draft]) -> Iterable[Said]:
 # -- places ------------------------------------------------------------------------------------------------------------
 
 
-def _of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
+def of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
     """A component that cannot have its ports: the parameter that is to blame, and the place in its text."""
     entry = system.components[name]
     message = str(error).removeprefix(f"{name}: ")

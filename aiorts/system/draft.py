@@ -13,6 +13,7 @@ from typing import Any
 
 from aiorts.errors import AiortsError, PluginError
 from aiorts.kernel.component import Component
+from aiorts.kernel.constructing import construct
 from aiorts.kernel.ports import Port
 
 __all__ = ("Draft", "draft")
@@ -34,15 +35,13 @@ def draft(cls: type[Component], name: str, params: Mapping[str, Any]) -> Draft:
     """A component of this class with these parameters, checked already, as a system will have it."""
     make = getattr(cls, "make_ports", None)
     try:
-        component = cls(name)
-        if not hasattr(component, "_rt_host"):
-            raise PluginError(f"{cls.__name__}.__init__ does not call super().__init__(name)")
+        component = construct(cls, name)
         component._rt_put(params)
         if make is not None:
             make(component)
     except AiortsError as error:
         return Draft(None, {}, complete=False, error=error)
-    except BaseException as error:  # a component's border: its constructor is the user's
+    except BaseException as error:  # a component's border: its `make_ports` is the user's
         if isinstance(error, KeyboardInterrupt):
             raise
         what = PluginError(f"{cls.__name__} cannot be constructed: {type(error).__name__}: {error}")

@@ -18,7 +18,7 @@ from aiorts.system.survey import Survey
 from aiorts.system.values import ConnectionEntry
 from aiorts.types import has_tm
 
-__all__ = ("joint_findings",)
+__all__ = ("end_key", "joint_findings")
 
 
 def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
@@ -52,7 +52,8 @@ def _key(connection: ConnectionEntry) -> Key:
     return ("connections", connection.number - 1)
 
 
-def _end(connection: ConnectionEntry, number: int) -> Key:
+def end_key(connection: ConnectionEntry, number: int) -> Key:
+    """Where the path of its port `number` stands: 0 is the one under `from`."""
     return (*_key(connection), "from") if number == 0 else (*_key(connection), "to", number - 1)
 
 
@@ -71,7 +72,7 @@ def _port(
     port = draft.ports.get(name)
     if port is not None:
         return port, None
-    key = _end(connection, number)
+    key = end_key(connection, number)
     near = get_close_matches(name, draft.ports, n=1)
     if draft.complete or near:
         listed = ", ".join(draft.ports) or "none"
@@ -97,14 +98,14 @@ def _ends(
     if not outs or not ins:
         word = "in-ports" if ins else "out-ports"
         what = f"{' and '.join(port.path for port in ports)} are {word}; connect an out-port with an in-port"
-        yield Said("error", WiringError.code, _end(connection, 1), what)
+        yield Said("error", WiringError.code, end_key(connection, 1), what)
         return
     if not isinstance(ports[0], OutPort):
         what = f"{ports[0].path} is an in-port; write the out-port under from"
-        yield Said("warning", "W-TURNED", _end(connection, 0), what)
+        yield Said("warning", "W-TURNED", end_key(connection, 0), what)
     for out in outs:
         for in_ in ins:
-            key = _end(connection, ports.index(in_))
+            key = end_key(connection, ports.index(in_))
             told = False
             for fault in pair_faults(out, in_):
                 # One filter mends all that is wrong between the two.

@@ -42,11 +42,13 @@ class LineStream:
 
         Raises:
             BrokenPipeError: its reader has gone, or somebody has closed it.
-            OutputError: the system refused the lines; `errno` says why.
+            OutputError: the system refused the lines (`errno` says why), or this was started without standard output.
         """
         stream = sys.stdout if self._stream is None else self._stream
         if stream is None:
-            return  # started without standard output
+            if any(True for _ in lines):
+                raise OutputError("standard output is closed; redirect it, to /dev/null for one")
+            return
         for part in _parts(lines, getattr(stream, "encoding", None) or "utf-8"):
             descriptor = _slow(stream)
             if descriptor is None:

@@ -101,7 +101,8 @@ def _found_number_of(cls: type) -> type | None:
 class LineReader:
     """Reads lines for these in-ports.
 
-    With a single in-port every line is for it, whatever port the line names: the out-port of who wrote it.
+    With a single in-port every line is for it, whatever port the line names: the out-port of who wrote it. A line of
+    `output1` is for `input1` where there is no in-port `output1`: filters in a pipe need not be told their names.
 
     Args:
         ports: the type of each in-port by its name; at least one.
@@ -110,6 +111,9 @@ class LineReader:
     def __init__(self, ports: Mapping[str, type]) -> None:
         self._forms = {name: _Form(cls) for name, cls in ports.items()}
         self._only = next(iter(ports)) if len(ports) == 1 else ""
+        numbers = [(name, name.removeprefix("input")) for name in ports]
+        pairs = {f"output{digits}": name for name, digits in numbers if name != digits and digits.isdecimal()}
+        self._partners = {out: name for out, name in pairs.items() if out not in ports}
         self._decode = json.JSONDecoder(parse_constant=_no_constant, object_pairs_hook=_unique).decode
 
     def sample(self, line: str, now_ns: int) -> tuple[str, Any]:
@@ -140,16 +144,16 @@ class LineReader:
         return self._port(port), form.sample(plain["data"], plain.get("tm", now_ns))
 
     def _port(self, name: Any) -> str:
-        return self._only or str(name)
+        return self._only or self._partners.get(str(name), str(name))
 
     def _form(self, name: Any) -> _Form:
-        form = self._forms.get(self._only or name) if isinstance(name, str) else None
+        form = self._forms.get(self._port(name)) if isinstance(name, str) else None
         if form is not None:
             return form
         there = ", ".join(self._forms)
         if name == "":
             raise RecordError(f'which in-port? write {{"port": NAME, "data": ...}}; there are {there}')
-        raise RecordError(f"no in-port {_shown(name)}; there are {there}")
+        raise RecordError(f"no in-port {_shown(name)}; there are {there}; the writer's ports need these names")
 
 
 class _Form:

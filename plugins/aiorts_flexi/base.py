@@ -25,6 +25,9 @@ class FlexiComponent(Component):
     interface: ClassVar[str] = ""
     """The names of the ports, as documentation shows them."""
 
+    help_text: ClassVar[str] = ""
+    """What the help of its command says besides, with examples."""
+
     verbosity = Param(0, doc="how much is logged: 0 nothing, 1 the ports, 2 or more details")
 
     _runs = False

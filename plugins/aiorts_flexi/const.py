@@ -81,7 +81,7 @@ class FlexiConst(FlexiComponent):
         Option(("-r", "--rate"), "rate", "number", "samples in a second (default 1)"),
         Option(("-s", "--seconds"), "seconds", "number", "seconds from one sample to the next, in place of a rate"),
         Option(("--continuous",), "continuous", "flag", "as fast as the reader takes them"),
-        Option(("--count",), "count", "number", "end after so many samples of each port"),
+        Option(("--count",), "count", "number", "end after so many samples of each port; 0 is never"),
         Option(("--port-names",), "names", "text", "names of the out-ports, separated by commas"),
         VERBOSITY,
     )
@@ -140,7 +140,7 @@ class FlexiConst(FlexiComponent):
             raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
         if len(given) > len(outputs):
             raise ConfigurationError(
-                f"{self.name}: {len(given)} names for {len(outputs)} out-ports; give at most one for each"
+                f"{self.name}: {_many(len(given), 'name')} for {_many(len(outputs), 'out-port')}; give at most one for each"
             )
         named: dict[str, tuple[type, int]] = {}
         for number, text in enumerate(outputs):
@@ -154,7 +154,7 @@ class FlexiConst(FlexiComponent):
     def _samples(self, named: Mapping[str, tuple[type, int]], constants: Sequence[str]) -> list[Any]:
         if len(constants) != len(named):
             raise ConfigurationError(
-                f"{self.name}: {len(constants)} constants for {len(named)} out-ports; give one for each"
+                f"{self.name}: {_many(len(constants), 'constant')} for {_many(len(named), 'out-port')}; give one for each"
             )
         return [
             sample_of(cls, text, f"constant {number}", length)
@@ -228,3 +228,7 @@ def _type(text: str, name: str) -> tuple[type, int]:
         return parse_type(text, name), 0
     spec = parse_port(text, name)
     return spec.type, spec.length
+
+
+def _many(count: int, word: str) -> str:
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"

@@ -54,6 +54,17 @@ class FlexiFilter(FlexiComponent):
     time = Param("oldest", choices=("oldest", "newest"), doc="time of a sample: of the oldest or newest of its sources")
 
     interface: ClassVar[str] = "in: `input0`, `input1`, ...; out: `output0`, `output1`, ..."
+    help_text: ClassVar[str] = """
+        A map is a list of entries in[:pin] > [mult[off] >] out[:pin]. Pins count the items of a sequence from 0, or
+        name a field of a record; number the ports from 0.
+
+        \b
+          -m "0>1000>0"      input0, times 1000, to output0: metres to millimetres
+          -m "0>1.8+32>0"    input0 times 1.8 plus 32: Celsius to Fahrenheit
+          -m "0:2>0,1>1:3"   item 2 of input0 to output0, input1 to item 3 of output1
+
+        A sample that cannot be converted ends it with status 1: the lines after it are not processed.
+        """
     options: ClassVar[tuple[Option, ...]] = (
         Option(("-i", "--inputport"), "inputs", "repeat", "an in-port: TYPE, or TYPE:LEN of a sequence", required=True),
         Option(("-o", "--outputport"), "outputs", "repeat", "an out-port, likewise", required=True),

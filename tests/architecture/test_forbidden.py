@@ -51,6 +51,8 @@ BROAD_EXCEPT = {
     "aiorts/kernel/plugins.py:load",
     # What an exception of a plugin says of itself may raise in its turn.
     "aiorts/kernel/plugins.py:_text",
+    # The constructor is the user's, too: a component that cannot be made is one error that names its class.
+    "aiorts/kernel/constructing.py:construct",
     "aiorts/kernel/solo.py:_run",
     # A provider's method is a component's code as a hook is: in a task of its own, in the caller's step, in a thread.
     "aiorts/kernel/service_call.py:_serve",

@@ -83,7 +83,7 @@ def starting() -> float:
         ("<&-", 0, "", ""),
         ("</dev/null", 0, "", ""),
         ("<LINES", 0, "500", ""),
-        ("<LINES >&-", 0, "", ""),
+        ("<LINES >&-", 1, "", "E-OUTPUT"),
         ("<LINES 2>&-", 0, "500", ""),
         ("<LINES 2>/dev/full", 0, "500", ""),
         ("<LINES >/dev/full", 1, "", "E-OUTPUT"),
@@ -103,6 +103,14 @@ def test_whatever_its_streams_are_it_ends_with_the_right_status_and_no_busy_loop
     assert (found.status, len(found.out.splitlines())) == (status, int(out or 0))
     assert found.err == "" if not err else (err in found.err and len(found.err.splitlines()) == 1)
     assert found.cpu - starting < 1.0
+
+
+@pytest.mark.fault("F12")
+def test_a_closed_output_ends_a_source_that_would_run_for_ever() -> None:
+    found = ended(f"{COMMAND} flexiconst -p TimedLong -c 1 -r 50 --for 20 >&-")
+    assert (found.status, found.out) == (1, "")
+    assert "E-OUTPUT" in found.err
+    assert len(found.err.splitlines()) == 1
 
 
 @pytest.mark.fault("F12")
