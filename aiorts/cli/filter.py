@@ -27,6 +27,7 @@ from aiorts.types import type_name
 __all__ = ("command_of", "load_component")
 
 _WAYS: Final = {"length": 1000, "full": "block", "timeout": None}
+_LONGEST: Final = 1_000_000
 _OURS: Final = (
     click.Option(["--count"], type=click.IntRange(min=1), metavar="N", help="End after N samples."),
     click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
@@ -183,9 +184,14 @@ class _Filter:
             parts.insert(0, sink)
         if ins:
             count = None if outs else self._count
-            self._input = await kernel.add(self._ends.source(ins, _complain, count=count))
+            ordered = bool(getattr(component, "in_line_order", False))
+            self._input = await kernel.add(self._ends.source(ins, _complain, count=count, ordered=ordered))
+            # One that takes what it can pair leaves the rest, and must not keep us from reading what that waits for.
+            ways = _WAYS if ordered or len(ins) == 1 else {**_WAYS, "length": _LONGEST}
             for name in ins:
-                await kernel.connect(self._input.ports[name], component.ports[name], **_WAYS)
+                await kernel.connect(self._input.ports[name], component.ports[name], **ways)
+            if (skip_bad := getattr(component, "skip_bad", None)) is not None:
+                skip_bad(self._input.refused)
             parts.append(self._input)
             _tell_terminal(ins)
         for part in parts:

@@ -110,7 +110,7 @@ class LineReader:
     def __init__(self, ports: Mapping[str, type]) -> None:
         self._forms = {name: _Form(cls) for name, cls in ports.items()}
         self._only = next(iter(ports)) if len(ports) == 1 else ""
-        self._decode = json.JSONDecoder(parse_constant=_no_constant, object_pairs_hook=_unique).decode
+        self._decode = json.JSONDecoder(parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique).decode
 
     def sample(self, line: str, now_ns: int) -> tuple[str, Any]:
         """In-port and sample of a line.
@@ -188,6 +188,13 @@ class _Form:
 
 def _no_constant(name: str) -> NoReturn:
     raise ValueError(f'{name} is not JSON; write "{name}" in quotes')
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if math.isinf(number):
+        raise ValueError(f"{_shown(text)} is too large for a number of 64 bits")
+    return number
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
