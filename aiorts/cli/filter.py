@@ -185,7 +185,13 @@ class _Filter:
         if ins:
             count = None if outs else self._count
             ordered = bool(getattr(component, "in_line_order", False))
-            self._input = await kernel.add(self._ends.source(ins, _complain, count=count, ordered=ordered))
+            shown = [port for port in component.ports.values() if isinstance(port, OutPort)]
+
+            def held_up() -> bool:
+                return any(connector.unread for port in shown for connector in port.connectors)
+
+            how = {"count": count, "ordered": ordered, "held_up": held_up}
+            self._input = await kernel.add(self._ends.source(ins, _complain, **how))
             # One that takes what it can pair leaves the rest, and must not keep us from reading what that waits for.
             ways = _WAYS if ordered or len(ins) == 1 else {**_WAYS, "length": _LONGEST}
             for name in ins:

@@ -54,6 +54,7 @@ class FrameInput(Component):
         descriptor: what is read; standard input by default. It is not closed.
         count: finish after so many samples; None is with the end of input.
         ordered: feed the in-ports in the order of the frames; only for who reads all of them in each cycle.
+        held_up: whether the reader waits for somebody; while it does not, one that takes nothing is an error.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class FrameInput(Component):
         *,
         count: int | None = None,
         ordered: bool = False,
+        held_up: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name)
         self.frames = 0
@@ -73,7 +75,7 @@ class FrameInput(Component):
         self.bad = 0
         self._types = dict(ports)
         outs = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
-        self._feed = Feed(outs, ordered=ordered)
+        self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._codec = codec
         self._tell = tell
         self._descriptor = descriptor

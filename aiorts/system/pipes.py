@@ -16,7 +16,9 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
-from aiorts.errors import RecordError
+from anyio import WouldBlock
+
+from aiorts.errors import RecordError, WriteTimeout
 from aiorts.kernel.component import Component
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.system.stream import LineStream
@@ -37,6 +39,8 @@ _LINES_KEPT: Final = 4096
 _TURNS: Final = 50
 """Turns of the loop after which who waits for a component looks but now and then."""
 _LOOK: Final = 0.001
+_STUCK_S: Final = 10.0
+"""Seconds after which a reader that takes nothing, while nobody holds it up, is asked what it waits for."""
 
 Tell = Callable[[int, str], None]
 
@@ -46,9 +50,13 @@ class Feed:
 
     Args:
         ordered: whether a sample waits until those before it were taken from other ports.
+        held_up: whether the reader itself waits for somebody; without it a full port is waited for without end.
     """
 
-    def __init__(self, outs: Mapping[str, OutPort[Any]], *, ordered: bool) -> None:
+    def __init__(
+        self, outs: Mapping[str, OutPort[Any]], *, ordered: bool, held_up: Callable[[], bool] | None = None
+    ) -> None:
+        self._held_up = held_up if len(outs) > 1 else None
         self._outs = outs
         self._ordered = ordered and len(outs) > 1
         self._before: OutPort[Any] | None = None
@@ -56,7 +64,11 @@ class Feed:
         self._written = dict.fromkeys(outs, 0)
 
     async def write(self, name: str, number: int, sample: Any) -> None:
-        """Write the sample of line `number` to the port `name`."""
+        """Write the sample of line `number` to the port `name`.
+
+        Raises:
+            WriteTimeout: the port is full, and its reader takes nothing, since it waits for a sample of another port.
+        """
         port = self._outs[name]
         if self._ordered and port is not self._before:
             if self._before is not None:
@@ -64,7 +76,25 @@ class Feed:
             self._before = port
         self._lines[name].append(number)
         self._written[name] += 1
-        await port.write(sample)
+        if self._held_up is None:
+            await port.write(sample)
+            return
+        try:
+            port.write_nowait(sample)
+        except WouldBlock:
+            await self._write_unless_stuck(port, sample, self._held_up)
+
+    async def _write_unless_stuck(self, port: OutPort[Any], sample: Any, held_up: Callable[[], bool]) -> None:
+        while True:
+            try:
+                return await asyncio.wait_for(port.write(sample), _STUCK_S)
+            except TimeoutError:
+                lacking = [out.name for out in self._outs.values() if not any(c.unread for c in out.connectors)]
+                if lacking and not held_up():
+                    raise WriteTimeout(
+                        f"in-port {port.name} is full, with {sum(c.unread for c in port.connectors)} samples, and its "
+                        f"component waits for {', '.join(lacking)}; give the lines of the in-ports by turns"
+                    ) from None
 
     def line_of(self, name: str, nth: int) -> int:
         """The line of the n-th sample (from 1) of a port; 0 when that was too long ago."""
@@ -90,6 +120,7 @@ class StandardInput(Component):
         descriptor: what is read; standard input by default. It is not closed.
         count: finish after so many samples; None is with the end of input.
         ordered: feed the in-ports in the order of the lines; only for who reads all of them in each cycle.
+        held_up: whether the reader waits for somebody; while it does not, one that takes nothing is an error.
     """
 
     def __init__(
@@ -101,6 +132,7 @@ class StandardInput(Component):
         *,
         count: int | None = None,
         ordered: bool = False,
+        held_up: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name)
         self._count = count
@@ -109,7 +141,7 @@ class StandardInput(Component):
         self.bad = 0
         self._reader = LineReader(ports)
         outs = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
-        self._feed = Feed(outs, ordered=ordered)
+        self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._tell = tell
         self._descriptor = descriptor
         self._reading: asyncio.Task[None] | None = None
