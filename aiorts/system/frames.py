@@ -74,7 +74,7 @@ class FrameInput(Component):
         """Frames read, bad ones among them."""
         self.bad = 0
         self._types = dict(ports)
-        outs = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
         self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._codec = codec
         self._tell = tell

@@ -87,7 +87,7 @@ class Feed:
     async def _write_unless_stuck(self, port: OutPort[Any], sample: Any, held_up: Callable[[], bool]) -> None:
         while True:
             try:
-                return await asyncio.wait_for(port.write(sample), _STUCK_S)
+                await asyncio.wait_for(port.write(sample), _STUCK_S)
             except TimeoutError:
                 lacking = [out.name for out in self._outs.values() if not any(c.unread for c in out.connectors)]
                 if lacking and not held_up():
@@ -95,6 +95,8 @@ class Feed:
                         f"in-port {port.name} is full, with {sum(c.unread for c in port.connectors)} samples, and its "
                         f"component waits for {', '.join(lacking)}; give the lines of the in-ports by turns"
                     ) from None
+            else:
+                return
 
     def line_of(self, name: str, nth: int) -> int:
         """The line of the n-th sample (from 1) of a port; 0 when that was too long ago."""
@@ -140,7 +142,7 @@ class StandardInput(Component):
         """Lines read, bad ones among them; blank ones are none."""
         self.bad = 0
         self._reader = LineReader(ports)
-        outs = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
         self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._tell = tell
         self._descriptor = descriptor

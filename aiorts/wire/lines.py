@@ -110,7 +110,9 @@ class LineReader:
     def __init__(self, ports: Mapping[str, type]) -> None:
         self._forms = {name: _Form(cls) for name, cls in ports.items()}
         self._only = next(iter(ports)) if len(ports) == 1 else ""
-        self._decode = json.JSONDecoder(parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique).decode
+        self._decode = json.JSONDecoder(
+            parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique
+        ).decode
 
     def sample(self, line: str, now_ns: int) -> tuple[str, Any]:
         """In-port and sample of a line.

@@ -29,7 +29,7 @@ class FlexiComponent(Component):
 
     @property
     def in_line_order(self) -> bool:
-        """Whether a filter feeds the in-ports in the order of its lines: each cycle takes all there is at all of them."""
+        """Whether a filter feeds the in-ports in the order of its lines: each cycle takes all that they have."""
         return True
 
     _runs = False

@@ -66,7 +66,9 @@ def test_sums_of_all_wait_for_partners_that_come_much_later() -> None:
 
 @pytest.mark.fault("F18")
 def test_a_sample_that_cannot_be_converted_is_a_bad_line() -> None:
-    status, values, err = ran("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", stdin="1\n1e20\n\nx\n3\n-1e20\n4\n")
+    status, values, err = ran(
+        "flexifilter", "-i", "TimedDouble", "-o", "TimedLong", stdin="1\n1e20\n\nx\n3\n-1e20\n4\n"
+    )
     assert (status, values) == (1, ["1", "3", "4"])
     places = sorted(said.split(":")[2] for said in err)
     assert places == [f" standard input, line {number}" for number in (2, 4, 6)]
