@@ -25,13 +25,13 @@ class Ends:
         self._codec: Codec | None = None if codec is None else find_codec(codec)
 
     def source(
-        self, ports: Mapping[str, type], tell: Callable[[int, str], None], *, count: int | None
+        self, ports: Mapping[str, type], tell: Callable[[int, str], None], **how: Any
     ) -> StandardInput | FrameInput:
         """What feeds these in-ports. ConfigurationError for frames from a terminal."""
         if self._codec is None:
-            return StandardInput("stdin", ports, tell, count=count)
+            return StandardInput("stdin", ports, tell, **how)
         _check(sys.stdin, "input")
-        return FrameInput("stdin", ports, self._codec, _complain, count=count)
+        return FrameInput("stdin", ports, self._codec, _complain, **how)
 
     def sink(self, ports: Mapping[str, type], **how: Any) -> StandardOutput | FrameOutput:
         """What takes from these out-ports. ConfigurationError for frames to a terminal."""

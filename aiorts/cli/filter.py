@@ -39,6 +39,7 @@ __all__ = ("command_of", "load_component")
 
 _WAYS: Final = {"length": 1000, "full": "block", "timeout": None}
 _WORDS: Final = {"in": "in ", "out": "out"}
+_LONGEST: Final = 1_000_000
 _OURS: Final = (
     click.Option(["--count"], type=click.IntRange(min=1), metavar="N", help="End after N samples."),
     click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
@@ -219,9 +220,20 @@ class _Filter:
             parts.insert(0, sink)
         if ins:
             count = None if outs else self._count
-            self._input = await kernel.add(self._ends.source(ins, _complain, count=count))
+            ordered = bool(getattr(component, "in_line_order", False))
+            shown = [port for port in component.ports.values() if isinstance(port, OutPort)]
+
+            def held_up() -> bool:
+                return any(connector.unread for port in shown for connector in port.connectors)
+
+            how = {"count": count, "ordered": ordered, "held_up": held_up}
+            self._input = await kernel.add(self._ends.source(ins, _complain, **how))
+            # One that takes what it can pair leaves the rest, and must not keep us from reading what that waits for.
+            ways = _WAYS if ordered or len(ins) == 1 else {**_WAYS, "length": _LONGEST}
             for name in ins:
-                await kernel.connect(self._input.ports[name], component.ports[name], **_WAYS)
+                await kernel.connect(self._input.ports[name], component.ports[name], **ways)
+            if (skip_bad := getattr(component, "skip_bad", None)) is not None:
+                skip_bad(self._input.refused)
             parts.append(self._input)
             _tell_terminal(ins)
         for part in parts:

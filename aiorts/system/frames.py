@@ -20,7 +20,8 @@ from typing import Any, BinaryIO, Final
 from aiorts.errors import AiortsError, RecordError, WireError
 from aiorts.kernel.component import Component
 from aiorts.kernel.ports import InPort, OutPort
-from aiorts.system.pipes import _next_chunk, _standard_input
+from aiorts.system.pipes import Feed, _next_chunk, _standard_input
+from aiorts.system.stream import put
 from aiorts.wire.codec import Codec
 
 __all__ = ("FrameInput", "FrameOutput", "framed")
@@ -52,6 +53,8 @@ class FrameInput(Component):
         tell: called with the number of a frame (from 1) that is bad and why.
         descriptor: what is read; standard input by default. It is not closed.
         count: finish after so many samples; None is with the end of input.
+        ordered: feed the in-ports in the order of the frames; only for who reads all of them in each cycle.
+        held_up: whether the reader waits for somebody; while it does not, one that takes nothing is an error.
     """
 
     def __init__(
@@ -63,13 +66,16 @@ class FrameInput(Component):
         descriptor: int | None = None,
         *,
         count: int | None = None,
+        ordered: bool = False,
+        held_up: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name)
         self.frames = 0
         """Frames read, bad ones among them."""
         self.bad = 0
         self._types = dict(ports)
-        self._outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._codec = codec
         self._tell = tell
         self._descriptor = descriptor
@@ -93,7 +99,7 @@ class FrameInput(Component):
                 await self._take(port, record)
         except WireError as error:  # no head, or half a frame: what follows cannot be told apart
             self.frames += 1
-            self._complain(str(error))
+            self._complain(self.frames, str(error))
         self._reading = None
         self.finish()
 
@@ -104,13 +110,17 @@ class FrameInput(Component):
                 raise RecordError(f"no in-port {port[:60]!r}; there are {', '.join(self._types)}")
             sample = self._codec.decode(record, self._types[port])
         except (AiortsError, UnicodeDecodeError) as error:
-            self._complain(str(error))
+            self._complain(self.frames, str(error))
         else:
-            await self._outs[port].write(sample)
+            await self._feed.write(port, self.frames, sample)
 
-    def _complain(self, why: str) -> None:
+    def refused(self, port: str, nth: int, why: str) -> None:
+        """The reader could make nothing of the n-th sample (from 1) of a port: its frame is a bad one."""
+        self._complain(self._feed.line_of(port, nth), why)
+
+    def _complain(self, number: int, why: str) -> None:
         self.bad += 1
-        self._tell(self.frames, why)
+        self._tell(number, why)
 
 
 class FrameOutput(Component):
@@ -157,17 +167,9 @@ class FrameOutput(Component):
         if stream is None or not data:
             return  # started without standard output
         if _takes(stream, len(data)):
-            _put(stream, data)
+            put(stream, data)
         else:
-            await asyncio.to_thread(_put, stream, data)  # a slow reader makes us wait, and not the loop
-
-
-def _put(stream: BinaryIO, data: bytes) -> None:
-    try:
-        stream.write(data)
-        stream.flush()
-    except ValueError as error:
-        raise BrokenPipeError(f"standard output is closed: {error}") from None
+            await asyncio.to_thread(put, stream, data)  # a slow reader makes us wait, and not the loop
 
 
 def _takes(stream: BinaryIO, size: int) -> bool:

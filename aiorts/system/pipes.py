@@ -12,10 +12,13 @@ import errno
 import os
 import stat
 import sys
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any, Final
 
-from aiorts.errors import RecordError
+from anyio import WouldBlock
+
+from aiorts.errors import RecordError, WriteTimeout
 from aiorts.kernel.component import Component
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.system.stream import LineStream
@@ -31,7 +34,83 @@ _MARK: Final = b"\xef\xbb\xbf"
 _GONE: Final = (errno.EIO, errno.EBADF)
 """A terminal that was hung up; a descriptor that somebody has closed."""
 
+_LINES_KEPT: Final = 4096
+"""Samples of a port whose lines are known: more than wait in a connector and in who takes from it."""
+_TURNS: Final = 50
+"""Turns of the loop after which who waits for a component looks but now and then."""
+_LOOK: Final = 0.001
+_STUCK_S: Final = 10.0
+"""Seconds after which a reader that takes nothing, while nobody holds it up, is asked what it waits for."""
+
 Tell = Callable[[int, str], None]
+
+
+class Feed:
+    """The out-ports of a source: in the order of lines where that is asked for, with the line of each late sample.
+
+    Args:
+        ordered: whether a sample waits until those before it were taken from other ports.
+        held_up: whether the reader itself waits for somebody; without it a full port is waited for without end.
+    """
+
+    def __init__(
+        self, outs: Mapping[str, OutPort[Any]], *, ordered: bool, held_up: Callable[[], bool] | None = None
+    ) -> None:
+        self._held_up = held_up if len(outs) > 1 else None
+        self._outs = outs
+        self._ordered = ordered and len(outs) > 1
+        self._before: OutPort[Any] | None = None
+        self._lines: dict[str, deque[int]] = {name: deque(maxlen=_LINES_KEPT) for name in outs}
+        self._written = dict.fromkeys(outs, 0)
+
+    async def write(self, name: str, number: int, sample: Any) -> None:
+        """Write the sample of line `number` to the port `name`.
+
+        Raises:
+            WriteTimeout: the port is full, and its reader takes nothing, since it waits for a sample of another port.
+        """
+        port = self._outs[name]
+        if self._ordered and port is not self._before:
+            if self._before is not None:
+                await _taken(self._before)
+            self._before = port
+        self._lines[name].append(number)
+        self._written[name] += 1
+        if self._held_up is None:
+            await port.write(sample)
+            return
+        try:
+            port.write_nowait(sample)
+        except WouldBlock:
+            await self._write_unless_stuck(port, sample, self._held_up)
+
+    async def _write_unless_stuck(self, port: OutPort[Any], sample: Any, held_up: Callable[[], bool]) -> None:
+        while True:
+            try:
+                await asyncio.wait_for(port.write(sample), _STUCK_S)
+            except TimeoutError:
+                lacking = [out.name for out in self._outs.values() if not any(c.unread for c in out.connectors)]
+                if lacking and not held_up():
+                    raise WriteTimeout(
+                        f"in-port {port.name} is full, with {sum(c.unread for c in port.connectors)} samples, and its "
+                        f"component waits for {', '.join(lacking)}; give the lines of the in-ports by turns"
+                    ) from None
+            else:
+                return
+
+    def line_of(self, name: str, nth: int) -> int:
+        """The line of the n-th sample (from 1) of a port; 0 when that was too long ago."""
+        lines = self._lines[name]
+        place = nth - 1 - self._written[name] + len(lines)
+        return lines[place] if 0 <= place < len(lines) else 0
+
+
+async def _taken(port: OutPort[Any]) -> None:
+    """Wait until what was written to a port has been read."""
+    turns = 0
+    while any(connector.unread for connector in port.connectors):
+        turns += 1
+        await asyncio.sleep(0 if turns < _TURNS else _LOOK)
 
 
 class StandardInput(Component):
@@ -42,6 +121,8 @@ class StandardInput(Component):
         tell: called with the number of a line (from 1) that is bad and why.
         descriptor: what is read; standard input by default. It is not closed.
         count: finish after so many samples; None is with the end of input.
+        ordered: feed the in-ports in the order of the lines; only for who reads all of them in each cycle.
+        held_up: whether the reader waits for somebody; while it does not, one that takes nothing is an error.
     """
 
     def __init__(
@@ -52,6 +133,8 @@ class StandardInput(Component):
         descriptor: int | None = None,
         *,
         count: int | None = None,
+        ordered: bool = False,
+        held_up: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name)
         self._count = count
@@ -59,7 +142,8 @@ class StandardInput(Component):
         """Lines read, bad ones among them; blank ones are none."""
         self.bad = 0
         self._reader = LineReader(ports)
-        self._outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
+        self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._tell = tell
         self._descriptor = descriptor
         self._reading: asyncio.Task[None] | None = None
@@ -98,7 +182,11 @@ class StandardInput(Component):
         except RecordError as error:
             self._complain(number, str(error))
         else:
-            await self._outs[port].write(sample)
+            await self._feed.write(port, number, sample)
+
+    def refused(self, port: str, nth: int, why: str) -> None:
+        """The reader could make nothing of the n-th sample (from 1) of a port: its line is a bad one."""
+        self._complain(self._feed.line_of(port, nth), why)
 
     def _complain(self, number: int, why: str) -> None:
         self.bad += 1

@@ -7,17 +7,18 @@ for the line waits with it. A line that is longer than what is sure to be taken 
 from __future__ import annotations
 
 import asyncio
+import io
 import os
 import select
 import stat
 import sys
 import threading
 from collections.abc import Iterable, Iterator
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 from aiorts.errors import AiortsError
 
-__all__ = ("LineStream", "OutputError")
+__all__ = ("LineStream", "OutputError", "put")
 
 _SURE: Final = 4096
 """Bytes that a pipe which is ready takes without blocking (PIPE_BUF on Linux)."""
@@ -52,19 +53,29 @@ class LineStream:
         for part in _parts(lines, getattr(stream, "encoding", None) or "utf-8"):
             descriptor = _slow(stream)
             if descriptor is None:
-                _put(stream, part)
+                put(stream, part)
             elif _is_short(part):
                 while not _has_room(descriptor):
                     await _room(descriptor)
-                _put(stream, part)
+                put(stream, part)
             else:
-                await asyncio.to_thread(_put, stream, part)
+                await asyncio.to_thread(put, stream, part)
 
 
-def _put(stream: TextIO, text: str) -> None:
+def put(stream: Any, data: str | bytes) -> None:
+    """Write all of it to a text or binary stream, waiting for room where the stream itself does not (O_NONBLOCK).
+
+    Raises:
+        BrokenPipeError: its reader has gone, or somebody has closed it.
+        OutputError: the system refused it; `errno` says why.
+    """
     try:
-        stream.write(text)
-        stream.flush()
+        descriptor = _own_descriptor(stream)
+        if descriptor is None:
+            stream.write(data)
+            stream.flush()
+        else:
+            _put_all(descriptor, data.encode(stream.encoding) if isinstance(data, str) else data)
     except ValueError as error:
         raise BrokenPipeError(f"standard output is closed: {error}") from None
     except BrokenPipeError:
@@ -73,6 +84,30 @@ def _put(stream: TextIO, text: str) -> None:
         refused = OutputError(f"standard output: {error.strerror or error}; its last lines are lost")
         refused.errno = error.errno
         raise refused from None
+
+
+def _own_descriptor(stream: Any) -> int | None:
+    """The descriptor behind a stream that does nothing but encode and buffer, with nothing left in it; else None."""
+    binary = getattr(stream, "buffer", stream)
+    if not isinstance(getattr(binary, "raw", binary), io.FileIO) or os.linesep != "\n" or not hasattr(select, "poll"):
+        return None
+    descriptor: int = stream.fileno()
+    while True:
+        try:
+            stream.flush()
+        except BlockingIOError:  # what had no room is still in the buffer
+            _has_room(descriptor, _LOOK_MS)
+        else:
+            return descriptor
+
+
+def _put_all(descriptor: int, data: bytes) -> None:
+    left = memoryview(data)
+    while left:
+        try:
+            left = left[os.write(descriptor, left) :]
+        except BlockingIOError:
+            _has_room(descriptor, _LOOK_MS)
 
 
 def _parts(lines: Iterable[str], encoding: str) -> Iterator[str]:

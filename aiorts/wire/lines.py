@@ -114,7 +114,9 @@ class LineReader:
         numbers = [(name, name.removeprefix("input")) for name in ports]
         pairs = {f"output{digits}": name for name, digits in numbers if name != digits and digits.isdecimal()}
         self._partners = {out: name for out, name in pairs.items() if out not in ports}
-        self._decode = json.JSONDecoder(parse_constant=_no_constant, object_pairs_hook=_unique).decode
+        self._decode = json.JSONDecoder(
+            parse_constant=_no_constant, parse_float=_finite, object_pairs_hook=_unique
+        ).decode
 
     def sample(self, line: str, now_ns: int) -> tuple[str, Any]:
         """In-port and sample of a line.
@@ -192,6 +194,13 @@ class _Form:
 
 def _no_constant(name: str) -> NoReturn:
     raise ValueError(f'{name} is not JSON; write "{name}" in quotes')
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if math.isinf(number):
+        raise ValueError(f"{_shown(text)} is too large for a number of 64 bits")
+    return number
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -69,6 +69,10 @@ class FlexiAdd(FlexiComponent):
     def on_activated(self) -> None:
         self._last.clear()
 
+    @property
+    def in_line_order(self) -> bool:
+        return self.wait != "all"  # which leaves what has no partner yet, and makes the same sums in any order
+
     async def on_execute(self) -> None:
         if self.wait == "all":
             while all(port.is_new for port in self._inputs):

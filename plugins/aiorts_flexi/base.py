@@ -30,6 +30,11 @@ class FlexiComponent(Component):
 
     verbosity = Param(0, doc="how much is logged: 0 nothing, 1 the ports, 2 or more details")
 
+    @property
+    def in_line_order(self) -> bool:
+        """Whether a filter feeds the in-ports in the order of its lines: each cycle takes all that they have."""
+        return True
+
     _runs = False
     _told: tuple[str, ...] = ()
 

@@ -68,7 +68,9 @@ class FlexiConst(FlexiComponent):
     names: tuple[str, ...] = Param(
         (), type=tuple[str, ...], doc='names of the out-ports; "" or missing: output, or output0, output1, ...'
     )
-    rate = Param(1.0, gt=0.0, le=1e6, unit="Hz", doc="samples in a second")
+    rate: float | None = Param(
+        None, type=float | None, gt=0.0, le=1e6, unit="Hz", doc="samples in a second; 1 when nothing else is given"
+    )
     seconds = Param(0.0, ge=0.0, le=1e9, unit="s", doc="from one sample to the next, in place of a rate; 0 is the rate")
     continuous = Param(False, doc="as fast as the readers take them; connect them with full = block")
     count = Param(0, ge=0, doc="finish after so many samples of each port; 0 is never")
@@ -164,11 +166,11 @@ class FlexiConst(FlexiComponent):
     def _period_ns(self, values: Mapping[str, Any]) -> Fraction | None:
         """Nanoseconds from one sample to the next, exactly; None is as soon as there is room."""
         rate, seconds, continuous = values["rate"], values["seconds"], values["continuous"]
-        if (rate != 1.0) + (seconds != 0.0) + continuous > 1:
+        if (rate is not None) + (seconds != 0.0) + continuous > 1:
             raise ConfigurationError(f"{self.name}: rate, seconds and continuous exclude each other; give one of them")
         if continuous:
             return None
-        return Fraction(10**9) * (Fraction(seconds) if seconds else 1 / Fraction(rate))
+        return Fraction(10**9) * (Fraction(seconds) if seconds else 1 / Fraction(1 if rate is None else rate))
 
     async def _send_all(self) -> None:
         sent, skipped = 0, 0

@@ -11,13 +11,13 @@ Every sample that arrives is used: n samples in one in-port make n samples out, 
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from collections.abc import Mapping as AnyMapping
 from typing import Any, ClassVar, Final, TypeAlias
 
 from aiorts import InPort, OutPort, Param
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ConfigurationError, ConversionError
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.mapping import COMBINE, Mapping, Rules
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
@@ -103,6 +103,16 @@ class FlexiFilter(FlexiComponent):
         self._mapping: Mapping
         self._in_ports: list[InPort[Any]] = []
         self._waiting: list[deque[Any]] = []
+        self._refused: Callable[[str, int, str], None] | None = None
+        self._taken: Counter[int] = Counter()
+
+    def skip_bad(self, tell: Callable[[str, int, str], None]) -> None:
+        """From now on a sample that cannot be converted is left out: `tell` gets in-port, its number from 1, and why.
+
+        For who feeds the in-ports one after the other, as a filter of lines does.
+        """
+        self._refused = tell
+        self._taken.clear()
 
     def ports_for(self, values: Values) -> Values:
         ins, outs = self._specs(values)
@@ -149,5 +159,14 @@ class FlexiFilter(FlexiComponent):
         for waiting, port in zip(self._waiting, self._in_ports, strict=True):
             waiting.extend(port.drain())
         while samples := {number: waiting.popleft() for number, waiting in enumerate(self._waiting) if waiting}:
-            made = self._mapping.apply(samples, self.clock.time_ns())
+            for number in samples if self._refused is not None else ():
+                self._taken[number] += 1
+            try:
+                made = self._mapping.apply(samples, self.clock.time_ns())
+            except ConversionError as error:
+                if self._refused is None:
+                    raise
+                number = min(samples)
+                self._refused(self._in_ports[number].name, self._taken[number], str(error))
+                continue
             await self._sender.send([(self._out_ports[name], sample) for name, sample in made])

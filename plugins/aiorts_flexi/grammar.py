@@ -71,7 +71,7 @@ def parse_map(text: str) -> tuple[Entry, ...]:
 
 
 def parse_number(text: str, where: str) -> Number:
-    """A decimal number: an int when it is written as one. ConfigurationError when it is none, or is too large."""
+    """A decimal number: an int when it is written as one. ConfigurationError when it is none, or no float holds it."""
     if _MULT.fullmatch(text) is None or len(text) > _LONGEST_NUMBER:
         raise ConfigurationError(f"{where}: expected a decimal number such as -1.5e3, got {text[:_SHOWN]!r}")
     if text.lstrip("+-").isdecimal():
@@ -79,6 +79,8 @@ def parse_number(text: str, where: str) -> Number:
     number = float(text)
     if math.isinf(number):
         raise ConfigurationError(f"{where}: {text[:_SHOWN]} is too large for a number of 64 bits")
+    if number == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0]):
+        raise ConfigurationError(f"{where}: {text[:_SHOWN]} is too small for a number of 64 bits, which makes it 0")
     return number
 
 

@@ -133,6 +133,17 @@ class Mapping:
         Raises:
             ConversionError: names the entry whose value cannot be converted; nothing of the round is sent.
         """
+        if len(self.inputs) == 1:  # what a bad sample leaves behind, the next one replaces
+            return self._apply(samples, now)
+        before = [(each, each.value, each.tm, each.valid, dict(each.last)) for o in self._outputs for each in o.targets]
+        try:
+            return self._apply(samples, now)
+        except ConversionError:
+            for target, value, tm, valid, last in before:
+                target.value, target.tm, target.valid, target.last = value, tm, valid, last
+            raise
+
+    def _apply(self, samples: ReadOnlyMap[int, Any], now: int) -> list[tuple[str, Any]]:
         made = []
         for output in self._outputs:
             if output.sources.isdisjoint(samples):

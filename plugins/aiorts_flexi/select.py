@@ -117,12 +117,20 @@ class FlexiSelect(FlexiComponent):
         await self._tell()
 
     async def on_execute(self) -> None:
+        refused: SelectionError | None = None
         for number, sample in self._arrivals():
             if number < 0:
-                if self._select(sample if self._plain else sample.data):
+                try:
+                    changed = self._select(sample if self._plain else sample.data)
+                except SelectionError as error:
+                    refused = refused or error  # good samples are sent first: they were taken, and would be lost
+                    continue
+                if changed:
                     await self._tell()
             elif number == self._chosen:
                 await self._output.write(sample)
+        if refused is not None:
+            raise refused
 
     def _arrivals(self) -> Iterator[tuple[int, Any]]:
         """What has come in this cycle, selections as number -1, in the order in which it counts."""

@@ -137,10 +137,11 @@ def test_a_hundred_thousand_lines_go_through_and_none_is_lost() -> None:
 
 
 def test_a_component_that_fails_ends_the_filter_with_status_1() -> None:
-    done = aiorts("flexifilter", "-i", "TimedDouble", "-o", "TimedShort", "-m", "0>1>0", stdin="1\n99999\n2\n")
+    sums = [{"port": f"input{number % 2}", "data": data} for number, data in enumerate([1, 32767, -9])]
+    done = aiorts("flexiadd", "-p", "TimedShort:2", stdin="\n".join(map(json.dumps, sums)))
     assert done.returncode == 1
-    assert lines(done.stdout) == [1]
-    assert "E-" in done.stderr
+    assert lines(done.stdout) == [1]  # 1 + 32767 is more than a TimedShort holds
+    assert "E-CONVERT" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["flexifilter", "flexidump"])

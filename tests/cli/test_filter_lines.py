@@ -151,7 +151,7 @@ def test_standard_output_is_json_to_its_last_line_whatever_goes_wrong(name: str)
     )
     lines = [str(number) if number % 10 else "{" for number in range(1, 2_000)]
     if name == "flexifilter":
-        lines.append("99999")  # which no TimedShort holds: the component goes to error
+        lines.append("99999")  # which no TimedShort holds: a bad line
     status, out, err = aiorts(name, *options, stdin="\n".join(lines).encode())  # json.loads of each line
     assert status == 1
     assert [line["data"] for line in out] == [number for number in range(1, 2_000) if number % 10]

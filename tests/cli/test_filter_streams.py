@@ -222,3 +222,30 @@ def test_who_reads_a_dump_and_stalls_delays_no_other_component(way: str, tmp_pat
     count, late = (tmp_path / "report").read_text().split()
     assert int(count) > 100
     assert float(late) - 0.01 < 0.05  # 0.1 ms on a machine that is free
+
+
+@pytest.mark.fault("F11")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("codec", [(), ("--codec", "msgpack")], ids=["lines", "frames"])
+def test_a_slow_reader_of_a_pipe_that_does_not_block_gets_every_byte(codec: tuple[str, ...], unbuffered: str) -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    const = ["flexiconst", "-p", "TimedString", "-c", f'"{"x" * 9000}"', "-r", "5000", "--count", "30", *codec]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "aiorts", *const],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+    )
+    os.close(writing)
+    with open(reading, "rb") as pipe:
+        pieces = [pipe.read(1)]
+        time.sleep(0.5)  # the pipe is full: 64 kB
+        pieces.append(pipe.read())
+    assert process.stderr is not None
+    with process.stderr as err:
+        assert err.read() == b""
+    assert process.wait(30) == 0
+    assert b"".join(pieces).count(b"x" * 9000) == 30
+    if not codec:
+        assert [line[-3:] for line in b"".join(pieces).splitlines()] == [b'x"}'] * 30

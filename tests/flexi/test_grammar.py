@@ -211,3 +211,14 @@ def test_the_examples_of_the_language_are_in_it_for_both(text: str) -> None:
         assert not is_map(spoilt)
         with pytest.raises(ConfigurationError):
             parse_map(spoilt)
+
+
+@pytest.mark.parametrize("factor", ["1e-400", "-0.001e-330", "1-1e-400"])
+def test_a_factor_that_would_become_zero_is_refused(factor: str) -> None:
+    with pytest.raises(ConfigurationError, match="too small for a number of 64 bits"):
+        parse_map(f"0>{factor}>0")
+
+
+@pytest.mark.parametrize("factor", ["0.0", "0e-400", "0.00e5", "5e-324"])
+def test_zero_as_it_is_written_stays_a_factor(factor: str) -> None:
+    assert parse_map(f"0>{factor}>0")[0].mult == float(factor)

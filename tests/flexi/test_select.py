@@ -207,3 +207,16 @@ async def test_nothing_is_printed_and_verbosity_logs_selections(
 
 def test_it_keeps_what_components_promise() -> None:
     check_component(select, {"selection": [TimedShort(0, 0)], "input0": [TimedLong(0, 1)]}, deterministic=True)
+
+
+@pytest.mark.parametrize("order", ["cycle", "tm"])
+@simulated
+async def test_a_bad_selection_loses_no_good_sample_of_its_cycle(order: str) -> None:
+    async with Rig(select(order=order)) as rig:
+        rig.feed("input1", TimedLong(1, 5))
+        rig.feed("selection", TimedShort(0, 1))
+        rig.feed("input1", TimedLong(2, 6))
+        rig.feed("selection", TimedShort(3, 7))
+        with rig.expect_error(SelectionError):
+            await rig.tick()
+        assert rig.values("output") == [5, 6]

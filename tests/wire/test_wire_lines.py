@@ -140,3 +140,9 @@ def test_a_line_with_very_many_keys_is_refused_in_no_time() -> None:
     keys = ", ".join(f'"k{number}": 1' for number in range(50_000))
     with pytest.raises(RecordError, match="'k1' stands there twice"):
         NUMBER.sample(f'{{{keys}, "k1": 2}}', NOW)  # one look at each: with one at each pair this takes minutes
+
+
+@pytest.mark.parametrize("line", ["1e400", "-1e400", '{"data": 1e400}', "[1.0, 1e309]"])
+def test_a_number_that_no_float_holds_is_refused_and_not_made_infinite(line: str) -> None:
+    with pytest.raises(RecordError, match="too large for a number of 64 bits"):
+        LineReader({"in": TimedDouble}).sample(line, 1)
