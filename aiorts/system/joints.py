@@ -125,10 +125,10 @@ def _ends(
 def _services(connection: ConnectionEntry, ports: list[Port[Any]], services: list[ServicePort]) -> Iterator[Said]:
     if len(services) < len(ports):
         what = f"{' and '.join(port.path for port in ports)}: a data port and a service port; connect like with like"
-        yield Said("error", WiringError.code, _end(connection, 1), what)
+        yield Said("error", WiringError.code, end_key(connection, 1), what)
     elif (fault := fault_of(services, connection.options)) is not None:
         text = str(fault).removeprefix(f"{' -> '.join(port.path for port in ports)}: ")
-        yield Said("error", fault.code, _end(connection, 1), text)
+        yield Said("error", fault.code, end_key(connection, 1), text)
 
 
 def _limits(

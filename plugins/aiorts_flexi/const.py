@@ -142,7 +142,8 @@ class FlexiConst(FlexiComponent):
             raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
         if len(given) > len(outputs):
             raise ConfigurationError(
-                f"{self.name}: {_many(len(given), 'name')} for {_many(len(outputs), 'out-port')}; give at most one for each"
+                f"{self.name}: {_many(len(given), 'name')} for {_many(len(outputs), 'out-port')}; "
+                "give at most one for each"
             )
         named: dict[str, tuple[type, int]] = {}
         for number, text in enumerate(outputs):
@@ -156,7 +157,8 @@ class FlexiConst(FlexiComponent):
     def _samples(self, named: Mapping[str, tuple[type, int]], constants: Sequence[str]) -> list[Any]:
         if len(constants) != len(named):
             raise ConfigurationError(
-                f"{self.name}: {_many(len(constants), 'constant')} for {_many(len(named), 'out-port')}; give one for each"
+                f"{self.name}: {_many(len(constants), 'constant')} for {_many(len(named), 'out-port')}; "
+                "give one for each"
             )
         return [
             sample_of(cls, text, f"constant {number}", length)

@@ -63,7 +63,7 @@ class FlexiFilter(FlexiComponent):
           -m "0>1.8+32>0"    input0 times 1.8 plus 32: Celsius to Fahrenheit
           -m "0:2>0,1>1:3"   item 2 of input0 to output0, input1 to item 3 of output1
 
-        A sample that cannot be converted ends it with status 1: the lines after it are not processed.
+        A line that cannot be converted is reported with its number, like any bad line, and the others go on; status 1.
         """
     options: ClassVar[tuple[Option, ...]] = (
         Option(("-i", "--inputport"), "inputs", "repeat", "an in-port: TYPE, or TYPE:LEN of a sequence", required=True),
