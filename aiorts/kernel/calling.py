@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import PortTypeError, RecordError
 from aiorts.kernel.component import Component
@@ -16,9 +16,6 @@ from aiorts.kernel.hooks import HookKind
 from aiorts.kernel.port import NOTHING
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.signature import Outlet, Plan
-
-if TYPE_CHECKING:
-    from aiorts.kernel.context import Context
 
 __all__ = ("FunctionComponent", "FunctionType", "hooks_of")
 
@@ -134,7 +131,8 @@ class FunctionComponent(Component, metaclass=FunctionType):
 
     def _rt_oldest(self, number: int) -> int:
         """The time stamp of the next sample of a port that has one."""
-        return int(self._rt_ins[number].peek().tm)
+        sample: Any = self._rt_ins[number].peek()
+        return int(sample.tm)
 
     def _rt_arguments(self) -> tuple[list[Any], Any]:
         """The samples known last as arguments, and the time stamp of the newest."""
@@ -230,7 +228,7 @@ class FunctionComponent(Component, metaclass=FunctionType):
         A moment only with several in-ports, or where others share the thread; not while somebody wants a transition.
         """
         port, sole = self._rt_ins[0], len(self._rt_ins) == 1
-        host, lock, context = self._rt_host, port._lock, cast("Context", self.context)
+        host, lock, context = self._rt_host, port._lock, self.context
         if lock is not None:
             until = None if sole and len(context._members) == 1 else host.deadline_ns(_PAUSE)
             with lock:
