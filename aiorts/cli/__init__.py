@@ -25,7 +25,7 @@ def main() -> int:
         from aiorts.cli.app import run_command
 
         _import_command(sys.argv[1:2])
-        return run_command(sys.argv[1:])
+        return run_command(sys.argv[1:], last=True)
     except KeyboardInterrupt:
         return 130
     finally:

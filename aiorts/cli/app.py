@@ -156,8 +156,21 @@ def aiorts(debug: bool) -> None:
     """
 
 
-def run_command(arguments: Sequence[str]) -> int:
-    """Run one command; returns the exit status. What went wrong is one line on standard error."""
+def run_command(arguments: Sequence[str], *, last: bool = False) -> int:
+    """Run one command; returns the exit status. What went wrong is one line on standard error.
+
+    Args:
+        last: the process ends with it, and does so within seconds also when the command has left threads behind.
+    """
+    try:
+        return _run_command(arguments)
+    finally:
+        stopping = sys.modules.get("aiorts.cli.stopping")
+        if stopping is not None and not last:
+            stopping.watch_no_more()
+
+
+def _run_command(arguments: Sequence[str]) -> int:
     if any("\0" in argument for argument in arguments):
         report("E-USAGE", "aiorts: an argument has a NUL character, which no file or name can have")
         return 2

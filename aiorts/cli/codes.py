@@ -195,7 +195,7 @@ CODES: Final[dict[str, Code]] = {
         "aiorts types lists them; --type-mod MODULE imports yours.",
     ),
     "E-UNREAD": Code(
-        "The system ended while samples were left unread.",
+        "The system ended while samples were left unread; the exit status is 1.",
         "A reader took none of them for a second: it is inactive, or waits for another input.",
         "Look at the reader that the line names.",
     ),
@@ -233,6 +233,11 @@ CODES: Final[dict[str, Code]] = {
         "A writer may wait for a reader of its own context, which runs only after it.",
         "full = block without a time-out, and a buffer shorter than what one cycle writes.",
         "Make the buffer longer, set a timeout, or put the reader into another context.",
+    ),
+    "W-EMPTY": Code(
+        "The system file has no components: there is nothing to run.",
+        "It was only begun, or the tables have other names.",
+        "Write [components.NAME] with a type.",
     ),
     "W-LOOP": Code(
         "A cycle of components that all run on events keeps itself busy.",

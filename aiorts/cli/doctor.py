@@ -23,6 +23,7 @@ import click
 
 from aiorts import Catalogue, ExternalContext, Kernel, RealtimeContext, __version__, run
 from aiorts.cli.output import say, say_json, table
+from aiorts.cli.plugins_option import catalogue_of
 from aiorts.errors import AiortsError
 
 __all__ = ("Finding", "doctor", "findings")
@@ -148,7 +149,7 @@ def _version(name: str) -> str | None:
 
 
 def _plugins(folders: tuple[Path, ...]) -> Iterator[Finding]:
-    catalogue = Catalogue(folders)
+    catalogue = catalogue_of(folders)
     count = 0
     clashes = []
     for kind in Catalogue.KINDS:

@@ -130,7 +130,7 @@ async def _session(run: _Run) -> int:
             status = 2 if isinstance(error, _FAULTS_OF_THE_FILE) else 1
         elif built:
             gc.freeze()  # what activation made; without a collection, since contexts run by now
-            await _until_end(kernel, run)
+            status = await _until_end(kernel, run)
         failed = _failed(kernel)
         if failed and status == 0 and options.strict:
             status = 3
@@ -173,7 +173,8 @@ async def _unless_stopped(kernel: Kernel, work: Any) -> tuple[bool, BaseExceptio
     return done and error is None, error
 
 
-async def _until_end(kernel: Kernel, run: _Run) -> None:
+async def _until_end(kernel: Kernel, run: _Run) -> int:
+    """Wait until it ends, or is to end; 1 when samples were lost at its end."""
     finishing = asyncio.ensure_future(wait_finished(kernel))
     waiting = {finishing, asyncio.ensure_future(kernel.wait_stop_requested())}
     if run.options.duration is not None:
@@ -185,6 +186,8 @@ async def _until_end(kernel: Kernel, run: _Run) -> None:
     if finishing in done and (unread := finishing.result()):
         names = ", ".join(connector.name for connector in unread)
         run.log.tell("E-UNREAD", f"{names}: the reader left samples unread for a second; it is waited for no longer")
+        return 1
+    return 0
 
 
 def _failed(kernel: Kernel) -> list[Component]:

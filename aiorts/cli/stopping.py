@@ -14,7 +14,6 @@ import os
 import signal
 import sys
 import threading
-import time
 
 # Not of `threading`: its locks may be held by whoever a signal's handler has interrupted.
 from _thread import LockType, allocate_lock, start_new_thread
@@ -27,10 +26,11 @@ from aiorts.cli.dump import dump, dumping_stacks, where_now
 if TYPE_CHECKING:
     from aiorts import Kernel
 
-__all__ = ("LONGEST_STOP", "Stopper")
+__all__ = ("LONGEST_STOP", "Stopper", "watch_no_more")
 
 LONGEST_STOP: Final = 4.8
 _SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
+_WATCHING: Final[list[Stopper]] = []
 
 
 class Stopper:
@@ -48,6 +48,8 @@ class Stopper:
         self._kernel: Kernel | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._watched = False
+        self._over = allocate_lock()
+        self._over.acquire()
         self._outcome = 1
         self._signals = count()
 
@@ -74,10 +76,12 @@ class Stopper:
         self._outcome = status
         if not self._watched:
             self._watched = True
+            _WATCHING.append(self)
             start_new_thread(self._end_late, ())
 
     def _end_late(self) -> None:
-        time.sleep(LONGEST_STOP)
+        if self._over.acquire(timeout=LONGEST_STOP):
+            return  # the run is over, and the process has other things to do
         what = f"not everything ended in {LONGEST_STOP} s{where_now()}; the process ends now"
         self.end_now(self._outcome if self.status is None else self.status, f"aiorts: E-STOP: {what}\n")
 
@@ -103,6 +107,11 @@ class Stopper:
                     stream.write(last)
                     stream.flush()
         told.release()
+
+    def over(self) -> None:
+        """The run has ended: what is left of the process is no affair of it any longer."""
+        if self._over.locked():
+            self._over.release()
 
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
@@ -132,3 +141,9 @@ class Stopper:
 
     def _tell(self, number: int, frame: object) -> None:
         dump(self._kernel, self._loop)
+
+
+def watch_no_more() -> None:
+    """The runs are over, and their process goes on with other things: it is not to be ended for their sake."""
+    while _WATCHING:
+        _WATCHING.pop().over()

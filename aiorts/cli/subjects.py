@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from aiorts import Catalogue, Component, Extension
+from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.type_modules import make_here_importable
 from aiorts.errors import PluginError, UnknownTypeError
 from aiorts.types import all_types, find_type, full_name
@@ -46,7 +47,7 @@ def find_subject(name: str, folders: Iterable[Path] = ()) -> Subject:
     """
     if ":" in name:
         return _of_module(name)
-    catalogue = Catalogue(folders)
+    catalogue = catalogue_of(folders)
     components = catalogue.extensions("components")
     known = {other.lower(): other for other in components}
     if (found := name if name in components else known.get(name)) is not None:

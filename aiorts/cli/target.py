@@ -104,6 +104,10 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
         near = get_close_matches(Path(text).name, [path.name for path in Path(text).parent.glob("*.toml")], n=1)
         hint = f"; did you mean {str(Path(text).parent / near[0])!r}?" if near else ""
         raise SystemFileError(f"{error}{hint}") from None
+    if not system.components:
+        raise SystemFileError(
+            f"{text}: there are no components, and nothing to run; write [components.NAME] with a type"
+        )
     catalogue = catalogue_of((*folders, *system.plugin_paths))
     plan = prepare(system, catalogue)
     return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan), system.clock)

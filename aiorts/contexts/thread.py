@@ -84,6 +84,14 @@ class ThreadContext(PeriodicContext):
             return Wait(self._begun_ns + _LEAST_NS)
         return None
 
+    def _submit(self, action: Action) -> None:
+        super()._submit(action)
+        for member in tuple(self._members):
+            for port in member.component.ports.values():
+                if isinstance(port, InPort) and port._lock is not None:
+                    with port._lock:  # who rests there until data come looks at what is asked, too
+                        port._lock.notify_all()
+
     def _next_action(self) -> Action:
         assert self._actions is not None  # noqa: S101 - made in __init__
         return self._actions.popleft()

@@ -84,11 +84,7 @@ class FunctionComponent(Component, metaclass=FunctionType):
 
     def _rt_unread(self) -> int:
         """The calls that a cycle has room for: what arrives meanwhile is for the next, so that every cycle ends."""
-        count = 0
-        for port in self._rt_ins:
-            for connector in port.connectors:
-                count += connector.unread
-        return count or _FEW
+        return sum(sum(connector.unread for connector in port.connectors) for port in self._rt_ins) or _FEW
 
     def _rt_calls(self) -> Iterator[tuple[list[Any], Any]]:
         """The calls of this cycle: arguments, and the time stamp of their newest sample.
@@ -98,6 +94,9 @@ class FunctionComponent(Component, metaclass=FunctionType):
         parts, last = self._rt_parts, self._rt_last
         cycle, pairs = self._rt_when == "cycle" or not parts, self._rt_when == "all"
         latest = self._rt_latest or cycle
+        if not latest and not pairs and len(parts) > 1:
+            yield from self._rt_each()
+            return
         for _ in range(1 if latest else self._rt_unread()):
             due = cycle
             for port, one, number in parts:
@@ -107,19 +106,47 @@ class FunctionComponent(Component, metaclass=FunctionType):
                     return
             if not due:
                 return
-            arguments: list[Any] = []
-            newest = None
-            for port, one, number in parts:
+            for port, _, number in parts:
                 if port.is_new:
                     last[number] = port.latest if latest else port.read_nowait()
-                elif last[number] is NOTHING:
-                    arguments.append(one.default)
-                    continue
-                sample = last[number]
-                arguments.append(sample.data if one.plain else sample if one.unwrap is None else one.unwrap(sample))
-                if one.stamped and (newest is None or int(sample.tm) > newest):
-                    newest = int(sample.tm)
-            yield arguments, self.clock.time_ns() if newest is None else newest
+            yield self._rt_arguments()
+
+    def _rt_each(self) -> Iterator[tuple[list[Any], Any]]:
+        """A call for each sample that was unread as the cycle began; the first one takes what it needs of each port."""
+        parts, last = self._rt_parts, self._rt_last
+        # Counted for each port, so that one whose samples are always the older ones does not keep the others waiting.
+        left = [sum(c.unread for c in port.connectors) or (_FEW if port.is_new else 0) for port in self._rt_ins]
+        ordered = all(one.stamped for one in self._rt_plan.inlets)
+        while True:
+            ready = [number for port, _, number in parts if left[number] and port.is_new]
+            missing = {number for _, one, number in parts if last[number] is NOTHING and one.default is _EMPTY}
+            if not ready or not missing.issubset(ready):
+                return
+            if not missing:
+                ready = [min(ready, key=self._rt_oldest) if ordered and len(ready) > 1 else ready[0]]
+            for number in ready:
+                left[number] -= 1
+                last[number] = self._rt_ins[number].read_nowait()
+            yield self._rt_arguments()
+
+    def _rt_oldest(self, number: int) -> int:
+        """The time stamp of the next sample of a port that has one."""
+        sample: Any = self._rt_ins[number].peek()
+        return int(sample.tm)
+
+    def _rt_arguments(self) -> tuple[list[Any], Any]:
+        """The samples known last as arguments, and the time stamp of the newest."""
+        arguments: list[Any] = []
+        newest = None
+        for _, one, number in self._rt_parts:
+            sample = self._rt_last[number]
+            if sample is NOTHING:
+                arguments.append(one.default)
+                continue
+            arguments.append(sample.data if one.plain else sample if one.unwrap is None else one.unwrap(sample))
+            if one.stamped and (newest is None or int(sample.tm) > newest):
+                newest = int(sample.tm)
+        return arguments, self.clock.time_ns() if newest is None else newest
 
     def _rt_samples(self, result: Any, tm: Any) -> Iterator[tuple[Any, Any]]:
         """Out-port and sample for each thing that the function gave; None is nothing."""
@@ -196,13 +223,18 @@ class FunctionComponent(Component, metaclass=FunctionType):
             port.write_blocking(sample)
 
     def _rt_rest(self) -> None:
-        """Nothing to do, and the thread would ask again at once: wait for data, with several in-ports a moment."""
-        port, alone = self._rt_ins[0], len(self._rt_ins) == 1
-        host, lock = self._rt_host, port._lock
+        """Nothing to do, and the thread would ask again at once: wait for data.
+
+        A moment only with several in-ports, or where others share the thread; not while somebody wants a transition.
+        """
+        port, sole = self._rt_ins[0], len(self._rt_ins) == 1
+        host, lock, context = self._rt_host, port._lock, self.context
         if lock is not None:
-            until = None if alone else host.deadline_ns(_PAUSE)
+            until = None if sole and len(context._members) == 1 else host.deadline_ns(_PAUSE)
             with lock:
-                host.wait_in_thread(lock, lambda: (alone and port._unread()) or port._gone(), until)
+                host.wait_in_thread(
+                    lock, lambda: (sole and port._unread()) or port._gone() or bool(context._actions), until
+                )
 
 
 # -- on a loop: the hook that a class has ------------------------------------------------------------------------------

@@ -68,8 +68,9 @@ def component(
 
     Args:
         when: "any": for each new sample, with the last ones of the other in-ports, once every in-port has had one;
-            what arrives before that stays unread. "all": with one new sample of each. "cycle": in every cycle, with
-            the newest of each.
+            what arrives before that stays unread, and the first call takes the oldest of each. What is unread as a
+            cycle begins is taken in the order of the time stamps (equal ones, and all where a type has none, in the
+            order of the ports). "all": with one new sample of each. "cycle": in every cycle, with the newest of each.
         latest: only the newest samples count, at most one call a cycle; older ones are dropped{superseded}.
         output: the out-port's name, or one for each.
         hints: hints for a function that has none ("return" is the result's); what has a default may be left out.

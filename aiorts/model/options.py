@@ -164,10 +164,31 @@ def is_yes(where: str, key: str, value: object) -> bool:
     return answer
 
 
+def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]) -> None:
+    """Refuse one option in two spellings with two values. What is about one side may differ from what is about both."""
+    said: dict[str, tuple[str, Any]] = {}
+    for given, value in options.items():
+        alias = given.removeprefix("dataport.")
+        before = said.setdefault(alias, (given, value))
+        if str(before[1]) != str(value):  # as text: NaN is not equal to itself
+            raise WiringError(f"{where}: {before[0]} and {given} are one option with two values; take one of them away")
+    for alias, key in _ALIASES:
+        if alias != key and alias in plain and key in plain and not _same(key, plain[alias], plain[key]):
+            if key == "out_length" and alias == "buffer.length":
+                continue  # of both sides, and more precisely of one
+            raise WiringError(f"{where}: {alias} and {key} are one option with two values; take one of them away")
+
+
+def _same(key: str, one: Any, other: Any) -> bool:
+    words = _VALUES.get(key, {})
+    return words.get(str(one), str(one)) == words.get(str(other), str(other))
+
+
 def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     plain = {key.removeprefix("dataport."): value for key, value in options.items()}
     own: dict[str, Any] = {}
     used: set[str] = set()
+    _check_once(where, options, plain)
     for alias, key in _ALIASES:
         if alias in plain:
             used.add(alias)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from aiorts.errors import AiortsError, ComponentError, SystemFileError, WiringError
+from aiorts.errors import AiortsError, ComponentError, StateError, SystemFileError, WiringError
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
@@ -20,6 +20,7 @@ from aiorts.kernel.ports import Port
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.system.check import of_draft
 from aiorts.system.joints import end_key
+from aiorts.system.parse import spelled
 from aiorts.system.places import Key
 from aiorts.system.survey import Survey, survey
 from aiorts.system.values import ConnectionEntry, SystemFile
@@ -83,6 +84,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
         except BaseException as error:
             error.add_note(entry.name)
             raise
+    _check_members(kernel, plan)
     for connection in plan.system.connections:
         ports = [_port(plan.system, kernel, connection, number) for number in range(len(connection.ports))]
         try:
@@ -97,6 +99,17 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
         for context in plan.system.contexts.values():
             if context.activate and name in context.members:
                 await _activate(plan.contexts[context.name], kernel.components[name])
+
+
+def _check_members(kernel: Kernel, plan: Blueprint) -> None:
+    """Refuse members that their context cannot run, before any context runs: it is the file that is wrong."""
+    for entry in plan.system.contexts.values():
+        for name in entry.members:
+            try:
+                plan.contexts[entry.name]._check_can_add(kernel.components[name])
+            except StateError as error:
+                key = ("contexts", entry.name, "members")
+                raise SystemFileError(f"{plan.system.at(*key)}: {spelled(key)}: {error}") from error
 
 
 async def _activate(context: Context, component: Component) -> None:

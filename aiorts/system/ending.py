@@ -69,9 +69,9 @@ def _active(component: Component) -> bool:
 
 
 async def _settled(kernel: Kernel) -> tuple[Connector, ...]:
-    patience = _PATIENCE + max(
-        (2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0
-    )
+    # Periods are in the kernel's time, and it is looked again in real time.
+    longest = max((2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0)
+    patience = _PATIENCE + longest / kernel.clock.speed
     seen, still = -1, 0.0
     while True:
         waiting = tuple(c for c in kernel.connectors.values() if c.statistics.buffered and c.in_ is not None)

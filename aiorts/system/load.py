@@ -62,6 +62,8 @@ def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalog
             raise SystemFileError(f"{name} has no class {attribute!r}{_hint(attribute, module)}")
     if not (isinstance(found, type) and issubclass(found, Component)):
         raise SystemFileError(f"{entry.type} is no class derived from Component")
+    if found is Component:
+        raise SystemFileError(f"{entry.type} is Component itself, which does nothing; name a class derived from it")
     return found
 
 

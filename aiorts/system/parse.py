@@ -190,6 +190,9 @@ class _Reader:
                 (*key, "order"), "members run in the order in which they stand; write members = [...]", of_key=True
             )
             table = {("members" if word == "order" else word): value for word, value in table.items()}
+        if "type" in table and "kind" not in table:
+            self._say((*key, "type"), "a context has a kind, and only components have a type; write kind", of_key=True)
+            table = {("kind" if word == "type" else word): value for word, value in table.items()}
         members = self._texts((*key, "members"), self._get(key, table, "members", list, missing=[]))
         for number, member in enumerate(members):
             where: Key = (*key, "members", number)

@@ -42,9 +42,9 @@ def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
     """The schema as plain data, for `json.dumps`.
 
     Args:
-        catalogue: which component types and contexts there are; those of installed packages by default.
+        catalogue: which component types and contexts there are; the default one by default.
     """
-    catalogue = Catalogue() if catalogue is None else catalogue
+    catalogue = Catalogue.default() if catalogue is None else catalogue
     named = {"propertyNames": {"pattern": f"^{_NAME}$"}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -27,6 +27,9 @@ _MOST_NAMED = 12
 
 def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
     """Findings about several parts at once; `whole` is False when parts were left out, so that nothing is missed."""
+    if whole and not found.system.components:
+        text = "there are no components, and nothing to run; write [components.NAME] with a type"
+        yield Said("warning", "W-EMPTY", ("schema",), text, of_key=True)
     if whole:
         yield from _unused(found)
         yield from _open_ports(found, drafts)

@@ -203,3 +203,14 @@ def test_a_module_of_types_that_cannot_be_had_is_one_line(tmp_path: Path, text: 
     assert "depths" in done.stderr
     assert expected in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_inspect_sees_the_folders_named_for_every_command(greets: Path) -> None:
+    for done in (aiorts("--plugins", str(greets), "inspect", "Good"), aiorts("inspect", "Good", plugins=str(greets))):
+        assert done.returncode == 0, done.stderr
+        assert f"folder {greets}" in done.stdout
+
+
+def test_doctor_sees_the_folders_named_for_every_command(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text("[project\n")
+    assert str(tmp_path) in aiorts("--plugins", str(tmp_path), "doctor").stdout

@@ -282,19 +282,26 @@ class Model:
 
     def __init__(self, when: str, latest: bool) -> None:
         self.when, self.latest = when, latest or when == "cycle"
-        self.queues: list[list[float]] = [[], []]
-        self.last: list[float | None] = [None, None]
+        self.queues: list[list[tuple[int, float]]] = [[], []]
+        self.last: list[tuple[int, float] | None] = [None, None]
         self.calls: list[tuple[float, float]] = []
 
     def cycle(self) -> None:
         while self.due():
-            for number, queue in enumerate(self.queues):
+            unknown = None in self.last
+            for number in self.all_or_oldest(unknown):
+                queue = self.queues[number]
                 if queue:
                     self.last[number] = queue[-1] if self.latest else queue[0]
                     del queue[: len(queue) if self.latest else 1]
-            self.calls.append((self.last[0], self.last[1]))  # type: ignore[arg-type]
+            self.calls.append((self.last[0][1], self.last[1][1]))  # type: ignore[index]
             if self.latest:
                 return
+
+    def all_or_oldest(self, unknown: bool) -> list[int]:
+        if unknown or self.latest or self.when == "all":
+            return [0, 1]
+        return [min((number for number in (0, 1) if self.queues[number]), key=lambda n: self.queues[n][0][0])]
 
     def due(self) -> bool:
         fresh = [bool(queue) for queue in self.queues]
@@ -307,10 +314,10 @@ class Model:
 @given(
     when=st.sampled_from(["any", "all", "cycle"]),
     latest=st.booleans(),
-    steps=st.lists(st.sampled_from("ab."), max_size=30),
+    steps=st.lists(st.tuples(st.sampled_from("ab."), st.integers(0, 9)), max_size=30),
 )
 @settings(max_examples=cases(5000), deadline=None)
-def test_calls_of_two_inputs_are_those_that_the_option_promises(when: Any, latest: bool, steps: list[str]) -> None:
+def test_calls_of_two_inputs_are_those_that_the_option_promises(when: Any, latest: bool, steps: list[Any]) -> None:
     async def main(_clock: object) -> None:
         seen: list[tuple[float, float]] = []
 
@@ -319,18 +326,46 @@ def test_calls_of_two_inputs_are_those_that_the_option_promises(when: Any, lates
 
         model = Model(when, latest)
         async with Rig(component(note, when=when, latest=latest)("note0")) as rig:
-            for number, step in enumerate(steps):
+            for number, (step, tm) in enumerate(steps):
                 if step == ".":
                     await rig.tick()
                     model.cycle()
                 else:
-                    rig.feed(step, float(number))
-                    model.queues["ab".index(step)].append(float(number))
+                    rig.feed(step, TimedDouble(tm=tm, data=float(number)))
+                    model.queues["ab".index(step)].append((tm, float(number)))
             assert seen == model.calls
             for port, queue in zip(rig.components[0].ports.values(), model.queues, strict=True):
-                assert [sample.data for sample in port.drain()] == queue  # type: ignore[attr-defined]
+                assert [(sample.tm, sample.data) for sample in port.drain()] == queue  # type: ignore[attr-defined]
 
     simulate(main)
+
+
+@simulated
+async def test_every_sample_makes_a_call_with_those_that_were_the_last_at_its_time() -> None:
+    calls: list[tuple[float, float]] = []
+
+    def note(a: float, b: float) -> None:
+        calls.append((a, b))
+
+    async with Rig(component(note)("note0")) as rig:
+        rig.feed("a", *(TimedDouble(tm=tm, data=float(tm)) for tm in (1, 2, 12, 13)))
+        rig.feed("b", *(TimedDouble(tm=tm, data=float(tm)) for tm in (1, 11, 12)))
+        await rig.tick()
+        assert calls == [(1, 1), (2, 1), (2, 11), (12, 11), (12, 12), (13, 12)]
+
+
+@simulated
+async def test_samples_without_time_stamps_are_taken_in_the_order_of_the_ports_and_none_is_lost() -> None:
+    calls: list[tuple[bytes, float]] = []
+
+    def note(a: bytes, b: float) -> None:
+        calls.append((a, b))
+
+    async with Rig(component(note)("note0")) as rig:
+        rig.feed("a", b"1", b"2", b"3")
+        rig.feed("b", *(TimedDouble(tm=tm, data=float(tm)) for tm in (1, 2)))
+        await rig.tick()
+        assert calls == [(b"1", 1), (b"2", 1), (b"3", 1), (b"3", 2)]
 
 
 @simulated
@@ -702,6 +737,49 @@ def test_in_a_thread_without_a_rate_one_that_has_nothing_to_do_rests(function: A
             return context.ticks - before
 
     assert asyncio.run(main()) <= 250  # a busy loop makes tens of thousands
+
+
+@pytest.mark.parametrize("simulating", [False, True])
+def test_in_a_thread_without_a_rate_several_share_it_and_nobody_holds_up_the_others(simulating: bool) -> None:
+    async def main() -> None:
+        got: list[float] = []
+        async with Kernel() as kernel:
+            numbers = await kernel.create(component(range_of, name="numbers"))
+            double = await kernel.create(component(math.sqrt, hints={"x": float, "return": float}, name="root"))
+            sink = await kernel.create(component(got.append, hints={"object": float, "return": None}))
+            await kernel.connect(numbers.output, double.x, length=100)
+            ledger = await kernel.connect(double.output, sink.object, length=100)
+            context = await kernel.start(ThreadContext(), double, sink, activate=True)
+            await kernel.start(EventContext(), numbers, activate=True)
+            async with asyncio.timeout(20):
+                while len(got) < 20:
+                    await kernel.sleep(0.01)
+            assert got == [math.sqrt(number) for number in range(20)]
+            assert ledger.statistics.delivered == 20
+            assert ledger.statistics.balanced
+            await context.deactivate()
+
+    simulate(main()) if simulating else asyncio.run(main())
+
+
+@pytest.mark.parametrize("simulating", [False, True])
+def test_in_a_thread_one_that_waits_for_data_takes_requests(simulating: bool) -> None:
+    async def main() -> None:
+        async with Kernel() as kernel:
+            alone = await kernel.create(component(math.sqrt, hints={"x": float, "return": float}))
+            context = await kernel.start(ThreadContext(), alone, activate=True)
+            for _ in range(3):
+                await kernel.sleep(0.05)  # it rests
+                await context.deactivate(timeout=5.0)
+                assert context.state(alone) is LifeCycleState.INACTIVE
+                await context.activate(timeout=5.0)
+            await kernel.sleep(0.05)
+            other = await kernel.create(component(math.sqrt, hints={"x": float, "return": float}, name="other"))
+            await context.add(other)
+            await context.activate(other, timeout=5.0)
+            assert context.state(other) is LifeCycleState.ACTIVE
+
+    simulate(main()) if simulating else asyncio.run(main())
 
 
 def range_of() -> Iterator[float]:

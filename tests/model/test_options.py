@@ -174,3 +174,16 @@ def test_no_timeout_waits_for_ever_and_a_report_cannot_be_edited() -> None:
         kept.extra["x.y"] = "2"  # type: ignore[index]
     with pytest.raises(AttributeError):
         kept.length = 4  # type: ignore[misc]
+
+
+def test_one_option_in_two_spellings_with_two_values_is_refused() -> None:
+    for one, other in (
+        ("buffer.length", "length"),
+        ("dataport.push_rate", "push_rate"),
+        ("inport.buffer.length", "length"),
+    ):
+        with pytest.raises(WiringError, match=rf"{one} and {other} are one option with two values"):
+            connector_profile("a.out -> b.in", {one: 4, other: 5}, "", ("a.out", "b.in"))
+        connector_profile("a.out -> b.in", {one: 4, other: "4"}, "", ("a.out", "b.in"))
+    kept = connector_profile("", {"buffer.length": 4, "out_length": 5}, "", ("a.out", "b.in"))[0]
+    assert (kept.length, kept.out_length) == (4, 5)

@@ -1,0 +1,91 @@
+"""What `check` finds wrong with a file, `run` refuses with the same status and the place; and how a run ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PARTS = """
+from aiorts import Component, InPort, OutPort
+from aiorts.types import TimedLong
+
+class Source(Component):
+    out = OutPort(TimedLong)
+    n = 0
+    async def on_execute(self):
+        self.out.write_nowait(TimedLong(0, self.n))
+        self.n += 1
+        if self.n == 3:
+            self.finish()
+
+class Sink(Component):
+    inp = InPort(TimedLong)
+    def on_execute(self):
+        for sample in self.inp.drain():
+            print(sample.data, flush=True)
+
+class Deaf(Component):
+    inp = InPort(TimedLong)
+"""
+TWO = """schema = 1
+components.src.type = "parts.py:Source"
+components.snk.type = "parts.py:{sink}"
+connections = [{{from = "src.out", to = "snk.inp"}}]
+contexts.a = {{kind = "{kind}", rate = 100.0, members = ["src"]}}
+contexts.b = {{kind = "periodic", rate = {rate}, members = ["snk"]}}
+"""
+
+
+def aiorts(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "aiorts", *arguments], cwd=folder, capture_output=True, text=True, timeout=60
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "checked"),
+    [
+        (TWO.format(kind="thread", rate=100.0, sink="Sink"), "system.toml:5:", 2),
+        ("schema = 1\n", "no components", 0),
+        ('schema = 1\ncomponents.c.type = "parts.py:Component"\n', "Component itself", 2),
+        ('schema = 1\n[contexts.c]\ntype = "periodic"\nrate = 1.0\nmembers = []\n', "write kind", 2),
+    ],
+    ids=["async hook in a thread", "empty", "Component", "type of a context"],
+)
+def test_what_is_wrong_with_a_file_is_said_at_once(tmp_path: Path, text: str, said: str, checked: int) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(text)
+    run, check = aiorts(tmp_path, "run", "system.toml"), aiorts(tmp_path, "check", "system.toml")
+    assert (run.returncode, check.returncode) == (2, checked)
+    assert said in run.stderr
+    assert said in (check.stdout + check.stderr)
+
+
+def test_a_slow_clock_loses_no_sample_at_the_end(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=2.0, sink="Sink"))
+    done = aiorts(tmp_path, "run", "--speed", "0.2", "system.toml")
+    assert (done.returncode, done.stdout.split()) == (0, ["0", "1", "2"]), done.stderr
+
+
+def test_samples_lost_at_the_end_are_a_failure(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Deaf"))
+    done = aiorts(tmp_path, "run", "system.toml")
+    assert done.returncode == 1
+    assert "E-UNREAD" in done.stderr
+
+
+def test_a_process_that_goes_on_after_a_run_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Sink"))
+    program = (
+        "import time\nfrom aiorts.cli import stopping\nfrom aiorts.cli.app import run_command\n"
+        "stopping.LONGEST_STOP = 1.0\nstatus = run_command(['run', 'system.toml'])\n"
+        "time.sleep(2.0)\nprint('goes on', status)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout.split()[-3:]) == (0, ["goes", "on", "0"]), done.stderr
