@@ -108,10 +108,10 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
         near = get_close_matches(Path(text).name, [path.name for path in Path(text).parent.glob("*.toml")], n=1)
         hint = f"; did you mean {str(Path(text).parent / near[0])!r}?" if near else ""
         raise SystemFileError(f"{error}{hint}") from None
-    if system.components and not any(context.members for context in system.contexts.values()):
-        raise SystemFileError(f"{system.path}: {NOTHING_RUNS}")
     catalogue = catalogue_of((*folders, *system.plugin_paths))
     plan = prepare(system, catalogue)
+    if system.components and not any(context.members for context in system.contexts.values()):
+        raise SystemFileError(f"{system.path}: {NOTHING_RUNS}")
     return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan), system.clock)
 
 

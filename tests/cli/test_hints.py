@@ -61,7 +61,7 @@ SYSTEM = """
 schema = 1
 components.burst.type = "parts.py:Burst"
 components.reader.type = "parts.py:{reader}"
-connections = [{{ from = "burst.out", to = "reader.raw", length = 200, {option} }}]
+connections = [{{ from = "burst.out", to = "reader.raw", length = 200{option} }}]
 [contexts.writes]
 kind = "periodic"
 rate = 10
@@ -113,7 +113,7 @@ def test_the_end_costs_few_cycles_where_each_takes_longer_than_its_period(folder
 
 
 def run_system(folder: Path, reader: str, kind: str, *more: str, option: str = "") -> subprocess.CompletedProcess[str]:
-    context = f"{kind}\"\nrate = 20.0\n#" if kind == "periodic" else kind
+    context = f'{kind}"\nrate = 20.0\n#' if kind == "periodic" else kind
     (folder / "system.toml").write_text(SYSTEM.format(reader=reader, kind=context, option=option))
     return aiorts(folder, "run", "system.toml", "--simulate", *more)
 
@@ -124,8 +124,8 @@ def run_system(folder: Path, reader: str, kind: str, *more: str, option: str = "
         ("Newest", "event", "", (), True),
         ("Every", "event", "", (), False),
         ("Every", "event", "", ("-v",), False),
-        ("Newest", "event", 'subscription = "new", push = "new"', (), False),
-        ("Newest", "event", 'subscription = "new", push = "new"', ("-v",), False),
+        ("Newest", "event", ', subscription = "new", push = "new"', (), False),
+        ("Newest", "event", ', subscription = "new", push = "new"', ("-v",), False),
         ("Newest", "periodic", "", (), False),
         ("Newest", "periodic", "", ("-v",), True),
     ],
@@ -162,8 +162,8 @@ def test_a_filter_tells_of_every_sample_it_passed_over(folder: Path, name: str, 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("Forgets", "parts.py:42: OutPort.write was never awaited and did nothing; use write_nowait, or async def"),
-        ("Sleepy", "parts.py:48: Component.sleep was never awaited and did nothing; use async def and await"),
+        ("Forgets", "parts.py:37: OutPort.write was never awaited and did nothing; use write_nowait, or async def"),
+        ("Sleepy", "parts.py:43: Component.sleep was never awaited and did nothing; use async def and await"),
     ],
 )
 def test_a_missing_await_is_told_with_component_line_and_remedy(folder: Path, name: str, said: str) -> None:
