@@ -128,7 +128,8 @@ def test_what_a_component_file_prints_is_no_part_of_the_findings(
         "print('hello')\nfrom aiorts import Component\nclass Loud(Component):\n    pass\n"
     )
     name = write(
-        'schema = 1\n[components.a]\ntype = "loud.py:Loud"\n[components.b]\ntype = "loud.py:Loud"\n[contexts.loop]\nkind = "event"\nmembers = ["a"]\n'
+        'schema = 1\n[components.a]\ntype = "loud.py:Loud"\n[components.b]\ntype = "loud.py:Loud"\n'
+        '[contexts.loop]\nkind = "event"\nmembers = ["a"]\n'
     )
     assert run_command(["check", "--format", "json", name]) == 0
     printed = capsys.readouterr()
