@@ -229,10 +229,20 @@ CODES: Final[dict[str, Code]] = {
         "Its on_initialize adds ports, and no hook runs while a file is checked.",
         "Add them in a method make_ports that on_initialize calls.",
     ),
+    "W-AWAIT": Code(
+        "A coroutine was made and never awaited: it did nothing.",
+        "A hook without async calls write or read, or await was forgotten.",
+        "Use write_nowait in a plain hook, or make the hook async def and await.",
+    ),
     "W-BLOCK": Code(
         "A writer may wait for a reader of its own context, which runs only after it.",
         "full = block without a time-out, and a buffer shorter than what one cycle writes.",
         "Make the buffer longer, set a timeout, or put the reader into another context.",
+    ),
+    "W-DROPPED": Code(
+        "A connection was to deliver every sample and did not.",
+        "The reader takes the newest alone (.latest), or is slower than the writer.",
+        "Read with drain() or read(); give the connection a longer length or full = block, or subscription = new.",
     ),
     "W-EMPTY": Code(
         "The system file has no components: there is nothing to run.",
@@ -243,6 +253,11 @@ CODES: Final[dict[str, Code]] = {
         "A cycle of components that all run on events keeps itself busy.",
         "Each writes whenever it reads, and no context of the cycle has a rate.",
         "Put one of them into a periodic context, which paces the rest.",
+    ),
+    "W-UNFED": Code(
+        "A component alone waits for data that cannot come: none of its in-ports has a connection.",
+        "aiorts run connects nothing to a component alone.",
+        "Run it as a filter, in a system file, or periodically with --rate.",
     ),
     "W-TURNED": Code(
         "A connection of a system file names the in-port first.",

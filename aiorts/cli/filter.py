@@ -167,7 +167,7 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         return 2
     filter_ = _Filter(cls, params, common.get("count"), Ends(common.get("codec")))
     debug = common["debug"]
-    options = checked(Options(common["loop"], common.get("duration"), verbose=debug, debug=debug))
+    options = checked(Options(common["loop"], common.get("duration"), verbose=debug, debug=debug, tell_drops=True))
     stopper = Stopper()
     with stopper.signals():
         return execute(filter_.make, 1, options, stopper) or filter_.status

@@ -49,7 +49,8 @@ class Line:
     def where(self) -> str:
         """Who said it, with a colon behind it, unless the message begins with that."""
         where = f"{self.component}.{self.hook}: " if self.code and self.hook else f"{self.component}: "
-        return "" if not self.component or self.message.startswith(where) else where
+        named = (where, f"{self.component}.")
+        return "" if not self.component or self.message.startswith(named) else where
 
 
 class Log(logging.Handler):
@@ -153,7 +154,7 @@ class Log(logging.Handler):
         repeated = getattr(record, "repeated", 0)
         times = f" (repeated {repeated} times)" if repeated else ""
         advice = "" if isinstance(error, AiortsError) or self._options.debug else ADVICE
-        hook = _message(record).partition(" failed")[0]
+        hook = _message(record).partition(" failed")[0].removeprefix(f"{component}.")
         return Line(
             self._now_ns(), level, cause_of(error), component, context, hook, code_of(error), error, advice, times
         )

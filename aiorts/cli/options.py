@@ -44,6 +44,8 @@ class Options:
     log_file: Path | None = None
     log_format: str = "text"
     """"text" or "json"."""
+    tell_drops: bool = False
+    """Tell of every sample that a connection was to deliver and did not."""
     post_mortem: bool = False
     """With `debug`: a debugger where a component failed, where a person sits at a terminal."""
     status: bool = False

@@ -68,4 +68,12 @@ def run(
             return 2
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
-        return execute(found.make, len(found.names), options, stopper, log=log, catalogue=found.catalogue)
+        return execute(
+            found.make,
+            len(found.names),
+            options,
+            stopper,
+            log=log,
+            catalogue=found.catalogue,
+            unfed_advice=found.unfed,
+        )

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import errno
 import gc
+import logging
 import os
 import select
 import stat
@@ -18,6 +19,7 @@ import click
 
 import aiorts
 from aiorts import Catalogue, Component, ComponentAdded, HookFailed, Kernel, LifeCycleState, ScaledClock
+from aiorts.cli.hints import dropped, unawaited_told, unfed
 from aiorts.cli.log import Log
 from aiorts.cli.options import Options, checked
 from aiorts.cli.report import cause_of
@@ -60,6 +62,12 @@ class _Run:
     stopper: Stopper
     log: Log
     catalogue: Catalogue | None
+    unfed_advice: str
+
+    def warn(self, code: str, message: str) -> None:
+        """A line of the command itself, unless only errors are asked for."""
+        if self.log.levels.default <= logging.WARNING:
+            self.log.tell(code, message, level="warning")
 
 
 def execute(
@@ -70,6 +78,7 @@ def execute(
     *,
     log: Log | None = None,
     catalogue: Catalogue | None = None,
+    unfed_advice: str = "",
 ) -> int:
     """Open a kernel, have the system made in it, run it to its end; the exit status.
 
@@ -77,12 +86,15 @@ def execute(
         components: how many there will be: once they are there the garbage collector looks at them for the last time.
         log: the run's log, which its caller has begun; by default it has one of its own.
         catalogue: where the kernel has types from that are asked for by name.
+        unfed_advice: for a component alone, what to do when it waits for data that cannot come.
     """
     with contextlib.ExitStack() as stack:
         if log is None:
             log = stack.enter_context(log_of(options, stopper))
         try:
-            return _run(_Run(construct, components, options, stopper, log, catalogue))
+            run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice)
+            with unawaited_told(run.warn):
+                return _run(run)
         finally:
             gc.unfreeze()
 
@@ -130,7 +142,11 @@ async def _session(run: _Run) -> int:
             status = 2 if isinstance(error, _FAULTS_OF_THE_FILE) else 1
         elif built:
             gc.freeze()  # what activation made; without a collection, since contexts run by now
+            if run.unfed_advice and options.duration is None and (hint := unfed(kernel, run.unfed_advice)):
+                run.warn("W-UNFED", hint)
             status = await _until_end(kernel, run)
+            for line in dropped(kernel, every=options.tell_drops or run.log.levels.default <= logging.INFO):
+                run.warn("W-DROPPED", line)
         failed = _failed(kernel)
         if failed and status == 0 and options.strict:
             status = 3

@@ -5,6 +5,7 @@ Everything is loaded and checked here, before a kernel is opened.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -18,6 +19,7 @@ from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.single import component_class
 from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
 from aiorts.system import ClockEntry, build, construct, load, prepare
+from aiorts.system.whole import NOTHING_RUNS
 
 __all__ = ("DEFAULT_RATE", "Target", "find_target")
 
@@ -35,6 +37,8 @@ class Target:
     catalogue: Catalogue
     make: Callable[[Kernel], Any]
     clock: ClockEntry = _SYSTEM_CLOCK
+    unfed: str = ""
+    """Of a component alone: what to do when it waits for data that cannot come."""
 
 
 def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate: float | None) -> Target:
@@ -61,7 +65,18 @@ def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate
     catalogue.make_default()
     if ":" not in text and text not in catalogue.extensions("components"):
         raise ConfigurationError(f"{text[:80]!r}: {_no_such(text, catalogue)}")
-    return _alone(component_class(text, catalogue), changes, catalogue, rate)
+    cls = component_class(text, catalogue)
+    return _alone(cls, changes, catalogue, rate, _fed_by(text, cls, folders))
+
+
+def _fed_by(text: str, cls: type[Component], folders: Sequence[Path]) -> str:
+    """How this component gets data."""
+    home, colon, _ = text.rpartition(":")
+    if colon and not home.strip().endswith(".py"):
+        return "connect it in a system file"
+    where = [Path(home.strip()).parent] if colon else folders
+    plugins = "".join(f"--plugins {shlex.quote(str(folder))} " for folder in where)
+    return f"as a filter: aiorts {plugins}{cls.__name__.lower()}"
 
 
 def _is_file(text: str) -> bool:
@@ -110,13 +125,17 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
         )
     catalogue = catalogue_of((*folders, *system.plugin_paths))
     plan = prepare(system, catalogue)
+    if system.components and not any(context.members for context in system.contexts.values()):
+        raise SystemFileError(f"{system.path}: {NOTHING_RUNS}")
     return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan), system.clock)
 
 
 # -- one component -----------------------------------------------------------------------------------------------------
 
 
-def _alone(cls: type[Component], changes: Iterable[str], catalogue: Catalogue, rate: float | None) -> Target:
+def _alone(
+    cls: type[Component], changes: Iterable[str], catalogue: Catalogue, rate: float | None, unfed: str
+) -> Target:
     name = cls.__name__.lower()
     params = _params(name, cls, changes)
     if rate is not None:
@@ -135,7 +154,7 @@ def _alone(cls: type[Component], changes: Iterable[str], catalogue: Catalogue, r
         except ComponentError:
             return  # its on_activated failed: it is in error, as it would be later on
 
-    return Target((name,), catalogue, make)
+    return Target((name,), catalogue, make, unfed=unfed)
 
 
 def _check_rate(rate: float) -> None:

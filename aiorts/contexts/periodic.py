@@ -12,7 +12,7 @@ from aiorts.contexts.schedule import MAX_RATE, Schedule, check_rate
 from aiorts.kernel.bus import Overrun, RateChanged
 from aiorts.kernel.context import Context
 from aiorts.kernel.life import Wait
-from aiorts.model.blame import MissedDeadlines
+from aiorts.model.blame import MissedDeadlines, Overload
 from aiorts.model.profile import ContextStatistics
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class PeriodicContext(Context):
         self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
         self._fresh = True
         self._missed: MissedDeadlines | None = None
+        self._overload = Overload()
         self._watch: DeadlineWatch | None = None
 
     @property
@@ -155,6 +156,13 @@ class PeriodicContext(Context):
             # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
             missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
             _LOG.info("%s: %s missed: %s", self.name, missed_now, blame)
+        if plan is not None and (most := self._overload.add(now_ns, self.ticks, self.ticks + plan.skipped)):
+            late, cycles, length = most
+            why = "the rate is too high for it" if blame is None else str(blame)
+            what = (
+                f"misses most deadlines: {late} of {cycles} cycles overran in {length / 1e9:.1f} s at {plan.rate:g} Hz"
+            )
+            _LOG.warning("%s: %s; %s", self.name, what, why)
         self._publish(Overrun(self.name, *missed, policy, blame))
 
     def _end_cycle(self, members: Sequence[Member]) -> None:

@@ -42,6 +42,9 @@ _LINKS: Final = 8
 """Causes that an error keeps, itself included; the failure it belongs to comes after them."""
 _FRAMES: Final = 40
 """Frames kept of an exception that is raised again and again."""
+_LONG_NS: Final = 10_000_000
+_TURNS_AFTER_LONG: Final = 16
+"""What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _ACTIVE = LifeCycleState.ACTIVE
@@ -123,6 +126,7 @@ class Life:
             yield from self.start(member)
         context._life_began()
         worked = False
+        late_ns = context._now_ns()
         while not context._stopping:
             if context._actions:
                 yield from context._next_action().steps()
@@ -134,6 +138,11 @@ class Life:
             elif worked:
                 worked = False
                 yield TURN
+                now_ns = context._now_ns()
+                if now_ns - late_ns >= _LONG_NS:
+                    yield from self._rest()
+                    now_ns = context._now_ns()
+                late_ns = now_ns
             else:
                 members = context._begin_cycle()
                 context.ticks += 1
@@ -143,6 +152,13 @@ class Life:
                 context._end_cycle(members)
                 worked = True
         yield from self._end()
+
+    def _rest(self) -> Steps:
+        """After a long cycle, with the next one due already: let the others get on, the end included."""
+        for _ in range(_TURNS_AFTER_LONG):
+            if self._context._stopping or self._context._actions:
+                return
+            yield TURN
 
     # -- transitions -----------------------------------------------------------------------------------------------
 
@@ -320,7 +336,7 @@ class Life:
         text = "".join(traceback.format_exception_only(error)).strip()
         try:
             # The hook stands in the template: repeats are folded by template, another hook's failure is no repeat.
-            component.log.error(hook + " failed: %s", text, exc_info=error)  # noqa: G003
+            component.log.error(f"{component.name}.{hook} failed: %s", text, exc_info=error)  # noqa: G004
         finally:
             component._rt_failed_in = None
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-__all__ = ("OTHERS", "Blame", "GcPauses", "MissedDeadlines")
+__all__ = ("OTHERS", "Blame", "GcPauses", "MissedDeadlines", "Overload")
 
 OTHERS: Final = "others"
 """What missed deadlines are counted under once there are too many places."""
@@ -20,6 +20,10 @@ _TELL_EVERY_NS: Final = 5_000_000_000
 """One line of the log for each place in that time."""
 _TELL_FROM_NS: Final = 10_000_000
 """Shorter holds are counted, published and not logged."""
+_OVERLOAD_NS: Final = 1_000_000_000
+_OVERLOAD_TICKS: Final = 10
+_OVERLOAD_CYCLES: Final = 3
+"""In so long a time, with so many ticks in it, most cycles overran, and not fewer than so many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,3 +112,35 @@ class MissedDeadlines:
             return 0
         self._told[place] = (now_ns, count)
         return count - told
+
+
+class Overload:
+    """Finds out that a context misses most of its deadlines, and says so once; an overrun now and then is none."""
+
+    def __init__(self) -> None:
+        self._since: tuple[int, int, int] | None = None
+        """When, and after how many cycles and ticks, the time began that is looked at."""
+        self._late = 0
+        self._told = False
+
+    def add(self, now_ns: int, cycles: int, ticks: int) -> tuple[int, int, int] | None:
+        """One more overrun, after so many cycles and ticks of the schedule.
+
+        Returns overruns, cycles and nanoseconds when it is time to tell, else None.
+        """
+        if self._told:
+            return None
+        if self._since is None:
+            self._since = now_ns, cycles, ticks
+        self._late += 1
+        began_ns, began_cycles, began_ticks = self._since
+        length, ran = now_ns - began_ns, cycles - began_cycles
+        if length < _OVERLOAD_NS or ticks - began_ticks < _OVERLOAD_TICKS:
+            return None
+        late = self._late - 1  # the first one is where the time began
+        if 2 * late <= ran:
+            self._since, self._late = (now_ns, cycles, ticks), 1
+        elif late >= _OVERLOAD_CYCLES:
+            self._told = True
+            return late, ran, length
+        return None

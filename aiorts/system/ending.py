@@ -33,7 +33,8 @@ def is_source(component: Component) -> bool:
 async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
     """Wait until every source was active and is no more, the queues are empty and no hook runs; or all are in error.
 
-    Without any source it waits for ever. Returns the connectors with samples that their readers left alone: when
+    Without any source it waits for ever. One with in-ports and no connection at all counts as a source only where there
+    is no other. Returns the connectors with samples that their readers left alone: when
     nothing has moved for a second, it is not waited for them any longer.
     """
     changed = asyncio.Event()
@@ -58,10 +59,18 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 def _ended(kernel: Kernel, began: set[str]) -> bool:
     runs = [component for component in kernel.components.values() if component.contexts]
     sources = [component for component in runs if is_source(component)]
+    # One that was to be fed and that nothing is connected to is not waited for, if there is anybody else.
+    sources = [source for source in sources if source.has_finished or not _left_alone(source)] or sources
     # Asked of the component, too: it may have finished before anybody looked.
     if sources and all((s.name in began or s.has_finished) and not _active(s) for s in sources):
         return True
     return bool(runs) and all(set(c.states.values()) == {LifeCycleState.ERROR} for c in runs)
+
+
+def _left_alone(component: Component) -> bool:
+    ports = component.ports.values()
+    takes = any(isinstance(port, InPort) for port in ports)
+    return takes and not any(port.connectors for port in ports if isinstance(port, InPort | OutPort))
 
 
 def _active(component: Component) -> bool:

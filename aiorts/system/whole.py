@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from aiorts.contexts import EventContext
-from aiorts.errors import StateError
+from aiorts.errors import StateError, SystemFileError
 from aiorts.kernel.ports import OutPort, Port, ServicePort
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Dataflow, Subscription
@@ -19,8 +19,9 @@ from aiorts.system.survey import Survey
 from aiorts.system.values import ConnectionEntry
 from aiorts.types import is_mutable, type_name
 
-__all__ = ("whole_findings",)
+__all__ = ("NOTHING_RUNS", "whole_findings")
 
+NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
 _MOST_NAMED = 12
 """Ports of a cycle that a message names."""
 
@@ -41,6 +42,9 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
 
 def _unused(found: Survey) -> Iterator[Said]:
     run = {member for context in found.system.contexts.values() for member in context.members}
+    if found.system.components and not run:
+        yield Said("error", SystemFileError.code, (), NOTHING_RUNS)
+        return
     for name in found.system.components:
         if name not in run:
             text = f"{name} is in no context and never runs; name it among the members of one, or take it away"

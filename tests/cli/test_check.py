@@ -127,7 +127,10 @@ def test_what_a_component_file_prints_is_no_part_of_the_findings(
     (tmp_path / "loud.py").write_text(
         "print('hello')\nfrom aiorts import Component\nclass Loud(Component):\n    pass\n"
     )
-    name = write('schema = 1\n[components.a]\ntype = "loud.py:Loud"\n')
+    name = write(
+        'schema = 1\n[components.a]\ntype = "loud.py:Loud"\n[components.b]\ntype = "loud.py:Loud"\n'
+        '[contexts.loop]\nkind = "event"\nmembers = ["a"]\n'
+    )
     assert run_command(["check", "--format", "json", name]) == 0
     printed = capsys.readouterr()
     assert json.loads(printed.out)["warnings"] == 1
@@ -138,7 +141,7 @@ def test_a_folder_of_plugins_can_be_named(write: Callable[..., str], tmp_path: P
     other = tmp_path / "other"
     other.mkdir()
     (other / "far.py").write_text("from aiorts import Component\nclass FarAway(Component):\n    pass\n")
-    name = write('schema = 1\n[components.a]\ntype = "FarAway"\n')
+    name = write('schema = 1\n[components.a]\ntype = "FarAway"\n[contexts.loop]\nkind = "event"\nmembers = ["a"]\n')
     assert run_command(["check", name]) == 2
     assert run_command(["check", name, "--plugins", str(other)]) == 0
     capsys.readouterr()

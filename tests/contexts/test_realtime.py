@@ -320,7 +320,7 @@ async def test_a_failure_is_contained_and_logged_on_the_loop(caplog: pytest.LogC
     finally:
         logging.getLogger("aiorts.component").removeHandler(handler)
     texts = [record.getMessage() for record in caplog.records if record.name == "aiorts.component"]
-    assert texts == ["about to fail now", "on_execute failed: ValueError: no"]
+    assert texts == ["about to fail now", "worker.on_execute failed: ValueError: no"]
     record = next(r for r in caplog.records if r.name == "aiorts.component")
     assert (record.funcName, record.__dict__["hook"]) == ("fail", "on_execute")
     assert set(threads) == {threading.get_ident()}  # no handler's I/O in the real-time thread

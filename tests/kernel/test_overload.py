@@ -1,0 +1,157 @@
+"""What a context whose hooks take too long leaves to others, and that it says so once without being asked."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+
+import pytest
+
+from aiorts import Component, EventContext, Kernel, PeriodicContext
+from aiorts.model.blame import Overload
+from aiorts.testing import simulated
+
+SECOND = 1_000_000_000
+
+
+class Blocking(Component):
+    """Holds the loop longer than a period."""
+
+    runs = 0
+
+    def on_execute(self) -> None:
+        self.runs += 1
+        time.sleep(0.05)
+
+
+class Slow(Component):
+    """Waits longer than a period, in cycles from `first` to `last`."""
+
+    first, last = 0, 1_000_000
+    runs = 0
+
+    async def on_execute(self) -> None:  # type: ignore[override] # a hook may be either
+        self.runs += 1
+        if self.first <= self.runs <= self.last:
+            await self.sleep(0.25)
+
+
+class Refusing(Component):
+    def on_execute(self) -> None:
+        raise ValueError("no")
+
+
+@pytest.mark.anyio
+async def test_others_get_on_between_two_long_cycles() -> None:
+    """Every turn of the loop cost a whole cycle: what took ten turns took ten cycles, a stop among them."""
+    async with Kernel() as kernel:
+        blocking = await kernel.create(Blocking, "blocking")
+        await kernel.start(PeriodicContext(100.0), blocking, activate=True)
+        await asyncio.sleep(0.2)
+        before = blocking.runs
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert blocking.runs - before <= 2
+        before = blocking.runs
+        await kernel.sleep(0.01)
+        assert blocking.runs - before <= 2
+        before = blocking.runs
+    assert blocking.runs - before <= 1
+
+
+@pytest.mark.anyio
+async def test_others_get_on_where_two_contexts_hold_the_loop() -> None:
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Blocking, "one"), await kernel.create(Blocking, "two")
+        await kernel.start(PeriodicContext(100.0), one, activate=True)
+        await kernel.start(PeriodicContext(100.0), two, activate=True)
+        await asyncio.sleep(0.3)
+        before = one.runs + two.runs
+        for _ in range(8):
+            await asyncio.sleep(0)
+        assert one.runs + two.runs - before <= 4
+
+
+@pytest.mark.anyio
+async def test_a_component_that_triggers_itself_leaves_room_too() -> None:
+    class Again(Blocking):
+        def on_execute(self) -> None:
+            super().on_execute()
+            context.trigger(self)
+
+    async with Kernel() as kernel:
+        again = await kernel.create(Again, "again")
+        context = await kernel.start(EventContext(), again, activate=True)
+        context.trigger(again)
+        await asyncio.sleep(0.2)
+        before = again.runs
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert again.runs - before <= 2
+
+
+def warnings_of(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+
+
+@simulated
+async def test_missing_most_deadlines_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        slow = await kernel.create(Slow, "slow")
+        await kernel.start(PeriodicContext(5.0, name="loop"), slow, activate=True)
+        await kernel.sleep(20.0)
+    (said,) = warnings_of(caplog)
+    assert said.startswith("loop: misses most deadlines: ")
+    assert "cycles overran in" in said
+    assert " at 5 Hz; " in said
+
+
+@simulated
+async def test_cycles_many_periods_long_are_said_though_they_are_few(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        slow = await kernel.create(Slow, "slow")
+        await kernel.start(PeriodicContext(100.0, name="loop"), slow, activate=True)
+        await kernel.sleep(3.0)
+    assert len(warnings_of(caplog)) == 1
+
+
+@simulated
+async def test_overruns_now_and_then_are_not_said(caplog: pytest.LogCaptureFixture) -> None:
+    """A burst of late cycles, and one cycle in ten that is late: neither is worth a word."""
+    async with Kernel() as kernel:
+        burst, often = await kernel.create(Slow, "burst"), await kernel.create(Slow, "often")
+        burst.first, burst.last = 20, 22
+
+        async def sometimes() -> None:
+            often.runs += 1
+            if often.runs % 10 == 0:
+                await often.sleep(0.25)
+
+        often.on_execute = sometimes  # type: ignore[method-assign, assignment]
+        await kernel.start(PeriodicContext(100.0), burst, activate=True)
+        context = await kernel.start(PeriodicContext(5.0), often, activate=True)
+        await kernel.sleep(60.0)
+        assert context.statistics.overruns > 20
+    assert warnings_of(caplog) == []
+
+
+def test_overload_needs_time_ticks_and_a_majority() -> None:
+    fast = Overload()
+    assert not any(fast.add(tick * 1000, tick, tick) for tick in range(900_000))  # 0.9 s at 1 MHz
+    rare = Overload()
+    assert not any(rare.add(tick * SECOND, 2 * tick, 2 * tick) for tick in range(100))
+    few = Overload()
+    assert few.add(0, 0, 0) is few.add(SECOND, 1, 50) is few.add(2 * SECOND, 2, 100) is None
+    assert few.add(3 * SECOND, 3, 150) == (3, 3, 3 * SECOND)
+    assert not any(few.add(tick * SECOND, tick, 50 * tick) for tick in range(4, 100))
+
+
+@pytest.mark.anyio
+async def test_a_failure_names_its_component_in_the_message(caplog: pytest.LogCaptureFixture) -> None:
+    """Python's logging prints the message alone where nothing is configured."""
+    async with Kernel() as kernel:
+        refusing = await kernel.create(Refusing, "refusing")
+        await kernel.start(PeriodicContext(100.0), refusing, activate=True)
+        await asyncio.sleep(0.05)
+    assert warnings_of(caplog) == ["refusing.on_execute failed: ValueError: no"]
