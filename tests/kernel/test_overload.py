@@ -181,5 +181,5 @@ def test_what_the_machine_or_a_short_hold_does_is_not_said(
             await kernel.sleep(10.0)
             return context.statistics.overruns
 
-    assert simulate(main) > 10
+    assert simulate(main()) > 10
     assert [said.endswith(f"; {blame}") for said in warnings_of(caplog)] == [True] * told
