@@ -156,14 +156,18 @@ class PeriodicContext(Context):
             # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
             missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
             _LOG.info("%s: %s missed: %s", self.name, missed_now, blame)
-        if plan is not None and (most := self._overload.add(now_ns, self.ticks, self.ticks + plan.skipped)):
+        self._publish(Overrun(self.name, *missed, policy, blame))
+        # What the machine does to a system is not the system's fault: a loaded one would never be silent.
+        ours = blame is not None and blame.kind in ("hook", "loop")
+        if plan is None or blame is None or not ours or 2 * blame.held_ns < plan.period_ns:
+            return
+        most = self._overload.add(now_ns, self.ticks, self.ticks + plan.skipped)
+        if most is not None:
             late, cycles, length = most
-            why = "the rate is too high for it" if blame is None else str(blame)
             what = (
                 f"misses most deadlines: {late} of {cycles} cycles overran in {length / 1e9:.1f} s at {plan.rate:g} Hz"
             )
-            _LOG.warning("%s: %s; %s", self.name, what, why)
-        self._publish(Overrun(self.name, *missed, policy, blame))
+            _LOG.warning("%s: %s; %s", self.name, what, blame)
 
     def _end_cycle(self, members: Sequence[Member]) -> None:
         if self._schedule is not None:

@@ -9,8 +9,9 @@ import time
 import pytest
 
 from aiorts import Component, EventContext, Kernel, PeriodicContext
-from aiorts.model.blame import Overload
-from aiorts.testing import simulated
+from aiorts.kernel.deadman import DeadlineWatch
+from aiorts.model.blame import Blame, Overload
+from aiorts.testing import simulate, simulated
 
 SECOND = 1_000_000_000
 
@@ -155,3 +156,30 @@ async def test_a_failure_names_its_component_in_the_message(caplog: pytest.LogCa
         await kernel.start(PeriodicContext(100.0), refusing, activate=True)
         await asyncio.sleep(0.05)
     assert warnings_of(caplog) == ["refusing.on_execute failed: ValueError: no"]
+
+
+@pytest.mark.parametrize(
+    ("blame", "told"),
+    [
+        (Blame("machine", held_ns=SECOND), False),
+        (Blame("unknown", held_ns=SECOND), False),
+        (Blame("gc", held_ns=SECOND, generation=2), False),
+        (Blame("loop", held_ns=1000), False),
+        (Blame("hook", "slow", "on_execute", held_ns=SECOND), True),
+    ],
+)
+def test_what_the_machine_or_a_short_hold_does_is_not_said(
+    blame: Blame, told: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A loaded machine makes half of all cycles late, and no system says so of itself."""
+    monkeypatch.setattr(DeadlineWatch, "blame", lambda *_: blame)
+
+    async def main() -> int:
+        async with Kernel() as kernel:
+            slow = await kernel.create(Slow, "slow")
+            context = await kernel.start(PeriodicContext(5.0, name="loop"), slow, activate=True)
+            await kernel.sleep(10.0)
+            return context.statistics.overruns
+
+    assert simulate(main()) > 10
+    assert [said.endswith(f"; {blame}") for said in warnings_of(caplog)] == [True] * told
