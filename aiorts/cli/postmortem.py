@@ -74,9 +74,9 @@ def _on_error() -> pdb.Pdb:
 def _settings() -> list[Any] | None:
     try:
         import termios
-
-        return termios.tcgetattr(sys.stdin.fileno())
-    except (ImportError, OSError, ValueError):
+    except ImportError:
         return None
-    except termios.error:
+    try:
+        return termios.tcgetattr(sys.stdin.fileno())
+    except (OSError, ValueError, termios.error):
         return None

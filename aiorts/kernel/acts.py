@@ -108,9 +108,10 @@ def _check_type(cls: type[Any], where: str, function: Any, event: str, events: M
     except (NameError, SyntaxError, AttributeError, TypeError):
         return  # a name that only the type checker knows
     parameters = [p for p in inspect.signature(function).parameters.values() if p.name != "self"]
-    wanted: Any = annotations.get(parameters[0].name) if parameters else None
+    annotation: Any = annotations.get(parameters[0].name) if parameters else None
+    wanted: type[Any] | None = annotation if isinstance(annotation, type) and annotation is not Any else None
     for name, port in ports:
-        if isinstance(wanted, type) and wanted is not Any and not issubclass(port.type, wanted):
+        if wanted is not None and not issubclass(port.type, wanted):
             raise DeclarationError(
                 f"{cls.__qualname__}.chart: {where}: {_name(function)} takes a {wanted.__name__}, "
                 f"and {name} carries {port.type.__name__}"

@@ -294,7 +294,7 @@ class Composed(Component):
     def _rt_member_entered(self, member: Member) -> None:
         """A member has another state; in the thread of its context."""
         context = self._rt_running_context
-        if context is not member.context or member.component not in self.parts:
+        if context is None or context is not member.context or member.component not in self.parts:
             return  # one that is on trial: what it does is told when it has joined
         failed = member.state is LifeCycleState.ERROR
         composite: Composed | None = self

@@ -11,11 +11,11 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import ComponentError, StateError
 from aiorts.kernel.bus import HookFailed, MemberAdded, MemberRemoved, StateChanged
+from aiorts.kernel.chaining import chain
 from aiorts.model.lifecycle import ADVICE, ON_FAILURE, TRANSITIONS, Event, Failure, LifeCycleState, transition
 
 if TYPE_CHECKING:
@@ -33,15 +33,10 @@ __all__ = (
     "Together",
     "Turn",
     "Wait",
-    "chain",
     "first_pass",
     "second_pass",
 )
 
-_LINKS: Final = 8
-"""Causes that an error keeps, itself included; the failure it belongs to comes after them."""
-_FRAMES: Final = 40
-"""Frames kept of an exception that is raised again and again."""
 _LONG_NS: Final = 10_000_000
 _TURNS_AFTER_LONG: Final = 16
 """What others do takes several turns of the loop one after another: none of them may cost a whole long cycle."""
@@ -360,41 +355,6 @@ def first_pass(member: Member) -> str:
 def second_pass(member: Member) -> str:
     """The hook of a member in the second pass of a cycle; "" for none."""
     return "on_state_update" if member.updates and member.active and not member.left else ""
-
-
-def chain(error: BaseException, cause: BaseException | None) -> None:
-    """Make `cause` the last link of the causes of `error`, and keep both bounded however often they are raised."""
-    if error is cause:
-        # Raised again and again, an exception collects the frames of every raise.
-        error.__traceback__ = _shortened(error.__traceback__)
-        return
-    known = set(map(id, _links(cause)))
-    links = _links(error)
-    if known.isdisjoint(map(id, links)):
-        links[-1].__cause__ = cause
-        links[-1].__context__ = None
-
-
-def _links(error: BaseException | None) -> list[BaseException]:
-    """An exception and its causes, the first few."""
-    links: list[BaseException] = []
-    while error is not None and len(links) < _LINKS and not any(link is error for link in links):
-        links.append(error)
-        error = error.__cause__ or error.__context__
-    return links
-
-
-def _shortened(trace: TracebackType | None) -> TracebackType | None:
-    frames = []
-    while trace is not None:
-        frames.append(trace)
-        trace = trace.tb_next
-    if len(frames) <= _FRAMES:
-        return frames[0] if frames else None
-    kept = None
-    for frame in reversed(frames[-_FRAMES:]):
-        kept = TracebackType(kept, frame.tb_frame, frame.tb_lasti, frame.tb_lineno)
-    return kept
 
 
 def _because(member: Member, hook: str, error: BaseException | None) -> BaseException | None:

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
 from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
+from aiorts.kernel.chaining import chain
 from aiorts.kernel.component import Component
 from aiorts.kernel.constructing import construct
 from aiorts.kernel.deadlines import CANCELLATIONS, StopBudget
 from aiorts.kernel.leftovers import leftovers
-from aiorts.kernel.life import chain
 from aiorts.kernel.plugins import load_aside
 from aiorts.kernel.ports import InPort, Port, ServicePort
 from aiorts.kernel.solo import run_alone

@@ -272,7 +272,8 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
 def _argument(name: str, kinds: tuple[type, ...], default: Any, texts: Mapping[str, str]) -> dict[str, Any]:
     made: dict[str, Any] = {"enum": _WORDS[name]} if name in _WORDS else {}
     if kinds and not made:
-        made["type"] = [_JSON[kind] for kind in kinds] if len(kinds) > 1 else _JSON[kinds[0]]
+        words = [_JSON[kind] for kind in kinds]
+        made["type"] = words if len(words) > 1 else words[0]
     if name in texts:
         made["description"] = texts[name]
     if isinstance(default, str | bool | int | float):

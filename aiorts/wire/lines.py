@@ -23,9 +23,10 @@ __all__ = ("LineReader", "LineWriter", "json_text", "line_of", "split_sample")
 _KEYS: Final = ("port", "type", "tm", "data")
 _LONGEST: Final = 60
 _encode: Final = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(", ", ": ")).encode
-_NUMBERS: Final = dict.fromkeys(("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64"), int) | dict.fromkeys(
-    ("f32", "f64"), float
-)
+_NUMBERS: Final[dict[str, type]] = {
+    **dict.fromkeys(("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64"), int),
+    **dict.fromkeys(("f32", "f64"), float),
+}
 """Kinds of `data` whose values, when they are of this very class, are in JSON what they are in Python."""
 
 

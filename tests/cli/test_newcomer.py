@@ -258,9 +258,10 @@ def test_a_line_of_output1_is_for_input1_and_another_name_says_what_there_is(fol
     assert "line 3: no in-port 'outpt'; " in done.stderr
 
 
-def test_a_text_that_is_no_number_ends_flexifilter_as_its_help_says(folder: Path) -> None:
+def test_a_text_that_is_no_number_is_a_bad_line_as_the_help_of_flexifilter_says(folder: Path) -> None:
     options = ["flexifilter", "-i", "TimedString", "-o", "TimedDouble"]
     done = aiorts(folder, *options, stdin='"1"\n"x"\n"3"\n')
-    assert (done.returncode, len(done.stdout.splitlines())) == (1, 1)
+    assert (done.returncode, len(done.stdout.splitlines())) == (1, 2)
+    assert done.stderr.startswith("aiorts: E-LINE: standard input, line 2")
     assert "got 'x'" in done.stderr
-    assert "the lines after it are not processed" in " ".join(aiorts(folder, "flexifilter", "--help").stdout.split())
+    assert "the others go on" in " ".join(aiorts(folder, "flexifilter", "--help").stdout.split())

@@ -45,7 +45,7 @@ def test_every_option_sets_a_parameter_that_takes_it_and_every_parameter_has_one
         if option.kind == "flag":
             spec.check(option.value)
         if option.kind == "number":
-            assert spec.type_text in ("int", "float")
+            assert spec.type_text in ("int", "float", "float | None")
     assert {option.param for option in cls.options} >= set(params)
 
 

@@ -129,8 +129,10 @@ def test_an_editor_finds_types_parameters_units_defaults_and_docs() -> None:
         one for one in SCHEMA["$defs"]["component"]["oneOf"] if one["properties"]["type"].get("const") == "FlexiConst"
     )
     rate = const["properties"]["params"]["properties"]["rate"]
-    assert rate["title"] == "float [Hz]"
-    assert rate["anyOf"][0] == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1e6}
+    assert rate["title"] == "float | None [Hz]"
+    number, text = rate["anyOf"][0]["anyOf"] if "anyOf" in rate["anyOf"][0] else rate["anyOf"]
+    assert number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1e6}
+    assert text["type"] == "string"
     periodic = next(
         one for one in SCHEMA["$defs"]["context"]["oneOf"] if one["properties"]["kind"]["const"] == "periodic"
     )
