@@ -153,7 +153,8 @@ class Catalogue:
                 entries = [entry for entry in distribution.entry_points if entry.group.startswith("aiorts.")]
                 if not entries:
                     continue
-                name, version = str(distribution.metadata["Name"] or ""), str(distribution.version)
+                about: Any = distribution.metadata  # a mapping whose [] warns of a key that is missing
+                name, version = str(about.get("Name") or ""), str(distribution.version)
                 if not name:
                     raise ValueError("its metadata has no name")
             except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:

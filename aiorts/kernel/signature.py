@@ -355,6 +355,8 @@ def _plain(hint: Any) -> Carried | None:
 
     while hasattr(hint, "__supertype__"):  # a NewType
         hint = hint.__supertype__
+    while type(alias := get_origin(hint) or hint).__name__ == "TypeAliasType":  # as numpy's NDArray from Python 3.12 on
+        hint = alias.__value__
     origin, args = get_origin(hint), get_args(hint)
     if origin is None and getattr(hint, "__module__", "") == "numpy" and hint.__name__ == "ndarray":
         return Carried(records.TimedNDArray, _DATA)

@@ -233,7 +233,8 @@ def test_after_the_limit_the_process_ends_with_70_for_who_restarts_it(how: str, 
     assert "held.on_execute" in last
     assert "held.py:" in last
     assert "status 70" in last
-    assert len(said.strip().splitlines()) == (1 if how == "logging" else 2)
+    told = [line for line in said.strip().splitlines() if "held.on_execute" in line]  # imports may hold it up, too
+    assert len(told) == (1 if how == "logging" else 2)
 
 
 @pytest.mark.parametrize("how", ["idle", "busy"])
