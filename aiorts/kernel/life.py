@@ -124,7 +124,7 @@ class Life:
         worked = False
         # Simulated time waits for everybody anyhow, and turns that change nothing may let a driver of the clock go on.
         simulated = isinstance(context._require_kernel().clock, SimulatedClock)
-        late_ns = context._now_ns()
+        late_ns = 0  # when the cycle before was found late, with no wait since
         while not context._stopping:
             if context._actions:
                 yield from context._next_action().steps()
@@ -132,12 +132,13 @@ class Life:
             wait = context._next_cause()
             if wait is not None:
                 worked = False
+                late_ns = 0
                 yield wait
             elif worked:
                 worked = False
                 yield TURN
                 now_ns = context._now_ns()
-                if now_ns - late_ns >= _LONG_NS and not simulated:
+                if late_ns and now_ns - late_ns >= _LONG_NS and not simulated:
                     yield from self._rest()
                     now_ns = context._now_ns()
                 late_ns = now_ns
