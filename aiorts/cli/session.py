@@ -166,12 +166,15 @@ def _freeze_when_made(kernel: Kernel, components: int) -> None:
     """
     left = components
 
+    def freeze() -> None:
+        gc.collect()
+        gc.freeze()
+
     def count(event: ComponentAdded) -> None:
         nonlocal left
         left -= 1
         if left == 0:
-            gc.collect()
-            gc.freeze()
+            asyncio.get_running_loop().call_soon(freeze)  # not an observer's time, which is looked at
 
     kernel.bus.subscribe(ComponentAdded, count)
 

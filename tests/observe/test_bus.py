@@ -144,6 +144,26 @@ def test_an_observer_that_holds_the_loop_is_named(caplog: pytest.LogCaptureFixtu
     assert "hog held the loop" in record.getMessage()
 
 
+def test_in_virtual_time_what_the_wall_clock_says_is_not_logged(caplog: pytest.LogCaptureFixture) -> None:
+    def hog(event: Event) -> None:
+        time.sleep(0.06)
+        raise ValueError
+
+    async def main(clock: SimulatedClock) -> None:
+        bus = Bus()
+        bus.subscribe(ComponentAdded, hog)
+        bus.publish(ComponentAdded("x"))
+        await asyncio.sleep(4.9)
+        bus.publish(ComponentAdded("y"))
+        await asyncio.sleep(0.2)
+        bus.publish(ComponentAdded("z"))  # five seconds of simulated time: told again
+        assert bus.observers[0].slow == 3
+
+    with caplog.at_level(logging.INFO, "aiorts"):
+        simulate(main)
+    assert [record.getMessage().split(" at ")[0].split(" failed")[1] for record in caplog.records] == ["", ""]
+
+
 def test_an_observer_can_end_itself_and_others() -> None:
     bus = Bus()
     heard: list[str] = []

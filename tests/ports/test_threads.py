@@ -219,16 +219,16 @@ async def test_a_thread_that_finds_no_room_ends_at_its_deadline(anyio_backend: A
     async with Kernel() as kernel:
         stuck, one, two, free = [await kernel.add(part) for part in (Stuck(), Sink(), Sink(), Sink())]
         assert isinstance(stuck, Stuck)
-        for sink, timeout in ((one, 0.1), (two, 0.2)):
+        for sink, timeout in ((one, 0.5), (two, 0.6)):
             await kernel.connect(stuck.out, sink.ports["inp"], full="block", length=1, timeout=timeout)
         await kernel.connect(stuck.out, free.ports["inp"])
         await kernel.start(ThreadContext(), stuck, activate=True)
         await reached(lambda: stuck.results)
         [(text, elapsed)] = stuck.results
-        assert "(0.1 s)" in text
-        assert "(0.2 s)" in text
+        assert "(0.5 s)" in text
+        assert "(0.6 s)" in text
         assert "free" not in text
-        assert 0.2 <= elapsed < 0.25  # together, not one after the other
+        assert 0.6 <= elapsed < 1.1  # together, not one after the other
         assert [dict(connector.statistics.dropped) for connector in stuck.out.connectors] == [
             {"timeout": 1},
             {"timeout": 1},

@@ -311,7 +311,7 @@ async def test_a_blocked_write_ends_at_its_deadline_on_the_real_clock(anyio_back
         start = kernel.clock.monotonic_ns()
         with pytest.raises(WriteTimeout):
             await source.out.write(long(1))
-        assert abs(kernel.clock.monotonic_ns() - start - 100_000_000) < 50_000_000
+        assert 100_000_000 <= kernel.clock.monotonic_ns() - start < 5_000_000_000
 
 
 async def test_several_blocked_writers_get_in_in_the_order_they_came(anyio_backend: Any) -> None:
