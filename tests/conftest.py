@@ -12,6 +12,7 @@ import gc
 import importlib.util
 import logging
 import os
+import signal
 import threading
 import time
 from pathlib import Path
@@ -27,7 +28,13 @@ HAS_UVLOOP = importlib.util.find_spec("uvloop") is not None
 DESCRIPTORS = Path("/proc/self/fd")
 ENDS_WITHIN = 2.0  # seconds that a pool's thread has to end after its loop was closed
 OWN_THREADS = ("pytest_timeout", "pytest-timeout")  # of the test runner, not of a test
+ENDING = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if name in signal.Signals.__members__]
 COMPLAINTS = ("never retrieved", "was destroyed but it is pending", "was never awaited")
+
+# A run under nohup, or behind a shell's "&", inherits signals that are ignored, and so would every process of a test.
+for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), *((s, signal.SIG_DFL) for s in ENDING)):
+    if signal.getsignal(_signal) is signal.SIG_IGN:
+        signal.signal(_signal, _handler)
 
 settings.register_profile("aiorts", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)
