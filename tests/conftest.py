@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import settings
 
+from aiorts.kernel.catalogue import Catalogue
+
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
 
@@ -126,6 +128,7 @@ def _no_thread_descriptor_or_complaint_left() -> Iterator[None]:
     threads, descriptors, complaints = set(threading.enumerate()), _descriptors(), _Complaints()
     loop_log = logging.getLogger("asyncio")
     loop_log.addHandler(complaints)
+    Catalogue._default = None  # a command that another test ran in this process may have chosen its own
     yield
     until = time.monotonic() + ENDS_WITHIN
     while (left := _new_threads(threads)) and time.monotonic() < until:
