@@ -18,9 +18,11 @@ class Tape(Component):
     path = Param("", doc="what a Judge recorded")
     drives = Param("loop", doc="the external context to tick")
 
-    def on_activated(self) -> None:
+    def on_initialize(self) -> None:
         lines = Path(self.path).read_text().splitlines()
         self.rows = [tuple(map(float, line.split(",")[:3])) for line in lines]
+
+    def on_activated(self) -> None:
         self.done = self.same = 0
         self.fault = ""
 
