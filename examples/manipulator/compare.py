@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,14 +35,15 @@ WRONG = "not as promised: "
 class Played:
     """One run of a system file."""
 
-    status: int
-    lines: list[str]
-    """What it printed."""
+    where: str
+    table: list[str]
+    """What it printed and what it did not complain of; the first line is the table's head, where there is a table."""
+    faults: list[str]
     loop: Context
     """What ran the controller."""
 
 
-def play(file: str, *changes: str) -> Played:
+def play(where: str, file: str, *changes: str) -> Played:
     """Run a system file as `aiorts run FILE --set CHANGE ...` does."""
     system = load(HERE / file, changes)
 
@@ -53,7 +55,11 @@ def play(file: str, *changes: str) -> Played:
 
     with contextlib.redirect_stdout(io.StringIO()) as said:
         status, loop = simulate(main()) if system.clock.kind == "simulated" else run(main)
-    return Played(status, said.getvalue().splitlines(), loop)
+    lines = said.getvalue().splitlines()
+    faults = [f"{where}: {line.removeprefix(WRONG)}" for line in lines if line.startswith(WRONG)]
+    if status and not faults:
+        faults = [f"{where}: ended with status {status}"]
+    return Played(where, [line for line in lines if not line.startswith(WRONG)], faults, loop)
 
 
 def highest(recording: Path) -> float:
@@ -65,29 +71,26 @@ def main(folder: Path) -> int:
     """Play all four, show what they say; 1 when anything is not as promised."""
     damped, brisk, real = (folder / f"{name}.csv" for name in ("damped", "brisk", "real"))
     runs = [
-        ("simulator", play("sim.toml", f"judge.record={damped}")),
-        ("simulator", play("sim.toml", f"judge.record={brisk}", "damper.damping=70")),
-        ("real time", play("real.toml", f"judge.record={real}")),
-        ("replayed", play("replay.toml", f"tape.path={real}")),
+        play("simulator", "sim.toml", f"judge.record={damped}"),
+        play("simulator", "sim.toml", f"judge.record={brisk}", "damper.damping=70"),
+        play("real time", "real.toml", f"judge.record={real}"),
+        play("replayed", "replay.toml", f"tape.path={real}"),
     ]
-    faults = []
-    for number, (where, played) in enumerate(runs):
-        head, *rows = [line for line in played.lines if not line.startswith(WRONG)] or [""]
-        rows = rows or [head]
-        if number == 0:
-            print(f"{'':11}{head}")
-        print(*(f"{where:11}{row}" for row in rows), sep="\n")
-        said = [line.removeprefix(WRONG) for line in played.lines if line.startswith(WRONG)]
-        faults += [f"{where}: {fault}" for fault in said or ["ended with status 1"] * (played.status != 0)]
-    times = runs[2][1].loop.statistics
-    late = times.lateness_total_ns / max(times.cycles, 1) / 1e6
-    print(f"{'real time':11}{times.cycles} ticks of 2 ms, each {late:.2f} ms late on average, {times.skipped} skipped")
+    faults = [fault for played in runs for fault in played.faults]
     if highest(brisk) < highest(damped) + 1.0:
         faults.append(f"brisk reaches {highest(brisk):.2f} N and damped {highest(damped):.2f} N: that is no difference")
-    print(*(f"{WRONG}{fault}" for fault in faults), sep="\n", end="\n" * bool(faults))
+    times = runs[2].loop.statistics
+    late = times.lateness_total_ns / max(times.cycles, 1) / 1e6
+    print(*(f"{'':11}{line}" for line in runs[0].table[:1]), sep="\n")
+    for played in runs:
+        print(*(f"{played.where:11}{line}" for line in played.table[-1:]), sep="\n")
+    print(f"{'real time':11}{times.cycles} ticks of 2 ms, each {late:.2f} ms late on average, {times.skipped} skipped")
+    for fault in faults:
+        print(f"{WRONG}{fault}")
     return 1 if faults else 0
 
 
 if __name__ == "__main__":
+    logging.getLogger("aiorts").setLevel(logging.ERROR)  # that ticks came late stands in the last row
     with TemporaryDirectory() as name:
         sys.exit(main(Path(name)))
