@@ -54,7 +54,7 @@ class Figures:
     def of(cls, rows: Sequence[Row], within: float) -> Figures:
         forces = [row.touch / rows[0].push for row in rows[:SECOND]]
         reached = {part: next((n for n, f in enumerate(forces) if f >= part), SECOND) for part in (0.1, 0.9)}
-        pressed = next((n for n, row in enumerate(rows) if row.pressed), len(rows))
+        pressed = [row.pressed for row in rows].index(True)
         return cls(
             rise=reached[0.9] - reached[0.1],
             settled=after_last([not abs(force - 1.0) <= within for force in forces]),
@@ -123,6 +123,9 @@ class Judge(Component):
 
     def faults(self, rows: Sequence[Row]) -> Iterator[str]:
         """Print the figures, and yield what is wrong with them."""
+        if not rows[0].push or not any(row.pressed for row in rows):
+            yield "the joystick was not pushed" if not rows[0].push else "nobody called the brake"
+            return
         damper, wall = self.kernel.components["damper"].configuration, self.kernel.components["world"].configuration
         damping, goal, made = damper.values["damping"], rows[0].push, Figures.of(rows, self.within)
         ideal = ideal_overshoot(damper.values["mass"], damping, wall.values["stiffness"])

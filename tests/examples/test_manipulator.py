@@ -120,6 +120,23 @@ def test_what_is_broken_is_said_with_status_1(copy: Path, file: str, old: str, n
     assert any(line.startswith("not as promised: ") and said in line for line in lines), lines
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("joystick.newtons=0", "the joystick was not pushed"),
+        ("joystick.press_after=701", "nobody called the brake"),
+        ("joystick.press_after=300", "the arm moved at 0.000 m/s when the brake was called: nothing to stop"),
+        ("world.stiffness=300", "the force at 1 s is"),
+        ("sensor.scale=25", "the force at 1 s is 8.00 N"),
+        ("judge.within=1e-9", "the force at 1 s is 10.00 N"),
+    ],
+)
+def test_other_parameters_that_break_a_promise_do_too(change: str, said: str) -> None:
+    status, lines, errors = simulated(change)
+    assert (status, errors) == (1, "")
+    assert any(line.startswith("not as promised: ") and said in line for line in lines), lines
+
+
 def test_an_arm_without_a_brake_to_call_is_said(copy: Path) -> None:
     broken(copy, "sim.toml", 'from = "joystick.brake"\nto = "arm.brake"', 'from = "arm.speed"\nto = "arm.encoder"')
     status, lines, errors = simulated(folder=copy)
