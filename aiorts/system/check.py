@@ -72,7 +72,9 @@ def check_text(
 
 def _drafts(found: Survey) -> dict[str, Draft]:
     return {
-        name: draft(cls, name, found.params[name]) for name, cls in found.types.items() if name not in found.bad_params
+        name: draft(cls, name, found.settings[name])
+        for name, cls in found.types.items()
+        if name not in found.bad_params
     }
 
 

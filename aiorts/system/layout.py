@@ -91,7 +91,7 @@ def _box(found: Survey, name: str, arrows: tuple[Arrow, ...], also: list[str]) -
     kind = _printable(found.system.components[name].type.rpartition(":")[2])
     pins: dict[tuple[str, bool], Pin] = {}
     if name in found.types and name not in found.bad_params:
-        for port in draft(found.types[name], name, found.params[name]).ports.values():
+        for port in draft(found.types[name], name, found.settings[name]).ports.values():
             out = isinstance(port, OutPort)
             unit = f" [{port.unit}]" if port.unit else ""
             if isinstance(port, ServicePort):
