@@ -72,7 +72,7 @@ def main(folder: Path) -> int:
     damped, brisk, real = (folder / f"{name}.csv" for name in ("damped", "brisk", "real"))
     runs = [
         play("simulator", "sim.toml", f"judge.record={damped}"),
-        play("simulator", "sim.toml", f"judge.record={brisk}", "damper.damping=70"),
+        play("simulator", "sim.toml", f"judge.record={brisk}", "damper.active=brisk"),
         play("real time", "real.toml", f"judge.record={real}"),
         play("replayed", "replay.toml", f"tape.path={real}"),
     ]
