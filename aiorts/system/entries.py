@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from fnmatch import fnmatchcase
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -65,13 +67,16 @@ class EntryReader(Reading):
                 what = 'says nothing that is done; write restart = "reset" or "restart", or a deadline'
                 self._say(key, what, of_key=True)
             return None
-        return self._made(key, given, SUPERVISION_KEYS, Supervision)
+        made: Supervision | None = self._made(key, given, SUPERVISION_KEYS, Supervision)
+        return made
 
     def _start(self, key: Key, table: dict[str, Any]) -> StartRule | None:
         if "start" not in table:
             return None
         given = self._get(key, table, "start", dict, {})
-        return self._made((*key, "start"), given, START_KEYS, lambda **values: StartRule(str(key[-1]), **values))
+        make = partial(StartRule, str(key[-1]))
+        made: StartRule | None = self._made((*key, "start"), given, START_KEYS, make)
+        return made
 
     def _made(self, key: Key, given: dict[str, Any], known: tuple[str, ...], make: Any) -> Any:
         """What `make` makes of the values; each is tried alone first, so that each that is wrong is marked."""
@@ -135,10 +140,10 @@ class EntryReader(Reading):
             groups = self._try((*key, "groups"), lambda: groups_of(_texts(table["groups"]), members, name))
             if groups:
                 options["groups"] = groups
-        exported = self._exported((*key, "exported"), table.get("exported", []), name)
-        if exported:
+        given = table.get("exported", [])
+        if exported := self._exported((*key, "exported"), given, members):
             options["exported"] = exported
-        return CompositeEntry(name, members, MappingProxyType(options))
+        return CompositeEntry(name, members, MappingProxyType(options), isinstance(given, dict))
 
     def _members(self, key: Key, given: Any, known: Mapping[str, Any]) -> tuple[str, ...]:
         """Names of components and composites, each once."""
@@ -160,7 +165,7 @@ class EntryReader(Reading):
             return None
         return str(value)
 
-    def _exported(self, key: Key, given: Any, name: str) -> dict[str, str]:
+    def _exported(self, key: Key, given: Any, members: tuple[str, ...]) -> dict[str, str]:
         """The rules as patterns and names."""
         if isinstance(given, str):
             given = [part.strip() for part in given.split(",") if part.strip()]
@@ -172,7 +177,13 @@ class EntryReader(Reading):
         good = {}
         for number, (pattern, shown) in enumerate(pairs):
             where: Key = (*key, pattern if isinstance(given, dict) else number)
-            if self._try(where, lambda pattern=pattern, shown=shown: exports({pattern: shown}, name)) is not None:
+            rules = self._try(where, lambda pattern=pattern, shown=shown: exports({pattern: shown}, str(key[1])))
+            if rules is None:
+                continue
+            if not any(fnmatchcase(member, rules[0].component) for member in members):
+                of_key = isinstance(given, dict)
+                self._unknown(where, "member", rules[0].component, members, of_key=of_key)
+            else:
                 good[pattern] = shown
         return good
 

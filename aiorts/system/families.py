@@ -25,7 +25,7 @@ def root(composites: Mapping[str, CompositeEntry], name: str) -> str:
 
 
 def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: bool = False) -> tuple[str, ...]:
-    """The components that run with this one, in the order stated; `everybody`: those with a schedule of their own, too."""
+    """The components that run with this one, in the order stated; `everybody`: also with a schedule of their own."""
     entry = composites.get(name)
     if entry is None:
         return (name,)

@@ -53,6 +53,12 @@ class CompositeEntry:
     """Components and composites, in order of execution."""
     options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     """What `Composite` takes: exported, order, groups, errors, own_schedule."""
+    named: bool = False
+    """Whether `exported` is a table of names by pattern, and no list."""
+
+    def exported_key(self, number: int) -> str | int:
+        """The key in the file of an exported pattern."""
+        return tuple(self.options["exported"])[number] if self.named else number
 
     @property
     def own_schedule(self) -> bool:
