@@ -88,6 +88,7 @@ class Judge(Component):
 
     ticks = Param(700, gt=SECOND, doc="how many make a run")
     within = Param(0.02, gt=0.0, doc="of the set-point")
+    ideal_within = Param(0.1, gt=0.0, doc="of the set-point: how far the overshoot may be from a textbook's")
     record = Param("", doc="a file for the rows, if any")
     patience = Param(2.0, gt=0.0, unit="s", doc="how long it waits for a tick")
 
@@ -137,7 +138,7 @@ class Judge(Component):
         )
         if made.settled >= SECOND:
             yield f"the force at 1 s is {goal * made.steady:.2f} N, not at rest within {self.within:.0%} of {goal:g} N"
-        if abs(made.overshoot - ideal) > 0.1:
+        if abs(made.overshoot - ideal) > self.ideal_within:
             yield f"the overshoot is {made.overshoot:.1%}, where a mass on a damper has {ideal:.1%}"
         if made.moving < 0.01:
             yield f"the arm moved at {made.moving:.3f} m/s when the brake was called: nothing to stop"
