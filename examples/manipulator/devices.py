@@ -38,7 +38,7 @@ class Joystick(Component):
 
     push = OutPort(TimedDouble, unit="N")
     button = OutPort(TimedBoolean)
-    brake = Required[Brake](timeout=0.004, doc="what the red button closes; it has two ticks")
+    brake = Required[Brake](timeout=0.1, doc="what the red button closes")
 
     newtons = Param(10.0, unit="N", doc="how hard it is pushed, and pulled")
     pull_after = Param(500, gt=0, unit="ticks")

@@ -90,7 +90,7 @@ class Judge(Component):
     within = Param(0.02, gt=0.0, doc="of the set-point")
     ideal_within = Param(0.1, gt=0.0, doc="of the set-point: how far the overshoot may be from a textbook's")
     record = Param("", doc="a file for the rows, if any")
-    patience = Param(2.0, gt=0.0, unit="s", doc="how long it waits for a tick")
+    patience = Param(5.0, gt=0.0, unit="s", doc="how long it waits for a tick")
 
     def on_activated(self) -> None:
         self.columns: list[list[Any]] = [[], [], [], [], [], []]
