@@ -112,6 +112,19 @@ def test_the_four_are_one_composite_that_runs_in_one_context() -> None:
     simulate(main)
 
 
+def test_another_set_takes_effect_while_the_arm_moves() -> None:
+    async def main(_clock: object) -> float:
+        async with Kernel() as kernel:
+            await build(kernel, load(EXAMPLE / "sim.toml"))
+            await kernel.sleep(0.04)
+            await kernel.components["damper"].configuration.activate("brisk")
+            await kernel.sleep(0.5)
+            touch: list[float] = vars(kernel.components["judge"])["columns"][5]
+            return max(touch)
+
+    assert 10.5 < simulate(main) < 12.5, "damped alone reaches 10.0 N, brisk alone 12.9 N"
+
+
 # -- and what must not pass --------------------------------------------------------------------------------------------
 
 
