@@ -249,6 +249,11 @@ CODES: Final[dict[str, Code]] = {
         "It was only begun, or the tables have other names.",
         "Write [components.NAME] with a type.",
     ),
+    "W-EXPORT": Code(
+        "A composite of a system file exports a pattern that no port of a member fits.",
+        "A misspelt component or port, or a port that was renamed.",
+        "Correct the pattern, or take it away.",
+    ),
     "W-LOOP": Code(
         "A cycle of components that all run on events keeps itself busy.",
         "Each writes whenever it reads, and no context of the cycle has a rate.",

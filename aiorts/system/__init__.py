@@ -16,13 +16,23 @@ from aiorts.system.parse import parse
 from aiorts.system.pipes import StandardInput, StandardOutput
 from aiorts.system.schema import schema
 from aiorts.system.stream import LineStream
-from aiorts.system.values import ClockEntry, ComponentEntry, ConnectionEntry, ContextEntry, Override, SystemFile
+from aiorts.system.values import (
+    ClockEntry,
+    ComponentEntry,
+    CompositeEntry,
+    ConnectionEntry,
+    ContextEntry,
+    Override,
+    SystemFile,
+    WatchEntry,
+)
 
 __all__ = (
     "GRAPH_FORMATS",
     "Blueprint",
     "ClockEntry",
     "ComponentEntry",
+    "CompositeEntry",
     "ConnectionEntry",
     "ContextEntry",
     "FrameInput",
@@ -33,6 +43,7 @@ __all__ = (
     "StandardInput",
     "StandardOutput",
     "SystemFile",
+    "WatchEntry",
     "build",
     "check",
     "check_text",

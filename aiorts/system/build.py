@@ -9,21 +9,27 @@ import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 from aiorts.errors import AiortsError, ComponentError, StateError, SystemFileError, WiringError
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
+from aiorts.kernel.composite import Composite
 from aiorts.kernel.context import Context
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.ports import Port
+from aiorts.kernel.unfold import unfolded
 from aiorts.model.lifecycle import LifeCycleState
+from aiorts.model.sequence import in_order
 from aiorts.system.check import of_draft
+from aiorts.system.families import inner_first, readers_first, root
 from aiorts.system.joints import end_key
 from aiorts.system.parse import spelled
 from aiorts.system.places import Key
+from aiorts.system.setting import Setting
 from aiorts.system.survey import Survey, survey
-from aiorts.system.values import ConnectionEntry, SystemFile
+from aiorts.system.values import CompositeEntry, ConnectionEntry, SystemFile
 
 __all__ = ("Blueprint", "build", "prepare")
 
@@ -34,9 +40,14 @@ class Blueprint:
 
     system: SystemFile
     types: Mapping[str, type[Component]]
-    params: Mapping[str, Mapping[str, Any]]
+    settings: Mapping[str, Setting]
     contexts: Mapping[str, Context]
     catalogue: Catalogue
+
+    @property
+    def params(self) -> Mapping[str, Mapping[str, Any]]:
+        """Of each component, what the set "default" has other than declared."""
+        return {name: setting.params for name, setting in self.settings.items()}
 
 
 def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint:
@@ -58,7 +69,7 @@ def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint
             else f"{system.at(*first.key, of_key=first.of_key)}: {first.where}"
         )
         raise type(first.error)(f"{where}: {first.error}").like(first.error) from first.error.__cause__
-    return Blueprint(system, found.types, found.params, found.contexts, found.catalogue)
+    return Blueprint(system, found.types, found.settings, found.contexts, found.catalogue)
 
 
 async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
@@ -75,30 +86,60 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     plan = prepare(system) if isinstance(system, SystemFile) else system
     folders = (*kernel.plugins.folders, *plan.catalogue.folders)
     kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
-    for entry in plan.system.components.values():
+    system = plan.system
+    for name in system.components:
         try:
-            await kernel.create(plan.types[entry.name], entry.name, **plan.params[entry.name])
+            await _create(kernel, plan, name)
         except AiortsError as error:
-            error.add_note(_place_of(plan.system, entry.name, error))
+            error.add_note(_place_of(system, name, error))
             raise
         except BaseException as error:
-            error.add_note(entry.name)
+            error.add_note(name)
             raise
+    for composite in inner_first(system.composites):
+        await _compose(kernel, system, composite)
     _check_members(kernel, plan)
-    for connection in plan.system.connections:
-        ports = [_port(plan.system, kernel, connection, number) for number in range(len(connection.ports))]
+    for connection in system.connections:
+        ports = [_port(system, kernel, connection, number) for number in range(len(connection.ports))]
         try:
             await kernel.connect(*ports, **connection.options)
         except WiringError as error:
-            where = plan.system.at(*_blamed(connection, str(error)))
+            where = system.at(*_blamed(connection, str(error)))
             raise WiringError(f"{where}: {connection.place}: {error}") from None
-    for context in plan.system.contexts.values():
+    for context in system.contexts.values():
         members = [kernel.components[name] for name in context.members]
         await kernel.start(plan.contexts[context.name], *members)
-    for name in _readers_first(plan.system):
-        for context in plan.system.contexts.values():
-            if context.activate and name in context.members:
+    for name in _in_order(system):
+        entry = system.components.get(name)
+        for context in system.contexts.values():
+            if context.activate and name in context.members and (entry is None or entry.start is None):
                 await _activate(plan.contexts[context.name], kernel.components[name])
+    rules = [entry.start for entry in system.components.values() if entry.start is not None]
+    for rule in in_order(rules):
+        # One that fails is in error; whoever waits for it says so, unless it is helped in time.
+        with contextlib.suppress(ComponentError):
+            await kernel.start_in_order([rule])
+
+
+async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
+    """A component with its sets in force before its first hook, and supervised before it can fail."""
+    cls, setting = plan.types[name], plan.settings[name]
+    if setting.sets or setting.active is not None:
+        component = await kernel.add(setting.make(cls, name))
+    else:
+        component = await kernel.create(cls, name, **setting.params)
+    policy = plan.system.components[name].supervision
+    if policy is not None:
+        kernel.supervise(component, policy, factory=partial(setting.make, cls))
+
+
+async def _compose(kernel: Kernel, system: SystemFile, entry: CompositeEntry) -> None:
+    key = ("composites", entry.name)
+    try:
+        await kernel.add(Composite(entry.name, *entry.members, **entry.options))
+    except AiortsError as error:
+        text = str(error).removeprefix(f"{entry.name}: ")
+        raise SystemFileError(f"{system.at(*key)}: {spelled(key)}: {text}") from error
 
 
 def _check_members(kernel: Kernel, plan: Blueprint) -> None:
@@ -106,41 +147,32 @@ def _check_members(kernel: Kernel, plan: Blueprint) -> None:
     for entry in plan.system.contexts.values():
         for name in entry.members:
             try:
-                plan.contexts[entry.name]._check_can_add(kernel.components[name])
+                for part in unfolded((kernel.components[name],)):
+                    plan.contexts[entry.name]._check_can_add(part)
             except StateError as error:
                 key = ("contexts", entry.name, "members")
                 raise SystemFileError(f"{plan.system.at(*key)}: {spelled(key)}: {error}") from error
 
 
 async def _activate(context: Context, component: Component) -> None:
-    if context.state(component) is LifeCycleState.ERROR:
+    if component.states.get(context.name) is LifeCycleState.ERROR:
         return  # on_startup failed, which is logged and on the bus: its own affair, as below
     with contextlib.suppress(ComponentError):
-        await context.activate(component)
+        if isinstance(component, Composite):
+            await component.activate()  # all of it or nothing, as its errors = "..." says
+        else:
+            await context.activate(component)
 
 
-def _readers_first(system: SystemFile) -> list[str]:
-    """The components, each after those it sends to, so that the first sample of a source finds its reader active.
-
-    Where data goes round in a circle the order of the file decides.
-    """
-    readers: dict[str, list[str]] = {name: [] for name in system.components}
+def _in_order(system: SystemFile) -> list[str]:
+    """Who runs for itself, each after those it sends to: the first sample of a source finds its reader active."""
+    composites = system.composites
+    units = dict.fromkeys(root(composites, name) for name in (*system.components, *composites))
+    edges = []
     for connection in system.connections:
-        writer, *others = (path.partition(".")[0] for path in connection.ports)
-        readers[writer] += others
-    ordered: dict[str, None] = {}
-    for root in system.components:
-        seen, stack = {root}, [(root, iter(readers[root]))]
-        while stack:
-            name, rest = stack[-1]
-            following = next((one for one in rest if one not in seen and one not in ordered), None)
-            if following is None:
-                stack.pop()
-                ordered.setdefault(name)
-            else:
-                seen.add(following)
-                stack.append((following, iter(readers[following])))
-    return list(ordered)
+        writer, *readers = (root(composites, path.partition(".")[0]) for path in connection.ports)
+        edges += [(writer, reader) for reader in readers]
+    return readers_first(list(units), edges)
 
 
 def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, number: int) -> Port[Any]:
@@ -178,7 +210,7 @@ def _check_declared(found: Survey) -> None:
         for number, path in enumerate(connection.ports):
             component, _, name = path.partition(".")
             cls = found.types.get(component)
-            if cls is None:
+            if cls is None or cls.ports_for is not Component.ports_for or hasattr(cls, "make_ports"):
                 continue
             declared = [port.name or attribute for attribute, port in cls._rt_port_declarations.items()]
             near = get_close_matches(name, declared, n=1)

@@ -12,7 +12,9 @@ from typing import Any
 
 from aiorts.errors import AiortsError, StateError, SystemFileError
 from aiorts.kernel.catalogue import Catalogue
+from aiorts.system.composed_drafts import compositions, leaf_paths
 from aiorts.system.draft import Draft, draft
+from aiorts.system.families import with_parts
 from aiorts.system.findings import Finding, Said, in_order
 from aiorts.system.joints import joint_findings
 from aiorts.system.parse import Mistake, read, spelled
@@ -63,16 +65,23 @@ def check_text(
         for fault in found.faults
     ]
     drafts = _drafts(found)
+    composed = compositions(system, drafts, {str(one.key[1]) for one in mistakes if one.key[:1] == ("composites",)})
+    said += composed.said
     said += [of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
+    every = {**drafts, **composed.drafts}
+    said += joint_findings(found, every)
+    # What is said of the whole is said of who runs, in the place of whom it is a part of.
+    found.system = with_parts(leaf_paths(system, every))
     said += _of_members(found, drafts)
-    said += joint_findings(found, drafts)
     said += whole_findings(found, drafts, whole=not mistakes)
     return in_order(_found(path, system.text, one) for one in said)
 
 
 def _drafts(found: Survey) -> dict[str, Draft]:
     return {
-        name: draft(cls, name, found.params[name]) for name, cls in found.types.items() if name not in found.bad_params
+        name: draft(cls, name, found.settings[name])
+        for name, cls in found.types.items()
+        if name not in found.bad_params
     }
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from aiorts.errors import AiortsError, PluginError
 from aiorts.kernel.component import Component
-from aiorts.kernel.constructing import construct
 from aiorts.kernel.ports import Port
+from aiorts.system.setting import Setting
 
 __all__ = ("Draft", "draft")
 
@@ -31,12 +31,11 @@ class Draft:
     """Why it could not be made."""
 
 
-def draft(cls: type[Component], name: str, params: Mapping[str, Any]) -> Draft:
-    """A component of this class with these parameters, checked already, as a system will have it."""
+def draft(cls: type[Component], name: str, setting: Setting) -> Draft:
+    """A component of this class with this configuration, checked already, as a system will have it."""
     make = getattr(cls, "make_ports", None)
     try:
-        component = construct(cls, name)
-        component._rt_put(params)
+        component = setting.make(cls, name)
         if make is not None:
             make(component)
     except AiortsError as error:

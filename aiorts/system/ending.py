@@ -13,6 +13,7 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.connector import Connector
 from aiorts.kernel.kernel import Kernel
 from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.unfold import is_composite
 from aiorts.model.lifecycle import LifeCycleState
 
 __all__ = ("is_source", "wait_finished")
@@ -57,7 +58,8 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 
 
 def _ended(kernel: Kernel, began: set[str]) -> bool:
-    runs = [component for component in kernel.components.values() if component.contexts]
+    # A composite is its members, and no source beside them.
+    runs = [one for one in kernel.components.values() if one.contexts and not is_composite(one)]
     sources = [component for component in runs if is_source(component)]
     # One that was to be fed and that nothing is connected to is not waited for, if there is anybody else.
     sources = [source for source in sources if source.has_finished or not _left_alone(source)] or sources

@@ -22,6 +22,7 @@ CODES: Final = {
         "a writer may wait for a reader of its own context, which runs only after it",
         "make the buffer longer, set a timeout, or put the reader into another context",
     ),
+    "W-EXPORT": ("a composite exports a pattern that no port fits", "correct the pattern, or take it away"),
     "W-TURNED": ("a connection names the in-port first", "write the out-port under from"),
     "N-OPEN": ("a port has no connection", "connect it, or leave it so"),
     "N-COPY": ("a port's type is mutable: each write makes a snapshot", "make the dataclass frozen"),

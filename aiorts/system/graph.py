@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from aiorts.kernel.catalogue import Catalogue
-from aiorts.system.layout import Box, Picture, names_of, picture
+from aiorts.system.layout import Box, Group, Picture, names_of, picture
 from aiorts.system.svg import svg
 from aiorts.system.values import SystemFile
 
@@ -37,13 +37,19 @@ def _mermaid(seen: Picture) -> str:
     ids = names_of(seen)
     lines = ["flowchart LR"]
     for number, group in enumerate(seen.groups):
-        lines.append(f'  subgraph g{number}["{_entities(group.title)}"]')
-        lines += [f'    {ids[box.name]}["{_mermaid_box(box)}"]' for box in group.boxes]
-        lines.append("  end")
+        lines += _mermaid_group(group, f"g{number}", ids, "  ")
     for arrow in seen.arrows:
         label = f"{arrow.source[1]} → {arrow.target[1]}" + (f"<br/>{_entities(arrow.label)}" if arrow.label else "")
         lines.append(f'  {ids[arrow.source[0]]} -->|"{label}"| {ids[arrow.target[0]]}')
     return "\n".join(lines) + "\n"
+
+
+def _mermaid_group(group: Group, name: str, ids: Mapping[str, str], indent: str) -> Iterator[str]:
+    yield f'{indent}subgraph {name}["{_entities(group.title)}"]'
+    yield from (f'{indent}  {ids[box.name]}["{_mermaid_box(box)}"]' for box in group.boxes)
+    for number, inner in enumerate(group.inner):
+        yield from _mermaid_group(inner, f"{name}_{number}", ids, f"{indent}  ")
+    yield f"{indent}end"
 
 
 def _mermaid_box(box: Box) -> str:
@@ -78,9 +84,7 @@ def _dot(seen: Picture) -> str:
         '  edge [fontname="sans-serif", fontsize=9];',
     ]
     for number, group in enumerate(seen.groups):
-        lines += [f"  subgraph cluster_{number} {{", f"    label={_quoted(group.title)};", "    style=rounded;"]
-        lines += [f"    {ids[box.name]} [label={_dot_box(box, ports)}];" for box in group.boxes]
-        lines.append("  }")
+        lines += _dot_group(group, f"cluster_{number}", ids, ports, "  ")
     for arrow in seen.arrows:
         (here, out), (there, in_) = arrow.source, arrow.target
         label = f" [label={_quoted(arrow.label)}]" if arrow.label else ""
@@ -88,6 +92,18 @@ def _dot(seen: Picture) -> str:
         lines.append(f"  {ends}{label};")
     lines.append("}")
     return "\n".join(lines) + "\n"
+
+
+def _dot_group(
+    group: Group, name: str, ids: Mapping[str, str], ports: dict[tuple[str, str, bool], str], indent: str
+) -> Iterator[str]:
+    yield f"{indent}subgraph {name} {{"
+    yield f"{indent}  label={_quoted(group.title)};"
+    yield f"{indent}  style=rounded;"
+    yield from (f"{indent}  {ids[box.name]} [label={_dot_box(box, ports)}];" for box in group.boxes)
+    for number, inner in enumerate(group.inner):
+        yield from _dot_group(inner, f"{name}_{number}", ids, ports, f"{indent}  ")
+    yield f"{indent}}}"
 
 
 def _dot_box(box: Box, ports: dict[tuple[str, str, bool], str]) -> str:

@@ -81,8 +81,8 @@ def _port(
     if component in unsure:
         return None, None
     unsure.add(component)
-    cls = found.types[component].__name__
-    what = f"{cls} may make {name!r} in on_initialize, which is not run here; a method make_ports would tell"
+    kind = found.types[component].__name__ if component in found.types else f"a member of {component}"
+    what = f"{kind} may make {name!r} in on_initialize, which is not run here; a method make_ports would tell"
     return None, Said("note", "N-PORTS", key, what)
 
 

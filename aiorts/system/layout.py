@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.ports import OutPort, ServicePort
 from aiorts.model.policy import Dataflow, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
-from aiorts.system.draft import draft
+from aiorts.system.composed_drafts import compositions, leaf_paths
+from aiorts.system.draft import Draft, draft
+from aiorts.system.families import owners, with_parts
 from aiorts.system.survey import Survey, survey
 from aiorts.system.values import SystemFile
 from aiorts.types import type_name
@@ -42,6 +44,19 @@ class Group:
     name: str
     title: str
     boxes: tuple[Box, ...]
+    inner: tuple[Group, ...] = ()
+    """The composites in it, with their members."""
+
+    @property
+    def all_boxes(self) -> tuple[Box, ...]:
+        """Its own and those of composites in it."""
+        return (*self.boxes, *(box for group in self.inner for box in group.all_boxes))
+
+    def flat(self, depth: int = 0) -> Iterator[tuple[Group, int]]:
+        """Itself and what is in it, each with how deep that is."""
+        yield self, depth
+        for group in self.inner:
+            yield from group.flat(depth + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,34 +79,77 @@ class Picture:
     @property
     def boxes(self) -> tuple[Box, ...]:
         """Of all groups."""
-        return tuple(box for group in self.groups for box in group.boxes)
+        return tuple(box for group in self.groups for box in group.all_boxes)
 
 
 def picture(system: SystemFile, catalogue: Catalogue | None = None) -> Picture:
     """What there is to draw; a part that cannot be loaded is drawn as far as the file tells."""
     found = survey(system, catalogue)
+    drafts = {n: draft(cls, n, found.settings[n]) for n, cls in found.types.items() if n not in found.bad_params}
+    found.system = leaf_paths(system, {**drafts, **compositions(system, drafts).drafts})
     arrows = tuple(_arrows(found))
     homes: dict[str, str] = {}
     several: dict[str, list[str]] = {}
-    for context in system.contexts.values():
+    for context in with_parts(found.system).contexts.values():
         for member in context.members:
             homes.setdefault(member, context.name)
             several.setdefault(member, []).append(context.name)
-    boxes = {name: _box(found, name, arrows, several.get(name, [])[1:]) for name in system.components}
+    ends = {end for arrow in arrows for end in (arrow.source[0], arrow.target[0])}
+    unknown = [name for name in system.composites if name in ends]  # its ports are not known: drawn as one box
+    also = {name: several.get(name, [])[1:] for name in (*system.components, *unknown)}
+    boxes = {name: _box(found, name, drafts.get(name), arrows, others) for name, others in also.items()}
     groups = [
-        Group(entry.name, _title(found, entry.name), tuple(boxes[n] for n in entry.members if homes[n] == entry.name))
+        _group(system, entry.name, _title(found, entry.name), entry.members, boxes, homes, entry.name)
         for entry in system.contexts.values()
     ]
-    if outside := tuple(box for name, box in boxes.items() if name not in homes):
-        groups.append(Group("", "in no context", outside))
+    of = owners(system.composites)
+    alone = [name for name in (*system.components, *system.composites) if name not in of]
+    inside = {member for entry in system.contexts.values() for member in entry.members}
+    outside = _group(system, "", "in no context", [name for name in alone if name not in inside], boxes, homes, "")
+    if outside.boxes or outside.inner:
+        groups.append(outside)
     return Picture(tuple(groups), arrows)
 
 
-def _box(found: Survey, name: str, arrows: tuple[Arrow, ...], also: list[str]) -> Box:
-    kind = _printable(found.system.components[name].type.rpartition(":")[2])
+def _group(
+    system: SystemFile,
+    name: str,
+    title: str,
+    members: Iterable[str],
+    boxes: Mapping[str, Box],
+    homes: Mapping[str, str],
+    context: str,
+) -> Group:
+    """A context or a composite with what is drawn in it: who runs here first."""
+    members = tuple(members)
+    own = [boxes[one] for one in members if one in boxes and homes.get(one, context) == context]
+    inner = [
+        _group(
+            system, one, f"{one}: composite{_words(system, one)}", system.composites[one].members, boxes, homes, context
+        )
+        for one in members
+        if one in system.composites
+    ]
+    return Group(name, title, tuple(own), tuple(group for group in inner if group.all_boxes))
+
+
+def _words(system: SystemFile, name: str) -> str:
+    """What is unusual about a composite."""
+    options = system.composites[name].options
+    words = [
+        str(options[word]) for word in ("order", "errors") if options.get(word, "stated") not in ("stated", "stop")
+    ]
+    if options.get("groups"):
+        words.append(" | ".join(", ".join(group) for group in options["groups"]))
+    return "".join(f", {word}" for word in words)
+
+
+def _box(found: Survey, name: str, made: Draft | None, arrows: tuple[Arrow, ...], also: list[str]) -> Box:
+    entry = found.system.components.get(name)
+    kind = "composite" if entry is None else _printable(entry.type.rpartition(":")[2])
     pins: dict[tuple[str, bool], Pin] = {}
-    if name in found.types and name not in found.bad_params:
-        for port in draft(found.types[name], name, found.params[name]).ports.values():
+    if made is not None:
+        for port in made.ports.values():
             out = isinstance(port, OutPort)
             unit = f" [{port.unit}]" if port.unit else ""
             if isinstance(port, ServicePort):

@@ -6,28 +6,32 @@ that two systems can have an `odometry.py` each. All other types come from insta
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
-from typing import Any, Final
+from types import MappingProxyType, ModuleType
+from typing import Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, ConfigurationError, PluginError, SystemFileError
 from aiorts.kernel.catalogue import Catalogue, Extension
 from aiorts.kernel.component import Component
 from aiorts.kernel.context import Context
 from aiorts.kernel.plugins import load_file
-from aiorts.model.configuration import validate
+from aiorts.model.configuration import ParameterSpec, validate
+from aiorts.model.sets import DEFAULT, ConfigurationState
 from aiorts.system.arguments import flag_of, parse_options
 from aiorts.system.parse import parse
 from aiorts.system.places import Key
+from aiorts.system.setting import ACTIVE, Setting
 from aiorts.system.toml import read_text
 from aiorts.system.values import ComponentEntry, SystemFile
 
-__all__ = ("check_inside", "component_type", "context_type", "load", "parameters")
+__all__ = ("check_inside", "component_type", "context_type", "in_folder", "load", "parameters", "setting")
 
 _MOST_FILES: Final = 10_000
+Fault: TypeAlias = tuple[Key, str, AiortsError]
+"""The key it is about, what it is called where that is no key of the file, and the error."""
 
 
 def load(path: str | Path, overrides: Iterable[str] = ()) -> SystemFile:
@@ -109,15 +113,13 @@ def _folders_in(folder: Path) -> list[Path]:
         return []
 
 
-def parameters(
-    system: SystemFile, entry: ComponentEntry, cls: type[Component]
-) -> tuple[dict[str, Any], list[tuple[Key, str, AiortsError]]]:
+def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) -> tuple[dict[str, Any], list[Fault]]:
     """The parameters of a component, converted and checked, and what is wrong: (key, "where", error).
 
-    A relative path in the file is counted from its folder. What the command line sets wins over the file.
+    What the command line sets wins over the file.
     """
     key: Key = ("components", entry.name)
-    faults: list[tuple[Key, str, AiortsError]] = []
+    faults: list[Fault] = []
     given: dict[str, tuple[Any, Key, str]] = {}
     try:
         of_options = parse_options(cls, entry.options)
@@ -134,11 +136,9 @@ def parameters(
         given[name] = (value, (*key, "params", name), "")
     specs = cls._rt_parameter_specs
     for name, (value, where, _) in given.items():
-        spec = specs.get(name)
-        if spec is not None and spec.type is Path and isinstance(value, str) and value:
-            given[name] = (str(system.folder / value), where, "")
+        given[name] = (in_folder(system, specs.get(name), value), where, "")
     for override in system.overrides:
-        if override.component == entry.name:
+        if override.component == entry.name and (override.param in specs or override.param != ACTIVE):
             given[override.param] = (override.value, (), f"--set {override.text[:80]}")
     checked: dict[str, Any] = {}
     for name, (value, where, said) in given.items():
@@ -147,6 +147,49 @@ def parameters(
         except ConfigurationError as error:
             faults.append((where, said, error))
     return checked, faults
+
+
+def setting(
+    system: SystemFile, entry: ComponentEntry, cls: type[Component], params: Mapping[str, Any]
+) -> tuple[Setting, list[Fault]]:
+    """The whole configuration of a component, and what is wrong with its sets; `params` have been checked."""
+    key: Key = ("components", entry.name)
+    faults: list[Fault] = []
+    declared = cls._rt_configuration_state
+    sets: dict[str, Mapping[str, Any]] = {}
+    for name, values in entry.sets.items():
+        checked: dict[str, Any] = {}
+        for parameter, value in values.items():
+            try:
+                value = in_folder(system, declared.specs.get(parameter), value)
+                checked |= validate(declared.specs, {parameter: value}, owner=entry.name)
+            except ConfigurationError as error:
+                faults.append(((*key, "sets", name, parameter), "", error))
+        sets[name] = checked
+    active, where, said = entry.active, (*key, ACTIVE), ""
+    for override in system.overrides:
+        if override.component == entry.name and override.param == ACTIVE and ACTIVE not in declared.specs:
+            active, where, said = override.value.strip(), (), f"--set {override.text[:80]}"
+    known = {**declared.sets, **sets}
+    if active and active not in known:
+        try:
+            ConfigurationState(declared.specs, MappingProxyType(known)).activated(active, entry.name)
+        except ConfigurationError as error:
+            faults.append((where, said, error))
+            active = ""
+    if active and active != DEFAULT:
+        # What the command line sets is in force, though the active set may have another value.
+        by_hand = {one.param for one in system.overrides if one.component == entry.name}
+        chosen = {name: params[name] for name in known[active] if name in by_hand and name in params}
+        if chosen:
+            sets[active] = {**known[active], **chosen}
+    return Setting(params, MappingProxyType(sets), active or None), faults
+
+
+def in_folder(system: SystemFile, spec: ParameterSpec | None, value: Any) -> Any:
+    """A value of the file; a relative path is counted from its folder."""
+    is_path = spec is not None and spec.type is Path and isinstance(value, str) and value
+    return str(system.folder / value) if is_path else value
 
 
 def _module(system: SystemFile, name: str) -> ModuleType:

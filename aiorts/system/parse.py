@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -17,8 +16,10 @@ from typing import Any, Final
 
 from aiorts.errors import InvalidNameError, SystemFileError
 from aiorts.model.names import Path as PortPath
-from aiorts.model.names import check_name
-from aiorts.system.places import Key, Place, places_of
+from aiorts.system.entries import EntryReader
+from aiorts.system.families import misplaced
+from aiorts.system.places import Key
+from aiorts.system.reading import NOTHING, Mistake, hint, near_hint, spelled
 from aiorts.system.toml import LARGEST, tables
 from aiorts.system.values import (
     ClockEntry,
@@ -29,37 +30,12 @@ from aiorts.system.values import (
     SystemFile,
 )
 
-__all__ = ("CLOCKS", "LARGEST", "SCHEMA", "Mistake", "parse", "parse_override", "read")
+__all__ = ("CLOCKS", "LARGEST", "SCHEMA", "Mistake", "parse", "parse_override", "read", "spelled")
 
 SCHEMA: Final = 1
 CLOCKS: Final = ("system", "scaled", "simulated")
-_TOP: Final = ("schema", "plugins", "clock", "components", "connections", "contexts")
-_WORDS: Final[dict[type, str]] = {
-    str: "text",
-    bool: "true or false",
-    int: "a whole number",
-    float: "a number",
-    list: "a list",
-    dict: "a table",
-}
-_NOTHING: Final[Any] = object()
-_MOST_MISTAKES: Final = 200
-"""Mistakes that are named: who has more mends these first."""
-
-
-@dataclass(frozen=True, slots=True)
-class Mistake:
-    """One thing that is wrong, and the key it is about; `of_key` when the key itself is wrong and not its value."""
-
-    key: Key
-    where: str
-    what: str
-    of_key: bool = False
-
-    def place(self, text: str) -> Place:
-        """Where it stands in the text."""
-        places = places_of(text)
-        return places.key(self.key) if self.of_key else places.value(self.key)
+_TOP: Final = ("schema", "plugins", "clock", "components", "composites", "connections", "contexts", "watch_loop")
+_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start")
 
 
 def parse(text: str, path: Path, overrides: Iterable[str] = ()) -> SystemFile:
@@ -110,11 +86,11 @@ def _misplaced(text: str) -> int:
     return 0 if found is None else found.end()
 
 
-class _Reader:
+class _Reader(EntryReader):
     def __init__(self, text: str, path: Path) -> None:
+        super().__init__()
         self._text = text
         self._path = path
-        self.mistakes: list[Mistake] = []
 
     def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:
         if not self._schema(top):
@@ -122,12 +98,16 @@ class _Reader:
         self._only((), top, _TOP)
         tables_ = self._tables(top, "components", "component")
         components = {name: self._component(name, table) for name, table in tables_.items()}
+        composites = self._composites(top, components)
+        known = {**components, **composites}
+        self._start_order(components, known)
         contexts = {
-            name: self._context(name, table, components)
-            for name, table in self._tables(top, "contexts", "context").items()
+            name: self._context(name, table, known) for name, table in self._tables(top, "contexts", "context").items()
         }
+        for key, what in misplaced(composites, contexts):
+            self._say(key, what)
         listed: list[Any] = self._get((), top, "connections", list, [])
-        connections = (self._connection(number, table, components) for number, table in enumerate(listed, start=1))
+        connections = (self._connection(number, table, known) for number, table in enumerate(listed, start=1))
         return SystemFile(
             self._path,
             MappingProxyType({name: entry for name, entry in components.items() if entry.type}),
@@ -136,6 +116,8 @@ class _Reader:
             self._plugin_paths(top),
             tuple(found for text in overrides if top and (found := self._override(text, components)) is not None),
             self._clock(top),
+            composites,
+            self._watch(top),
             self._text,
         )
 
@@ -150,14 +132,14 @@ class _Reader:
             self._say(("schema",), f"version {version}, and this aiorts reads schema = {SCHEMA} alone; {advice}")
         else:
             got = f"got {version!r:.80}" if "schema" in top else "it is missing"
-            near = _near_hint("schema", top) if "schema" not in top else ""
+            near = near_hint("schema", top) if "schema" not in top else ""
             self._say(("schema",), f"expected schema = {SCHEMA} in the first line, {got}{near}")
             return True
         return False
 
     def _component(self, name: str, table: dict[str, Any]) -> ComponentEntry:
         key: Key = ("components", name)
-        unknown = self._only(key, table, ("type", "options", "params"))
+        unknown = self._only(key, table, _COMPONENT)
         if "type" not in table and get_close_matches("type", unknown):
             table = {**table, "type": ""}  # its wrong spelling has been named
         params = self._get(key, table, "params", dict, {})
@@ -166,7 +148,16 @@ class _Reader:
         if kind == "" and not unknown:
             self._say((*key, "type"), "expected FILE.py:Class, or the name of an installed type, got ''")
         options = self._options((*key, "options"), given)
-        return ComponentEntry(name, "" if kind is _NOTHING else kind, MappingProxyType(dict(params)), options)
+        return ComponentEntry(
+            name,
+            "" if kind is NOTHING else kind,
+            MappingProxyType(dict(params)),
+            options,
+            self._sets(key, table),
+            self._get(key, table, "active", str, ""),
+            self._supervision(key, table),
+            self._start(key, table),
+        )
 
     def _options(self, key: Key, given: Any) -> tuple[str, ...]:
         if isinstance(given, str):
@@ -193,17 +184,11 @@ class _Reader:
         if "type" in table and "kind" not in table:
             self._say((*key, "type"), "a context has a kind, and only components have a type; write kind", of_key=True)
             table = {("kind" if word == "type" else word): value for word, value in table.items()}
-        members = self._texts((*key, "members"), self._get(key, table, "members", list, missing=[]))
-        for number, member in enumerate(members):
-            where: Key = (*key, "members", number)
-            if member not in components:
-                self._unknown(where, "component", member, components)
-            elif member in members[:number]:
-                self._say(where, f"{member!r} stands there twice")
+        members = self._members(key, self._get(key, table, "members", list, missing=[]), components)
         return ContextEntry(
             name,
             self._get(key, table, "kind", str, missing=""),
-            tuple(dict.fromkeys(member for member in members if member in components)),
+            members,
             self._get(key, table, "activate", bool, True),
             MappingProxyType({k: value for k, value in table.items() if k not in ("kind", "members", "activate")}),
         )
@@ -247,7 +232,7 @@ class _Reader:
             self.mistakes.append(Mistake((), where, what))
             return None
         if override.component not in components:
-            what = f"unknown component {override.component[:80]!r}; {_hint(override.component, components)}"
+            what = f"unknown component {override.component[:80]!r}; {hint(override.component, components)}"
             self.mistakes.append(Mistake((), f"--set {text[:80]}", what))
             return None
         return override
@@ -285,83 +270,12 @@ class _Reader:
                 self._say((*key, "speed"), f'only a clock of kind = "scaled" has a speed, this is {kind}')
             return ClockEntry(kind)
         speed = self._get(key, table, "speed", object)
-        if speed is _NOTHING:
+        if speed is NOTHING:
             return ClockEntry()
         if isinstance(speed, bool) or not isinstance(speed, int | float) or not 0 < speed < float("inf"):
             self._say((*key, "speed"), f"expected a number above 0, such as 10.0, got {speed!r:.80}")
             return ClockEntry()
         return ClockEntry(kind, float(speed))
-
-    # -- taking values out, checked ----------------------------------------------------------------------------------
-
-    def _get(
-        self,
-        key: Key,
-        table: dict[str, Any],
-        word: str,
-        kind: type,
-        default: Any = _NOTHING,
-        *,
-        missing: Any = _NOTHING,
-    ) -> Any:
-        """The value of a key; `default` when it is absent, which is a mistake where there is none (then `missing`)."""
-        if word not in table:
-            if default is _NOTHING:
-                self._say(key, f"{word} is missing{_near_hint(word, table)}", of_key=True)
-                return missing
-            return default
-        value = table[word]
-        if not isinstance(value, kind) or (isinstance(value, bool) and kind not in (bool, object)):
-            self._say((*key, word), f"expected {_WORDS.get(kind, 'a value')}, got {value!r:.80}")
-            return missing if default is _NOTHING else default
-        return value
-
-    def _tables(self, top: dict[str, Any], key: str, word: str) -> dict[str, dict[str, Any]]:
-        tables: dict[str, Any] = self._get((), top, key, dict, {})
-        good = {}
-        for name, table in tables.items():
-            try:
-                check_name(name, word)
-            except InvalidNameError as error:
-                self._say((key, name), str(error), of_key=True)
-                continue
-            if isinstance(table, dict):
-                good[name] = table
-            else:
-                self._say((key, name), f"expected a table, [{key}.{name}], got {table!r:.60}")
-        return good
-
-    def _texts(self, key: Key, value: Any) -> tuple[str, ...]:
-        if not isinstance(value, list):
-            self._say(key, f"expected a list of texts, got {value!r:.80}")
-            return ()
-        for number, item in enumerate(value):
-            if not isinstance(item, str):
-                self._say((*key, number), f"expected a list of texts, got {item!r:.80}")
-        return tuple(item for item in value if isinstance(item, str))
-
-    def _only(self, key: Key, table: Mapping[str, Any], known: tuple[str, ...]) -> list[str]:
-        unknown = [word for word in table if word not in known]
-        for word in unknown:
-            self._unknown((*key, word), "key", word, known, of_key=True)
-        return unknown
-
-    def _unknown(self, key: Key, word: str, name: str, known: Iterable[str], *, of_key: bool = False) -> None:
-        if len(self.mistakes) < _MOST_MISTAKES:  # near names take their time
-            self._say(key, f"unknown {word} {name[:80]!r}; {_hint(name, known)}", of_key=of_key)
-
-    def _say(self, key: Key, what: str, *, of_key: bool = False) -> None:
-        if len(self.mistakes) >= _MOST_MISTAKES:
-            return
-        self.mistakes.append(Mistake(key, spelled(key) or "file", what, of_key))
-
-
-def spelled(key: Key) -> str:
-    """A key as messages call it: elements of lists count from 1."""
-    text = ""
-    for part in key:
-        text += f"[{part + 1}]" if isinstance(part, int) else f".{part[:80]}" if text else part[:80]
-    return text
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -373,14 +287,3 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{key}"] = None if key == "timeout" and value == float("inf") else value
     return flat
-
-
-def _hint(name: str, known: Iterable[str]) -> str:
-    names = [str(one) for one in known]
-    near = get_close_matches(name[:100], names, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:20]) or 'none'}"
-
-
-def _near_hint(key: str, table: Mapping[str, Any]) -> str:
-    near = get_close_matches(key, [str(other) for other in table], n=1)
-    return f"; did you mean {key!r} by {near[0]!r}?" if near else ""

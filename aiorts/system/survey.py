@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Any, Final
@@ -18,9 +17,10 @@ from aiorts.kernel.offers import offer_from
 from aiorts.model.options import connector_profile
 from aiorts.model.profile import ConnectorProfile
 from aiorts.system.context_args import arguments_of, needs_rate, unfit
-from aiorts.system.load import component_type, context_type, parameters
+from aiorts.system.load import component_type, context_type, parameters, setting
 from aiorts.system.parse import spelled
 from aiorts.system.places import Key
+from aiorts.system.setting import Setting
 from aiorts.system.values import ComponentEntry, ConnectionEntry, ContextEntry, SystemFile
 
 __all__ = ("Fault", "Survey", "survey")
@@ -46,7 +46,7 @@ class Survey:
     system: SystemFile
     catalogue: Catalogue
     types: dict[str, type[Component]] = field(default_factory=dict)
-    params: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    settings: dict[str, Setting] = field(default_factory=dict)
     profiles: dict[int, tuple[ConnectorProfile, dict[str, Any]]] = field(default_factory=dict)
     """By the number of the connection: the options in force, and those that are about its ports."""
     contexts: dict[str, Context] = field(default_factory=dict)
@@ -83,8 +83,8 @@ def _component(found: Survey, entry: ComponentEntry) -> None:
         return
     found.types[entry.name] = cls
     checked, faults = parameters(found.system, entry, cls)
-    found.params[entry.name] = checked
-    for where, said, fault in faults:
+    found.settings[entry.name], more = setting(found.system, entry, cls, checked)
+    for where, said, fault in (*faults, *more):
         found.bad_params.add(entry.name)
         found.say(where, fault, said, of_key="no such parameter" in str(fault))
 

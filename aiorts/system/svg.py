@@ -46,13 +46,15 @@ def svg(seen: Picture) -> str:
         '<path d="M0,0.5 L8,4 L0,7.5 z" fill="#52606d"/></marker></defs>',
         '<rect width="100%" height="100%" fill="#ffffff"/>',
     ]
-    for number, group in enumerate(seen.groups):
-        top, height = layout.lanes[number]
+    for number, (group, depth) in enumerate(layout.groups):
+        top, height = layout.extent(number)
+        left = _EDGE * (0.5 + depth * 0.75)
+        shade = sum(not one for _, one in layout.groups[: number + 1]) - 1 + depth
         lines.append(
-            f'<rect class="lane" x="{_EDGE / 2}" y="{top:.0f}" width="{layout.width - _EDGE:.0f}" '
-            f'height="{height:.0f}" rx="8" fill="{_LANES[number % len(_LANES)]}"/>'
+            f'<rect class="lane" x="{left:g}" y="{top:.0f}" width="{layout.width - 2 * left:.0f}" '
+            f'height="{height:.0f}" rx="8" fill="{_LANES[shade % len(_LANES)]}"/>'
         )
-        lines.append(f'<text class="title" x="{_EDGE + 4}" y="{top + 17:.0f}">{escape(group.title)}</text>')
+        lines.append(f'<text class="title" x="{left + 12:g}" y="{top + 17:.0f}">{escape(group.title)}</text>')
     labels = []
     for number, arrow in enumerate(seen.arrows):
         way, (x, y) = layout.way(number)
@@ -122,7 +124,9 @@ class _Layout:
 
     def __init__(self, seen: Picture) -> None:
         self._seen = seen
-        lane_of = {box.name: number for number, group in enumerate(seen.groups) for box in group.boxes}
+        self.groups = [pair for group in seen.groups for pair in group.flat()]
+        """The lanes: contexts, and after each the composites in it, with how deep they lie."""
+        lane_of = {box.name: number for number, (group, _) in enumerate(self.groups) for box in group.boxes}
         self._columns = _columns(seen)
         self.spots: dict[str, _Spot] = {}
         for box in seen.boxes:
@@ -161,7 +165,7 @@ class _Layout:
             order = range(columns) if sweep % 2 == 0 else range(columns - 1, -1, -1)
             for column in order:
                 place = 0
-                for lane in range(len(self._seen.groups)):
+                for lane in range(len(self.groups)):
                     cell = self._cells.get((column, lane), [])
                     wish = {
                         spot.key: _mean([ranks[key] for key in (spot.before if sweep % 2 == 0 else spot.after)])
@@ -187,7 +191,7 @@ class _Layout:
         self.width = max(x - gap + _EDGE * 3, 240.0)
         self.lanes: list[tuple[float, float]] = []
         y = float(_EDGE / 2)
-        for lane in range(len(self._seen.groups)):
+        for lane in range(len(self.groups)):
             cells = [self._cells.get((column, lane), []) for column in range(self._count)]
             tall = max((sum(one.height + _GAP_Y for one in cell) - _GAP_Y for cell in cells if cell), default=0.0)
             for column, cell in enumerate(cells):
@@ -201,6 +205,16 @@ class _Layout:
             y += height + _EDGE / 2
         self.height = max(y, 60.0)
         self._lefts, self._widths = lefts, widths
+
+    def extent(self, number: int) -> tuple[float, float]:
+        """Top and height of a lane, with those that lie in it."""
+        top, height = self.lanes[number]
+        depth = self.groups[number][1]
+        for inner in range(number + 1, len(self.groups)):
+            if self.groups[inner][1] <= depth:
+                break
+            height = sum(self.lanes[inner]) - top + _EDGE / 2
+        return top, height
 
     def way(self, number: int) -> tuple[str, tuple[float, float]]:
         """The path of an arrow and the place of its label."""

@@ -8,9 +8,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from aiorts.model.sequence import StartRule
+from aiorts.model.supervision import Supervision
 from aiorts.system.places import Place, places_of
 
-__all__ = ("ClockEntry", "ComponentEntry", "ConnectionEntry", "ContextEntry", "Override", "SystemFile")
+__all__ = (
+    "ClockEntry",
+    "ComponentEntry",
+    "CompositeEntry",
+    "ConnectionEntry",
+    "ContextEntry",
+    "Override",
+    "SystemFile",
+    "WatchEntry",
+)
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -25,6 +36,34 @@ class ComponentEntry:
     params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     options: tuple[str, ...] = ()
     """Parameters as its command line has them: "-i", "TimedDouble"."""
+    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
+    """Configuration sets: what each holds, by name."""
+    active: str = ""
+    """The active set; "" is the default one."""
+    supervision: Supervision | None = None
+    start: StartRule | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CompositeEntry:
+    """`[composites.NAME]`: components that are one to everybody else."""
+
+    name: str
+    members: tuple[str, ...]
+    """Components and composites, in order of execution."""
+    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """What `Composite` takes: exported, order, groups, errors, own_schedule."""
+    named: bool = False
+    """Whether `exported` is a table of names by pattern, and no list."""
+
+    def exported_key(self, number: int) -> str | int:
+        """The key in the file of an exported pattern."""
+        return tuple(self.options["exported"])[number] if self.named else number
+
+    @property
+    def own_schedule(self) -> bool:
+        """Whether inside another composite it is not run with it."""
+        return bool(self.options.get("own_schedule", False))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +105,16 @@ class ClockEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class WatchEntry:
+    """`[watch_loop]`: what `Kernel.watch_loop` takes."""
+
+    limit: float = 5.0
+    """Seconds without a turn of the loop after which `policy` comes into force."""
+    policy: str = "warn"
+    """"warn", or "exit": the process ends with status 70."""
+
+
+@dataclass(frozen=True, slots=True)
 class Override:
     """`component.param=value` from a command line."""
 
@@ -91,6 +140,8 @@ class SystemFile:
     """Folders in which component files are looked for; none is outside the system file's folder."""
     overrides: tuple[Override, ...] = ()
     clock: ClockEntry = ClockEntry()
+    composites: Mapping[str, CompositeEntry] = field(default_factory=lambda: _NOTHING)
+    watch_loop: WatchEntry = WatchEntry()
     text: str = field(default="", repr=False, compare=False)
     """What was read; "" for a system that was not made of a text."""
 

@@ -14,6 +14,7 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Dataflow, Subscription
 from aiorts.model.profile import ConnectorProfile
 from aiorts.system.draft import Draft
+from aiorts.system.families import parts, root
 from aiorts.system.findings import Said
 from aiorts.system.survey import Survey
 from aiorts.system.values import ConnectionEntry
@@ -45,8 +46,15 @@ def _unused(found: Survey) -> Iterator[Said]:
     if found.system.components and not run:
         yield Said("error", SystemFileError.code, (), NOTHING_RUNS)
         return
+    composites = found.system.composites
+    outside = [name for name in composites if not run.intersection(parts(composites, name)) and parts(composites, name)]
+    for name in outside:
+        if root(composites, name) == name:
+            text = f"{name} is in no context and none of its members runs; name it among the members of one"
+            yield Said("warning", "W-UNUSED", ("composites", name), text, of_key=True)
+    told = {part for name in outside for part in parts(composites, name)}
     for name in found.system.components:
-        if name not in run:
+        if name not in run and name not in told:
             text = f"{name} is in no context and never runs; name it among the members of one, or take it away"
             yield Said("warning", "W-UNUSED", ("components", name), text, of_key=True)
 
