@@ -42,8 +42,7 @@ _COUNTS: Final = frozenset({"CallFailed", "MachineAfter", "MachineBefore", "Over
 """Kinds of events after which nothing but counters is different, or that are followed by one of what is."""
 
 _ONE: Final = ("component", "composite")
-_SEVERAL: Final = ("added", "removed")
-"""Fields of events that name components."""
+"""Fields of events that name a component."""
 
 
 class Watch:
@@ -139,8 +138,6 @@ class Watch:
         for field in _ONE:
             if name := getattr(event, field, ""):
                 components[name] = None
-        for field in _SEVERAL:
-            components |= dict.fromkeys(getattr(event, field, ()))
         if name := getattr(event, "context", ""):
             contexts[name] = None
             before, now = self._members.get(name, ()), _members(kernel, name)
