@@ -12,12 +12,12 @@ from aiorts.kernel.bus import Connected, Disconnected
 from aiorts.kernel.service_port import ServiceConnector, is_service
 from aiorts.kernel.service_visit import Calls
 from aiorts.model.numbering import Numbering
-from aiorts.model.service_profile import ServiceConnectorProfile
+from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.kernel import Kernel
-    from aiorts.model.profile import ConnectorProfile
+    from aiorts.model.service_profile import ServiceConnectorProfile
 
 __all__ = ("Connections",)
 
@@ -78,7 +78,7 @@ class Connections:
         Raises:
             WiringError: there is no such port any more, or they do not go together any more.
         """
-        if isinstance(profile, ServiceConnectorProfile):
+        if not isinstance(profile, ConnectorProfile):
             return self._renew_services(profile)
         out, in_ = (self._kernel._roster.find(path) for path in profile.ports[:2])
         ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
