@@ -34,6 +34,10 @@ def _wake(name: str, what: str, subscription: str, base: str) -> Case:
     return Case(name, what, LATENCY, run, WAKES, (Aim(base, factor=1.5),), lossless=True, columns=_TAILS)
 
 
+def _cost(name: str, what: str, run: Callable[[int], Any], messages: int, *aims: Aim) -> Case:
+    return Case(name, what, COST, run, messages, aims, lossless=True, columns=_COSTS)
+
+
 def _age(name: str, what: str, aim: Aim, subscription: str, *, event: bool, busy: bool = False) -> Case:
     return Case(name, what, _AGE, ageing.age(subscription, event=event, busy=busy), 12, (aim, _FLAT), columns=_AGES)
 
@@ -52,9 +56,7 @@ def _arrays(base: str, messages: int) -> tuple[Case, ...]:
         if cases:
             aims.append(Aim(cases[0].name, factor=1.1))
         what = f"the same with an array of {size}, record built once"
-        cases.append(
-            Case(f"{base}, {size}", what, COST, make(count), messages, tuple(aims), lossless=True, columns=_COSTS)
-        )
+        cases.append(_cost(f"{base}, {size}", what, make(count), messages, *aims))
     return tuple(cases)
 
 
@@ -68,77 +70,59 @@ _BARE: Final = (
 
 CASES: Final[tuple[Case, ...]] = (
     *_BARE,
-    Case(
+    _cost(
         "flush",
         "write_nowait + read_nowait, one task",
-        COST,
         flow.pair(),
         60_000,
-        (Aim("bare deque", factor=3.0), Aim("asyncio.Queue pair", Sense.AT_LEAST, 1.8)),
-        lossless=True,
-        columns=_COSTS,
+        Aim("bare deque", factor=3.0),
+        Aim("asyncio.Queue pair", Sense.AT_LEAST, 1.8),
     ),
     *_arrays("flush", 30_000),
-    Case(
+    _cost(
         "100 single deliveries",
         f"flush, {flow.FAN_OUT} writers with one reader each, in turn: cost of one delivery",
-        COST,
         flow.pairs,
         30_000,
-        (Aim("flush"),),
-        lossless=True,
-        columns=_COSTS,
+        Aim("flush"),
     ),
-    Case(
+    _cost(
         "flush, 1 -> 100",
         f"one writer, {flow.FAN_OUT} readers: cost of one delivery",
-        COST,
         flow.fan_out,
         30_000,
-        (Aim("100 single deliveries", factor=1.1), Aim("flush")),
-        lossless=True,
-        columns=_COSTS,
+        Aim("100 single deliveries", factor=1.1),
+        Aim("flush"),
     ),
-    Case(
+    _cost(
         "flush, event context",
         "awaited writes, reader drains",
-        COST,
         flow.event_drain,
         30_000,
-        (_queue(1.5),),
-        lossless=True,
-        columns=_COSTS,
+        _queue(1.5),
     ),
-    Case(
+    _cost(
         "flush, one a cycle",
         "awaited writes, reader takes one a cycle, buffer full",
-        COST,
         flow.event_single,
         3_000,
-        (_queue(),),
-        lossless=True,
-        columns=_COSTS,
+        _queue(),
     ),
-    Case(
+    _cost(
         "new/all",
         "producer and consumer task, lossless, length 1000",
-        COST,
         flow.tasks(),
         30_000,
-        (_queue(1.5), Aim("anyio stream(1000)", Sense.AT_LEAST, 8.0)),
-        lossless=True,
-        columns=_COSTS,
+        _queue(1.5),
+        Aim("anyio stream(1000)", Sense.AT_LEAST, 8.0),
     ),
     *_arrays("new/all", 15_000),
-    Case(
+    _cost(
         "new/new",
         "write_nowait + read_nowait, one task, length 1",
-        COST,
         flow.pair(1.0, subscription="new", push="new"),
         30_000,
-        (Aim("asyncio.Queue pair"),),
-        lossless=True,
-        columns=_COSTS,
+        Aim("asyncio.Queue pair"),
     ),
     *_arrays("new/new", 30_000),
     Case(

@@ -10,7 +10,7 @@ from typing import Final
 
 import click
 
-from aiorts.cli.report import LONGEST, printed
+from aiorts.cli.report import cut, printed
 from aiorts.cli.unrun import catalogue_of, plugins_option, quietly
 from aiorts.system import Finding, check
 
@@ -76,8 +76,7 @@ def _text(file: str, findings: Sequence[Finding]) -> None:
 def _line(one: Finding) -> str:
     where = f"{one.where}: " if one.where else ""
     start = f"aiorts: {one.code}: {one.place}: {where}"
-    line = printed(f"{start}{one.message}")
-    return line if len(line) <= LONGEST else f"{line[: LONGEST - 73]}...{line[-70:]}"
+    return cut(printed(f"{start}{one.message}"))
 
 
 def _quoted(one: Finding) -> str:

@@ -32,7 +32,7 @@ from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.type_modules import import_types
 from aiorts.errors import AiortsError, ConfigurationError
-from aiorts.system import FrameInput, StandardInput, construct
+from aiorts.system import FrameInput, StandardInput, construct, option_params
 from aiorts.types import type_name
 
 __all__ = ("command_of", "load_component")
@@ -126,7 +126,7 @@ def _told(spec: Any) -> str:
 
 def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any], str]:
     """Parameters, actions to do instead of running, and the modules that define types."""
-    params: dict[str, Any] = {}
+    values: dict[int, Any] = {}
     actions, modules = [], ""
     for number, option in enumerate(table):
         value = given[f"option{number}"]
@@ -139,9 +139,10 @@ def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, A
         if option.action:
             actions.append(option)
         elif option.param:
-            params[option.param] = option.value if option.kind == "flag" else value
+            values[number] = value
         elif "--type-mod" in option.flags:
             modules = value
+    params = option_params(table, values)
     params |= {
         name.removeprefix("param_"): value
         for name, value in given.items()

@@ -22,6 +22,7 @@ __all__ = (
     "LONGEST",
     "cause_of",
     "code_of",
+    "cut",
     "marked_in",
     "one_line",
     "place_of",
@@ -96,6 +97,11 @@ def shortened(text: str) -> str:
     for folder in sorted(set(_FOLDER.findall(line)), key=len, reverse=True):
         if len(line) > LONGEST:
             line = line.replace(folder, ".../")
+    return cut(line)
+
+
+def cut(line: str) -> str:
+    """At most LONGEST characters of a line; what is left out is left out before its end."""
     return f"{line[: LONGEST - 3 - _END]}...{line[-_END:]}" if len(line) > LONGEST else line
 
 

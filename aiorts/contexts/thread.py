@@ -130,6 +130,14 @@ class ThreadContext(PeriodicContext):
     def _make_driver(self, kernel: Kernel) -> ThreadDriver:
         return ThreadDriver(self, kernel)
 
+    def _new_member(self, component: Component) -> Member:
+        # On the loop, before the thread has anything to do with the component: who writes to its ports, or reads them,
+        # without a lock is there, too, and is not in the middle of it.
+        component._rt_host.locked = True
+        for port in component.ports.values():
+            lock_all(port)
+        return super()._new_member(component)
+
     def _port_added(self, member: Member, port: Port[Any]) -> None:
         member.component._rt_host.threaded = True
         lock_all(port)
@@ -139,7 +147,7 @@ class ThreadContext(PeriodicContext):
         super()._set_ports_open(member)
         # One whose hook was left behind is still in its thread.
         if member.left and member.component._rt_abandoned is None:
-            member.component._rt_host.threaded = False
+            member.component._rt_host.threaded = member.component._rt_host.locked = False
             member.component._rt_host.thread_id = None
             member.component._rt_move(False)
 

@@ -11,19 +11,18 @@ import keyword
 import logging
 import threading
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from aiorts.errors import AiortsError, ClosedError, ConfigurationError
-from aiorts.kernel.configuration_events import ParameterAdded, configuration_events
 from aiorts.kernel.port_groups import PortPlan, plan_ports
 from aiorts.model.sets import ConfigurationState, same, values_in_force
 from aiorts.model.values import shown
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bus import Bus, Event
+    from aiorts.kernel.bus import Bus
     from aiorts.kernel.component import Component
 
 __all__ = ("Edit", "commit", "try_out")
@@ -160,19 +159,18 @@ class _Change:
                 setattr(component, name, value)
 
     def _tell(self) -> None:
-        kernel, name = self._component._rt_kernel, self._component.name
-        if kernel is None:
-            return
-        events = tuple(configuration_events(name, self._old, self._new))
-        for event in events:
-            if isinstance(event, ParameterAdded) and event.remark:
-                _LOG.info("%s.%s: %s", name, event.parameter, event.remark)
-        if events:
-            kernel._on_loop(partial(_publish, kernel.bus, events))
+        kernel = self._component._rt_kernel
+        if kernel is not None and self._new is not self._old:
+            kernel._on_loop(partial(_publish, kernel.bus, self._component.name, self._old, self._new))
 
 
-def _publish(bus: Bus, events: Iterable[Event]) -> None:
-    for event in events:
+def _publish(bus: Bus, name: str, old: ConfigurationState, new: ConfigurationState) -> None:
+    """On the loop: a thread has better things to do."""
+    from aiorts.kernel.configuration_events import ParameterAdded, configuration_events  # late: 4 ms
+
+    for event in tuple(configuration_events(name, old, new)):
+        if isinstance(event, ParameterAdded) and event.remark:
+            _LOG.info("%s.%s: %s", name, event.parameter, event.remark)
         bus.publish(event)
 
 

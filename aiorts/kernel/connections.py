@@ -12,11 +12,12 @@ from aiorts.kernel.bus import Connected, Disconnected
 from aiorts.kernel.service_port import ServiceConnector, is_service
 from aiorts.kernel.service_visit import Calls
 from aiorts.model.numbering import Numbering
+from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.kernel import Kernel
-    from aiorts.model.profile import ConnectorProfile
+    from aiorts.model.service_profile import ServiceConnectorProfile
 
 __all__ = ("Connections",)
 
@@ -71,17 +72,28 @@ class Connections:
     def _those(self, connector: Connector | ServiceConnector) -> Mapping[str, Any]:
         return self.service_connectors if isinstance(connector, ServiceConnector) else self.connectors
 
-    def renew(self, profile: ConnectorProfile) -> Connector:
+    def renew(self, profile: ConnectorProfile | ServiceConnectorProfile) -> Connector | ServiceConnector:
         """Connect the first two ports of a profile, the writer's first, as they were connected before.
 
         Raises:
             WiringError: there is no such port any more, or they do not go together any more.
         """
+        if not isinstance(profile, ConnectorProfile):
+            return self._renew_services(profile)
         out, in_ = (self._kernel._roster.find(path) for path in profile.ports[:2])
         ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
         name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
         connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name))
         self.connectors[name] = connector
+        self._kernel.bus.publish(Connected(connector.profile))
+        return connector
+
+    def _renew_services(self, profile: ServiceConnectorProfile) -> ServiceConnector:
+        from aiorts.kernel import service_wiring
+
+        plan = service_wiring.renewed(self._kernel, profile)
+        name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
+        connector = self.service_connectors[name] = plan.make(name)
         self._kernel.bus.publish(Connected(connector.profile))
         return connector
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from aiorts.kernel.ledger import Ledger
 from aiorts.kernel.port import OFF, UNLOCKED
-from aiorts.kernel.waiting import Waiting, set_done
+from aiorts.kernel.waiting import Waiting, admit_each, set_done
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -315,17 +315,8 @@ class Connector(Ledger):
             entry.done = True
             if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)
-        while waiting and not plain:
-            sent = admits(self._push, self._skip, self._written + 1)
-            if sent and len(self._queue) >= self._length:
-                break
-            entry = waiting.popleft()
-            self._written += 1
-            if sent:
-                self._push_in(self._stamp_in(entry.sample))
-            else:
-                self._drop("skipped")
-            self._resolve(entry)
+        if not plain:
+            admit_each(self, waiting)
         if not waiting:
             in_._fast = in_._direct
         in_._room_made()

@@ -51,6 +51,7 @@ class PortHost:
         "alive",
         "blocking",
         "kernel",
+        "locked",
         "name",
         "ports",
         "realtime",
@@ -69,6 +70,8 @@ class PortHost:
         self.alive = True
         self.threaded = False
         """Whether the component runs in a thread of its own."""
+        self.locked = False
+        """Whether its ports have locks: such a thread uses them, or is about to."""
         self.realtime = False
         """Whether the component runs in a real-time thread, which waits for nobody."""
         self.retired = False

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Callable
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from anyio import WouldBlock
@@ -122,7 +123,10 @@ class InPort(Port[T]):
                 sample = self._last = queue.popleft()
                 return sample
             if self._unread():
-                return self._read_general()
+                try:
+                    return self._read_general()
+                except WouldBlock:
+                    continue  # gone in this moment, as may be where threads cross without a lock
             await self._wait()
 
     @property
@@ -190,12 +194,14 @@ class InPort(Port[T]):
         lock = self._lock
         if lock is None or not host.threaded:
             raise StateError(f"{self.path}: read_blocking is for components of a ThreadContext")
+        deadline_ns = host.deadline_ns(timeout)
         with lock:
-            if not host.wait_in_thread(lock, lambda: self._unread() or self._gone(), host.deadline_ns(timeout)):
-                raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
-            if not self._unread():
-                self._raise_if_gone()
-            return self._read_general()
+            while host.wait_in_thread(lock, lambda: self._unread() or self._gone(), deadline_ns):
+                try:
+                    return self._read_general()
+                except WouldBlock:
+                    self._raise_if_gone()  # else as in `read`
+            raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
 
     def __aiter__(self) -> AsyncIterator[T]:
         return Samples(self)
@@ -222,12 +228,8 @@ class InPort(Port[T]):
 
     def _newest(self) -> Connector | None:
         """The connector whose sample arrived last of all that are unread; the caller holds the lock."""
-        newest: Connector | None = None
-        for connector in self._connectors:
-            # What a connector still holds ends with its last arrival: reading takes the oldest.
-            if connector._queue and (newest is None or connector._arrived_at > newest._arrived_at):
-                newest = connector
-        return newest
+        # What a connector still holds ends with its last arrival: reading takes the oldest.
+        return max((one for one in self._connectors if one._queue), key=attrgetter("_arrived_at"), default=None)
 
     def _read_general(self) -> T:
         if self._plain:
@@ -333,11 +335,9 @@ class InPort(Port[T]):
     def _notify(self) -> None:
         """Wake who waits for data. Armed again by whoever reads on."""
         self._armed = False
-        waiter = self._waiter
-        if waiter is not None:
-            self._waiter = None
-            if not waiter.done():
-                waiter.set_result(None)
+        waiter, self._waiter = self._waiter, None
+        if waiter is not None and not waiter.done():
+            waiter.set_result(None)
         for wake in self._wakes:
             wake(self)
 

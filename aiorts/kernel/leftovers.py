@@ -10,12 +10,14 @@ import functools
 import io
 import socket
 import subprocess
+import sys
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
+
     from aiorts.kernel.component import Component
 
 __all__ = ("leftovers",)
@@ -51,7 +53,7 @@ def _named(one: object) -> Iterator[tuple[object, str]]:
     if isinstance(one, threading.Thread):
         if one.is_alive():
             yield one, f"thread {one.name!r}"
-    elif isinstance(one, ThreadPoolExecutor):
+    elif _is_pool(one):
         for thread in tuple(one._threads):
             if thread.is_alive():
                 yield thread, f"thread {thread.name!r}"
@@ -63,6 +65,11 @@ def _named(one: object) -> Iterator[tuple[object, str]]:
             yield one, f"process {one.pid}"
     elif isinstance(one, io.IOBase) and not isinstance(one, io.BytesIO | io.StringIO) and not one.closed:
         yield one, f"file {_path(one)!r}"
+
+
+def _is_pool(one: Any) -> TypeGuard[ThreadPoolExecutor]:
+    loaded = sys.modules.get("concurrent.futures.thread")  # where nobody has loaded it there is none
+    return loaded is not None and isinstance(one, loaded.ThreadPoolExecutor)
 
 
 def _path(file: io.IOBase) -> object:

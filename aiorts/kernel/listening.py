@@ -21,8 +21,9 @@ from aiorts.kernel.bus import Event, Observer
 from aiorts.kernel.connector import Connector
 from aiorts.kernel.in_port import InPort
 from aiorts.kernel.port import OFF
+from aiorts.kernel.waiting import admit_each
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.policy import Push, admits
+from aiorts.model.policy import Push
 
 if TYPE_CHECKING:
     from aiorts.kernel.kernel import Kernel
@@ -268,18 +269,8 @@ class ListenedConnector(Connector):
     def _admit_waiting(self) -> None:
         """As the connector does it, each by `_push_in`."""
         waiting = self._waiting
-        while waiting:
-            sent = admits(self._push, self._skip, self._written + 1)
-            if sent and len(self._queue) >= self._length:
-                break
-            entry = waiting.popleft()
-            self._written += 1
-            if sent:
-                self._push_in(self._stamp_in(entry.sample))
-            else:
-                self._drop("skipped")
-            self._resolve(entry)
         if waiting is not None:
+            admit_each(self, waiting)
             if not waiting:
                 self.in_._fast = self.in_._direct
             self.in_._room_made()

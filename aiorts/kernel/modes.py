@@ -113,7 +113,10 @@ class MultiModeComponent(Component):
         if any(member.state is _ERROR for member in self._rt_members):
             raise StateError(f"{self.name}: cannot change its mode in error; reset it first")
         if not self._rt_members:
+            old = self._rt_mode
             self._rt_enter_mode("", mode)
+            if self._rt_kernel is not None and old != mode:
+                self._rt_kernel.bus.publish(ModeChanged(self.name, "", old, mode))
             return
         self._rt_pending = mode
         for member in tuple(self._rt_members):

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
+from aiorts.kernel import special_reports
 from aiorts.model.configuration import ParameterSpec
-from aiorts.model.profile import PortProfile
 from aiorts.model.system_profile import (
     ClockReport,
     ComponentReport,
@@ -22,6 +22,7 @@ from aiorts.model.system_profile import (
     ConnectorReport,
     ContextReport,
     ParameterReport,
+    ServiceConnectorReport,
     SystemProfile,
 )
 
@@ -32,24 +33,36 @@ if TYPE_CHECKING:
     from aiorts.kernel.connector import Connector
     from aiorts.kernel.context import Context
     from aiorts.kernel.kernel import Kernel
-    from aiorts.kernel.ports import Port
+    from aiorts.kernel.service_port import ServiceConnector
 
-__all__ = ("component_report", "connector_report", "context_report", "profile_with", "system_profile", "visible")
+__all__ = (
+    "component_report",
+    "connector_report",
+    "context_report",
+    "profile_with",
+    "service_report",
+    "system_profile",
+    "visible",
+)
 
 _BOUNDS: Final = ("ge", "gt", "le", "lt", "choices", "pattern")
+_frozen: Final = MappingProxyType
 _KNOWN: Final[WeakKeyDictionary[type, _Kind]] = WeakKeyDictionary()
 
 
 class _Kind:
     """What all components of a class have in common."""
 
-    __slots__ = ("doc", "name", "params")
+    __slots__ = ("composes", "doc", "has_machine", "has_modes", "name", "params")
 
     def __init__(self, cls: type[Component]) -> None:
         self.name = f"{cls.__module__}:{cls.__qualname__}"
         doc = (cls.__doc__ or "").strip()
         self.doc = doc.splitlines()[0] if doc else ""
-        self.params = {name: _described(spec) for name, spec in cls._rt_parameter_specs.items()}
+        self.params = {name: _described(spec, True) for name, spec in cls._rt_parameter_specs.items()}
+        self.composes = cls._rt_composes
+        self.has_machine = special_reports.has_machine(cls)
+        self.has_modes = special_reports.has_modes(cls)
 
 
 def system_profile(kernel: Kernel) -> SystemProfile:
@@ -59,11 +72,15 @@ def system_profile(kernel: Kernel) -> SystemProfile:
         kernel,
         {name: component_report(component) for name, component in components if visible(kernel, component)},
         {name: connector_report(connector) for name, connector in kernel.connectors.items()},
+        {name: service_report(connector) for name, connector in kernel.service_connectors.items()},
     )
 
 
 def profile_with(
-    kernel: Kernel, components: dict[str, ComponentReport], connectors: dict[str, ConnectorReport]
+    kernel: Kernel,
+    components: dict[str, ComponentReport],
+    connectors: dict[str, ConnectorReport],
+    service_connectors: dict[str, ServiceConnectorReport],
 ) -> SystemProfile:
     """The profile of this moment with reports that are at hand."""
     clock = kernel.clock
@@ -83,6 +100,7 @@ def profile_with(
         MappingProxyType(connectors),
         MappingProxyType({name: context_report(context) for name, context in kernel.contexts.items()}),
         MappingProxyType({str(generation): pauses for generation, pauses in kernel.gc_pauses.items()}),
+        MappingProxyType(service_connectors),
     )
 
 
@@ -96,18 +114,22 @@ def component_report(component: Component) -> ComponentReport:
     kind = _KNOWN.get(type(component))
     if kind is None:
         kind = _KNOWN[type(component)] = _Kind(type(component))
-    error = component._rt_last_error
-    params = component.params
-    values = params.values_in_force
+    error = component.last_error
+    params, ports = component.params, component._rt_host.ports
+    state = params._state
     return ComponentReport(
         kind.name,
         kind.doc,
-        MappingProxyType({name: _port(port) for name, port in component._rt_host.ports.items()}),
-        MappingProxyType({name: ParameterReport(value, *_rest(kind, params, name)) for name, value in values.items()}),
-        _configuration(component, values),
-        MappingProxyType({member.context.name: member.state.value for member in component._rt_members}),
+        special_reports.shown_ports(ports) if kind.composes else _frozen({n: p.profile for n, p in ports.items()}),
+        _frozen({name: ParameterReport(value, *_rest(kind, params, name)) for name, value in state.values.items()}),
+        ConfigurationReport(state.active, state.sets),
+        _frozen({context: state.value for context, state in component.states.items()}),
         None if error is None else f"{type(error).__name__}: {error}",
         () if component._rt_log is None else component._rt_log.last_lines,
+        special_reports.calls(ports),
+        special_reports.machine(component) if kind.has_machine else None,
+        special_reports.modes(component) if kind.has_modes else None,
+        special_reports.composite(component) if kind.composes else None,
     )
 
 
@@ -116,29 +138,25 @@ def connector_report(connector: Connector) -> ConnectorReport:
     return ConnectorReport(connector.out.path, connector.in_.path, connector.profile, connector.statistics)
 
 
+def service_report(connector: ServiceConnector) -> ServiceConnectorReport:
+    """A connector of service ports at this moment."""
+    return special_reports.service_connector(connector)
+
+
 def context_report(context: Context) -> ContextReport:
     """A context at this moment."""
     members = tuple(member.component.name for member in context._members)
     return ContextReport(context.kind, context.rate, members, context.statistics)
 
 
-def _port(port: Port[Any]) -> PortProfile:
-    return port.profile
-
-
-def _configuration(component: Component, values: Mapping[str, Any]) -> ConfigurationReport:
-    """The one set there is so far: what is in force."""
-    return ConfigurationReport("default", MappingProxyType({"default": values}))
-
-
 def _rest(kind: _Kind, params: Mapping[str, Any], name: str) -> tuple[Any, ...]:
-    return kind.params.get(name) or _described(params[name].spec)
+    return kind.params.get(name) or _described(params[name].spec, False)
 
 
-def _described(spec: ParameterSpec) -> tuple[Any, ...]:
+def _described(spec: ParameterSpec, declared: bool) -> tuple[Any, ...]:
     """All fields of a ParameterReport but the value."""
     limits = (getattr(spec.constraint, name) for name in _BOUNDS)
-    return (spec.default, spec.type_text, spec.unit, spec.doc, spec.widget, str(spec.constraint), *limits)
+    return (spec.default, spec.type_text, spec.unit, spec.doc, spec.widget, str(spec.constraint), *limits, declared)
 
 
 def _versions() -> Mapping[str, str]:

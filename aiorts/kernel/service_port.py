@@ -44,6 +44,32 @@ class Tally:
         if outcome:
             setattr(self, outcome, getattr(self, outcome) + 1)
 
+    @property
+    def statistics(self) -> ServiceStatistics:
+        """The counts at this moment."""
+        from aiorts.model.service_profile import ServiceStatistics
+
+        return ServiceStatistics(*self.counts)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """As `ServiceStatistics` has them."""
+        return (
+            *(self.calls, self.failures, self.timeouts, self.refused, self.cancelled),
+            *(self.total_ns, self.max_ns),
+        )
+
+    def take_over(self, other: Tally) -> None:
+        """Count the calls of another, too."""
+        calls, failures, timeouts, refused, cancelled, total_ns, max_ns = other.counts
+        self.calls += calls
+        self.failures += failures
+        self.timeouts += timeouts
+        self.refused += refused
+        self.cancelled += cancelled
+        self.total_ns += total_ns
+        self.max_ns = max(self.max_ns, max_ns)
+
 
 class ServicePort(Port[Any]):
     """One port of a component with the interfaces that belong to it; `component.ports` has it under its name."""
@@ -172,6 +198,7 @@ class ServiceEnd(Generic[I]):
         self._port: ServicePort | None = None
         self._links: tuple[Link, ...] = ()
         self._tally = Tally()
+        """Of calls over links that have ended, and of those that had none to go over."""
         self._blocked: set[Any] = set()
         """The calls that threads of its component block for."""
         self._vacant = False
@@ -217,18 +244,10 @@ class ServiceEnd(Generic[I]):
     @property
     def statistics(self) -> ServiceStatistics:
         """The calls through this interface so far."""
-        from aiorts.model.service_profile import ServiceStatistics
-
-        tally = self._tally
-        return ServiceStatistics(
-            tally.calls,
-            tally.failures,
-            tally.timeouts,
-            tally.refused,
-            tally.cancelled,
-            tally.total_ns,
-            tally.max_ns,
-        )
+        whole = Tally()
+        for tally in (self._tally, *(link.tally for link in self._links)):
+            whole.take_over(tally)
+        return whole.statistics
 
     @property
     def profile(self) -> InterfaceProfile:
@@ -293,6 +312,14 @@ class ServiceConnector:
         """Unique in its kernel."""
         return self.profile.name
 
+    @property
+    def statistics(self) -> ServiceStatistics:
+        """The calls over this connector so far."""
+        whole = Tally()
+        for link in self._links:
+            whole.take_over(link.tally)
+        return whole.statistics
+
     def __repr__(self) -> str:
         pairs = ", ".join(f"{required} -> {provided}" for required, provided in self.profile.mapping)
         return f"<ServiceConnector {self.name} {pairs}{' closed' if self.closed else ''}>"
@@ -301,6 +328,8 @@ class ServiceConnector:
         self.closed = True
         for link in self._links:
             link.closed = True
+            for end in (link.required, link.provided):
+                end._tally.take_over(link.tally)
             link.required._links = tuple(other for other in link.required._links if other is not link)
             link.provided._links = tuple(other for other in link.provided._links if other is not link)
             link.end_calls("was disconnected")

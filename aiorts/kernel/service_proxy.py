@@ -200,14 +200,16 @@ def settle(link: Link, answer: Answer, begun_ns: int, value: Any, error: BaseExc
     elapsed_ns = link.now_ns() - begun_ns
     bus = link.kernel.bus
     if error is None:
-        link.required._tally.add(elapsed_ns)
-        link.provided._tally.add(elapsed_ns)
+        link.tally.add(elapsed_ns)
+        if link.closed:
+            _count_late(link, elapsed_ns)
         if bus.calls_wanted:
             bus.publish(ServiceCalled(link.required.path, link.provided.path, answer.name, elapsed_ns, None))
         return value
     outcome = _OUTCOMES.get(type(error), "failures")
-    link.required._tally.add(elapsed_ns, outcome)
-    link.provided._tally.add(elapsed_ns, outcome)
+    link.tally.add(elapsed_ns, outcome)
+    if link.closed:
+        _count_late(link, elapsed_ns, outcome)
     if bus.calls_wanted:
         bus.publish(ServiceCalled(link.required.path, link.provided.path, answer.name, elapsed_ns, error))
     if outcome in ("failures", "timeouts"):
@@ -216,6 +218,12 @@ def settle(link: Link, answer: Answer, begun_ns: int, value: Any, error: BaseExc
         raise error
     finally:
         del error  # it knows this frame by its traceback, and the frame it
+
+
+def _count_late(link: Link, elapsed_ns: int, outcome: str = "") -> None:
+    """The ends took over what their link had counted when it ended."""
+    link.required._tally.add(elapsed_ns, outcome)
+    link.provided._tally.add(elapsed_ns, outcome)
 
 
 _OUTCOMES = {

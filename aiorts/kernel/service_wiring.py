@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import DeclarationError, InterfaceMismatch, WiringError
 from aiorts.kernel.port import Port
 from aiorts.kernel.service_ends import Provided, Required
-from aiorts.kernel.service_port import ServiceConnector, ServiceEnd, ServicePort, is_service
+from aiorts.kernel.service_port import ServiceConnector, ServiceEnd, ServicePort, Tally, is_service
 from aiorts.kernel.service_proxy import make_proxy
 from aiorts.kernel.service_visit import Visit
 from aiorts.model.interface import Method, check_of, differences, spelled
@@ -72,6 +72,7 @@ class Link:
         "now_ns",
         "provided",
         "required",
+        "tally",
     )
 
     def __init__(self, required: Required[Any], provided: Provided[Any], connector: ServiceConnector) -> None:
@@ -83,6 +84,7 @@ class Link:
         self.kernel = provided._kernel
         self.now_ns = self.kernel.clock.monotonic_ns
         self.closed = False
+        self.tally = Tally()
         self.calls: dict[ServiceCall, None] = {}
         """The calls that wait or run."""
         path = provided.path.partition(".")[2]
@@ -133,6 +135,35 @@ def connect(kernel: Kernel, given: Sequence[Any], options: Mapping[str, Any]) ->
     return [(f"{those[0][0].port.path}-{those[0][1].port.path}", Plan(those, strict)) for those in pairs.values()]
 
 
+def renewed(kernel: Kernel, profile: ServiceConnectorProfile) -> Plan:
+    """What binds again who was bound with whom; where the connector was not strict, as far as that is possible.
+
+    Raises:
+        WiringError: one of them is gone, is bound to somebody else, or does not fit any more.
+    """
+    pairs: list[tuple[Required[Any], Provided[Any]]] = []
+    faults: list[WiringError] = []
+    for pair in profile.mapping:
+        try:
+            ends = [_end_of(kernel, path) for path in pair]
+            pairs += connect(kernel, ends, {"mapping": {pair[0]: pair[1]}})[0][1].pairs
+        except WiringError as error:
+            faults.append(error)
+    if faults and (profile.strict or not pairs):
+        raise faults[0]
+    return Plan(pairs, profile.strict)
+
+
+def _end_of(kernel: Kernel, path: str) -> ServiceEnd[Any]:
+    """The interface of a path: `component.port`, or `component.port.interface`."""
+    component, port, *_ = path.split(".")
+    found = kernel._roster.find(f"{component}.{port}")
+    for end in found.interfaces if isinstance(found, ServicePort) else ():
+        if end.path == path:
+            return end
+    raise WiringError(f"{path}: there is no such interface")
+
+
 def fault_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> WiringError | None:
     """What keeps these ports from being connected, said of ports that need not be in a kernel yet."""
     where = " -> ".join(port.path for port in ports)
@@ -149,16 +180,16 @@ class Plan:
     """A connector that is about to be made."""
 
     def __init__(self, pairs: list[tuple[Required[Any], Provided[Any]]], strict: bool) -> None:
-        self._pairs = pairs
+        self.pairs = pairs
         self._strict = strict
 
     def make(self, name: str) -> ServiceConnector:
         """Put it in force."""
-        ports = self._pairs[0][0].port, self._pairs[0][1].port
-        mapping = tuple((required.path, provided.path) for required, provided in self._pairs)
+        ports = self.pairs[0][0].port, self.pairs[0][1].port
+        mapping = tuple((required.path, provided.path) for required, provided in self.pairs)
         profile = ServiceConnectorProfile(name, tuple(port.path for port in ports), mapping, self._strict)
         connector = ServiceConnector(profile, ports)
-        connector._links = tuple(Link(required, provided, connector) for required, provided in self._pairs)
+        connector._links = tuple(Link(required, provided, connector) for required, provided in self.pairs)
         for link in connector._links:
             link.required._links += (link,)
             link.provided._links += (link,)

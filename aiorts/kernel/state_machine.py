@@ -106,7 +106,7 @@ class StateMachine:
     @property
     def timers(self) -> Mapping[str, int]:
         """Each timer that runs, as "after.<state>.<n>", and when it is due on the clock's `monotonic_ns`."""
-        return {self.chart.arcs[index].event: when for index, (when, _) in self._core.timers.items()}
+        return {self.chart.arcs[index].event: when for index, (when, _) in dict(self._core.timers).items()}
 
     def is_in(self, state: str) -> bool:
         """Whether a state is active; DeclarationError where the chart has none of that name."""

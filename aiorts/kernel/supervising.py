@@ -1,6 +1,6 @@
 """What a kernel offers to watch over its components: supervision, names, readiness, ordered start; thin, see elsewhere.
 
-Each part is made when it is first asked for: a kernel that uses none of them has none.
+Each part is imported and made when it is first asked for: a kernel that uses none of them has none.
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
 
 from aiorts.errors import AiortsError, ConfigurationError, DeclarationError
-from aiorts.kernel import naming, readiness, sequence
-from aiorts.kernel.supervision import Supervised, Supervisor
-from aiorts.kernel.systemd import Notifier, SystemdLink, watchdog_interval
-from aiorts.kernel.watchdog import LoopStalls, LoopWatch
-from aiorts.model.naming import NamePolicy
-from aiorts.model.sequence import StartRule, in_order
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.supervision import Supervised, Supervisor
+    from aiorts.kernel.systemd import SystemdLink
+    from aiorts.kernel.watchdog import LoopStalls, LoopWatch
+    from aiorts.model.naming import NamePolicy
+    from aiorts.model.sequence import StartRule
     from aiorts.model.supervision import Supervision
 
 __all__ = ("Supervising",)
@@ -34,7 +33,8 @@ class Supervising:
     _supervisor: Supervisor | None = None
     _loop_watch: LoopWatch | None = None
     _systemd: SystemdLink | None = None
-    _naming: NamePolicy = NamePolicy()
+    _naming: NamePolicy | None = None
+    """None: as `NamePolicy()` says."""
     _started: list[str] | None = None
     """What was started in order, for the end."""
 
@@ -55,6 +55,8 @@ class Supervising:
         kernel = cast("Kernel", self)
         kernel._check_mine(component, "supervise")
         if self._supervisor is None:
+            from aiorts.kernel.supervision import Supervisor
+
             self._supervisor = Supervisor(kernel)
         return self._supervisor.supervise(component, policy, factory)
 
@@ -68,17 +70,25 @@ class Supervising:
     @property
     def naming(self) -> NamePolicy:
         """How instances without a name are named from now on; "{type}{number}" by default. May be set at any time."""
-        return self._naming
+        from aiorts.model.naming import NamePolicy
+
+        return NamePolicy() if self._naming is None else self._naming
 
     @naming.setter
     def naming(self, policy: NamePolicy) -> None:
+        from aiorts.model.naming import NamePolicy
+
         if not isinstance(policy, NamePolicy):
             raise DeclarationError(f"naming = {policy!r}: expected NamePolicy(...)")
         self._naming = policy
 
     def _instance_name(self, kind: type) -> str:
         kernel, policy = cast("Kernel", self), self._naming
-        return kernel._free_name(kind.__name__) if policy.plain else naming.instance_name(kernel, kind, policy)
+        if policy is None or policy.plain:
+            return kernel._free_name(kind.__name__)
+        from aiorts.kernel import naming
+
+        return naming.instance_name(kernel, kind, policy)
 
     async def wait_ready(self, *components: Component | str, timeout: float | None = 10.0) -> None:
         """Wait until these components are active in every context they are in; by default all that are in a context.
@@ -93,6 +103,8 @@ class Supervising:
         """
         kernel = cast("Kernel", self)
         kernel._require_open("wait_ready")
+        from aiorts.kernel import readiness
+
         await readiness.wait_ready(kernel, components, timeout)
 
     async def start_in_order(self, rules: Sequence[StartRule]) -> None:
@@ -108,6 +120,9 @@ class Supervising:
         """
         kernel = cast("Kernel", self)
         kernel._require_open("start in order")
+        from aiorts.kernel import sequence
+        from aiorts.model.sequence import in_order
+
         in_order(rules)
         if self._started is None:
             self._started = []
@@ -121,6 +136,8 @@ class Supervising:
         """
         kernel = cast("Kernel", self)
         kernel._require_open("stop in order")
+        from aiorts.kernel import sequence
+
         started, self._started = self._started, None
         await sequence.stop_in_order(kernel, started or (), timeout)
 
@@ -150,6 +167,8 @@ class Supervising:
         if self._loop_watch is not None:
             self._loop_watch.limit_ns, self._loop_watch.policy = round(limit * 1e9), policy
             return True
+        from aiorts.kernel.watchdog import LoopWatch
+
         watch = LoopWatch(kernel, limit, policy)
         if not watch.open():
             return False
@@ -159,6 +178,8 @@ class Supervising:
     @property
     def loop_stalls(self) -> LoopStalls:
         """How often and how long the loop did not turn, since `watch_loop`."""
+        from aiorts.kernel.watchdog import LoopStalls
+
         return LoopStalls() if self._loop_watch is None else self._loop_watch.stalls
 
     # -- who supervises the process --------------------------------------------------------------------------------
@@ -180,6 +201,8 @@ class Supervising:
         kernel._require_open("notify systemd")
         if self._systemd is not None:
             raise ConfigurationError(f"{kernel.name}: systemd is told of it already")
+        from aiorts.kernel.systemd import Notifier, SystemdLink, watchdog_interval
+
         given = os.environ if environ is None else environ
         notifier = Notifier.from_environment(given)
         if notifier is None:
@@ -201,5 +224,7 @@ class Supervising:
         if self._supervisor is not None:
             await self._supervisor.close()
         if self._started:
+            from aiorts.kernel import sequence
+
             with contextlib.suppress(AiortsError):  # its context says so when it stops
                 await sequence.stop_in_order(cast("Kernel", self), self._started)

@@ -2,7 +2,8 @@
 
 For each supervised component there is at most one task, only while it is in error. A reset runs `on_reset` and
 activates again. A restart puts a new instance of the same name in the old one's place: parameters in force, contexts,
-place in their order and connectors are as they were; what was queued in the connectors is dropped as disconnected.
+place in their order and connectors are as they were; what was queued in them is dropped as disconnected, and calls in
+progress end with ServiceUnavailable.
 """
 
 from __future__ import annotations
@@ -15,16 +16,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import ClosedError, DeclarationError, StateError
 from aiorts.kernel.bus import ComponentRemoved, Event, StateChanged
+from aiorts.kernel.service_port import ServiceConnector
 from aiorts.kernel.tasks import current_task, kernel_task
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.supervision import Attempts, Supervision
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
+    from aiorts.kernel.connector import Connector
     from aiorts.kernel.context import Context
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.life import Done, Steps
     from aiorts.model.profile import ConnectorProfile
+    from aiorts.model.service_profile import ServiceConnectorProfile
 
 __all__ = ("Helped", "HelpExhausted", "Supervised", "Supervisor")
 
@@ -61,8 +65,8 @@ class _Place:
 
     contexts: list[tuple[Context, int, bool]]
     """With the place in the order, and whether it is to be active there."""
-    connectors: list[ConnectorProfile]
-    """Their first port is the writer's."""
+    connectors: list[ConnectorProfile | ServiceConnectorProfile]
+    """The first port of one of data is the writer's."""
     params: dict[str, Any] = field(default_factory=dict)
 
 
@@ -261,10 +265,15 @@ def _limit(component: Component, policy: Supervision) -> None:
 
 def _place_of(component: Component) -> _Place:
     contexts = [(m.context, m.order, m.state is not _INACTIVE) for m in component._rt_members]
-    found = {connector.name: connector for port in component.ports.values() for connector in port.connectors}
     # One from the component to itself hangs on two of its ports.
-    profiles = [_with_ends(connector.profile, connector.out.path, connector.in_.path) for connector in found.values()]
-    return _Place(contexts, profiles, component.params.values_in_force)
+    found = {connector.name: connector for port in component.ports.values() for connector in port.connectors}
+    return _Place(contexts, [_profile_of(connector) for connector in found.values()], component.params.values_in_force)
+
+
+def _profile_of(connector: Connector | ServiceConnector) -> ConnectorProfile | ServiceConnectorProfile:
+    if isinstance(connector, ServiceConnector):
+        return connector.profile
+    return _with_ends(connector.profile, connector.out.path, connector.in_.path)
 
 
 def _with_ends(profile: ConnectorProfile, out: str, in_: str) -> ConnectorProfile:

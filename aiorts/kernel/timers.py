@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import os
+import struct
 import sys
 import time
 import weakref
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from aiorts.clock import Clock, SimulatedClock, SystemClock, Timer, TimerHeap, to_ns
 
@@ -270,6 +271,10 @@ class _OsTimerfd:
         os.timerfd_settime_ns(fd, flags=os.TFD_TIMER_ABSTIME, initial=deadline_ns)  # type: ignore[attr-defined,unused-ignore]
 
 
+_ITIMERSPEC: Final = struct.Struct("@4l").pack
+"""struct itimerspec: interval (s, ns), value (s, ns), each a long."""
+
+
 class _LibcTimerfd:
     """By ctypes, before Python 3.13. Raises AttributeError, ImportError or OSError where there is none."""
 
@@ -281,10 +286,7 @@ class _LibcTimerfd:
         libc = ctypes.PyDLL(None, use_errno=True)
         self._create = libc.timerfd_create
         self._settime = libc.timerfd_settime
-        self._settime.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
-        # struct itimerspec: interval (s, ns), value (s, ns), each a long.
-        self._spec = (ctypes.c_long * 4)()
-        self._address = ctypes.addressof(self._spec)
+        self._settime.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p)
 
     def create(self) -> int:
         fd = int(self._create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC))
@@ -293,14 +295,14 @@ class _LibcTimerfd:
         return fd
 
     def set(self, fd: int, deadline_ns: int) -> None:
-        spec = self._spec
-        spec[2], spec[3] = divmod(deadline_ns, 1_000_000_000)
-        if self._settime(fd, 1, self._address, None) != 0:  # 1: TFD_TIMER_ABSTIME
+        # Made anew each time: a buffer that is kept may be filled by two threads at once.
+        spec = _ITIMERSPEC(0, 0, *divmod(deadline_ns, 1_000_000_000))
+        if self._settime(fd, 1, spec, None) != 0:  # 1: TFD_TIMER_ABSTIME
             raise OSError(self._errno(), "timerfd_settime failed")
 
 
 def _find_timerfd() -> _Timerfd | None:
-    """One for each who waits: its buffer must not be filled by two threads at once."""
+    """The system calls, for as many threads as there are."""
     if sys.platform != "linux":
         return None
     if hasattr(os, "timerfd_create"):

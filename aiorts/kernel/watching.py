@@ -14,17 +14,19 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import BusyError
-from aiorts.kernel.bus import Event, Overrun, ThreadsExhausted
+from aiorts.kernel.bus import Event
 from aiorts.kernel.profiling import (
     component_report,
     connector_report,
     context_report,
     profile_with,
+    service_report,
     system_profile,
     visible,
 )
 from aiorts.model.change import Change, Fresh, Part
 from aiorts.model.profile import ConnectorProfile
+from aiorts.model.service_profile import ServiceConnectorProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -36,8 +38,11 @@ if TYPE_CHECKING:
 
 __all__ = ("Watch", "system_profile_in_turns")
 
-_COUNTS: Final = (Overrun, ThreadsExhausted)
-"""Events after which nothing but counters is different."""
+_COUNTS: Final = frozenset({"CallFailed", "MachineAfter", "MachineBefore", "Overrun", "ThreadsExhausted"})
+"""Kinds of events after which nothing but counters is different, or that are followed by one of what is."""
+
+_ONE: Final = ("component", "composite")
+"""Fields of events that name a component."""
 
 
 class Watch:
@@ -100,7 +105,7 @@ class Watch:
         self.close()
 
     def _note(self, event: Event) -> None:
-        if isinstance(event, _COUNTS):
+        if type(event).__name__ in _COUNTS:
             return
         parts = self._parts(event)
         if self._stale:
@@ -130,8 +135,9 @@ class Watch:
         components: dict[str, None] = {}
         contexts: dict[str, None] = {}
         parts: list[Part] = []
-        if name := getattr(event, "component", ""):
-            components[name] = None
+        for field in _ONE:
+            if name := getattr(event, field, ""):
+                components[name] = None
         if name := getattr(event, "context", ""):
             contexts[name] = None
             before, now = self._members.get(name, ()), _members(kernel, name)
@@ -143,9 +149,12 @@ class Watch:
                 components |= dict.fromkeys((*before, *now))
         profile = getattr(event, "connector", None)
         if isinstance(profile, ConnectorProfile):
-            connector = kernel.connectors.get(profile.name)
-            report = None if connector is None else connector_report(connector)
-            parts.append(Part("connectors", profile.name, report))
+            one = kernel.connectors.get(profile.name)
+            parts.append(Part("connectors", profile.name, None if one is None else connector_report(one)))
+        elif isinstance(profile, ServiceConnectorProfile):
+            service = kernel.service_connectors.get(profile.name)
+            parts.append(Part("service_connectors", profile.name, None if service is None else service_report(service)))
+        if isinstance(profile, ConnectorProfile | ServiceConnectorProfile):
             components |= dict.fromkeys(path.rpartition(".")[0] for path in profile.ports)
         parts += self._components(components)
         for name in contexts:
@@ -154,9 +163,14 @@ class Watch:
         return tuple(parts)
 
     def _components(self, names: Iterable[str]) -> list[Part]:
+        """These and the composites they are in, whose state and ports follow from theirs."""
         kernel = self._kernel
-        parts = []
-        for name in names:
+        parts, todo = [], dict.fromkeys(names)
+        for name in tuple(todo):
+            inner = kernel.components.get(name)
+            while inner is not None and (inner := inner._rt_composite) is not None:
+                todo[inner.name] = None
+        for name in todo:
             component = kernel.components.get(name)
             here = component is not None and visible(kernel, component)
             parts.append(Part("components", name, component_report(component) if component and here else None))
@@ -167,12 +181,14 @@ async def system_profile_in_turns(kernel: Kernel, hold: float) -> SystemProfile:
     """As `system_profile`, giving the loop a turn after each `hold` seconds; what changed meanwhile is put right."""
     components: dict[str, Any] = {}
     connectors: dict[str, Any] = {}
+    services: dict[str, Any] = {}
     changes: list[Change] = []
     with closing(Watch(kernel, 0, changes.append)):
         until = perf_counter() + hold
         for things, reports, report in (
             (kernel.components, components, component_report),
             (kernel.connectors, connectors, connector_report),
+            (kernel.service_connectors, services, service_report),
         ):
             for name in tuple(things):
                 thing: Any = things.get(name)
@@ -182,7 +198,7 @@ async def system_profile_in_turns(kernel: Kernel, hold: float) -> SystemProfile:
                 if perf_counter() >= until:
                     await asyncio.sleep(0)
                     until = perf_counter() + hold
-    profile = profile_with(kernel, components, connectors)
+    profile = profile_with(kernel, components, connectors, services)
     for change in changes:
         profile = change.apply(profile)
     return replace(profile, sequence=kernel.bus.sequence)

@@ -78,7 +78,7 @@ def wire(kernel: Kernel, out: OutPort[Any], in_: InPort[Any], profile: Connector
     else:
         connector = Connector(profile, out, in_, loop, clock_ns)
     hosts = [host for host in (out._host, in_._host) if host is not None]
-    if any(host.threaded for host in hosts):
+    if any(host.locked for host in hosts):
         in_._make_locked()
     if any(host.realtime for host in hosts):
         crossings.cross(in_)

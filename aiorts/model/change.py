@@ -7,7 +7,13 @@ from types import MappingProxyType
 from typing import Any
 
 from aiorts.model.plain import plain
-from aiorts.model.system_profile import ComponentReport, ConnectorReport, ContextReport, SystemProfile
+from aiorts.model.system_profile import (
+    ComponentReport,
+    ConnectorReport,
+    ContextReport,
+    ServiceConnectorReport,
+    SystemProfile,
+)
 
 __all__ = ("Change", "Fresh", "Part")
 
@@ -17,9 +23,9 @@ class Part:
     """One named thing of a profile: as it is now, or gone."""
 
     section: str
-    """"components", "connectors" or "contexts"."""
+    """"components", "connectors", "service_connectors" or "contexts"."""
     name: str
-    now: ComponentReport | ConnectorReport | ContextReport | None
+    now: ComponentReport | ConnectorReport | ServiceConnectorReport | ContextReport | None
     """None when it is gone."""
 
 

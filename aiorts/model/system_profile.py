@@ -1,8 +1,8 @@
 """The whole system as one frozen value: `Kernel.profile()` makes it, `to_json` writes it, nothing edits it.
 
 All that has a name stands in a mapping by that name, so two profiles are equal when the systems are, whatever the
-order things were made in. Numbers of JSON are finite: NaN and the infinities are the texts "NaN", "Infinity" and
-"-Infinity".
+order things were made in. What only some components have (a state machine, modes, members) is None for the others.
+Numbers of JSON are finite: NaN and the infinities are the texts "NaN", "Infinity" and "-Infinity".
 """
 
 from __future__ import annotations
@@ -16,15 +16,21 @@ from typing import Any, Final
 from aiorts.model.blame import GcPauses
 from aiorts.model.plain import plain
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics, ContextStatistics, LogLine, PortProfile
+from aiorts.model.service_profile import ServiceStatistics
 
 __all__ = (
     "PROFILE_VERSION",
+    "BindingReport",
     "ClockReport",
     "ComponentReport",
+    "CompositeReport",
     "ConfigurationReport",
     "ConnectorReport",
     "ContextReport",
+    "MachineReport",
+    "ModeReport",
     "ParameterReport",
+    "ServiceConnectorReport",
     "SystemProfile",
 )
 
@@ -51,14 +57,61 @@ class ParameterReport:
     lt: float | None = None
     choices: tuple[Any, ...] | None = None
     pattern: str | None = None
+    declared: bool = True
+    """Whether the class declares it; else it was added at run time."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationReport:
-    """Configuration sets: which is active, and the values of each."""
+    """Configuration sets: which is active, and what each holds; what a set does not name is as in "default"."""
 
     active: str = "default"
     sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
+
+
+@dataclass(frozen=True, slots=True)
+class MachineReport:
+    """The state machine of a component at one moment."""
+
+    chart: str
+    """The name of its table."""
+    states: tuple[str, ...]
+    """The active ones, the outer before the inner; none while the component is not active."""
+    history: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    """The states that each history stands for; nothing before its state was left once."""
+    timers: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    """When each that runs is due, on the kernel's monotonic clock, in nanoseconds."""
+    ignored: int = 0
+    """Events that led to nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModeReport:
+    """The modes of a component: which there are, and in which it is."""
+
+    modes: tuple[str, ...]
+    mode: str
+    by_context: Mapping[str, str]
+    pending: str | None = None
+    """Asked for, and not yet in force in every context."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompositeReport:
+    """What a composite is made of."""
+
+    members: tuple[str, ...]
+    """In the order stated."""
+    parts: tuple[str, ...]
+    """What runs with it, in order of execution; those of composites in it in their place."""
+    exported: Mapping[str, str]
+    """The ports it shows: each name with the path of the member's port."""
+    groups: tuple[tuple[str, ...], ...] = ()
+    """What runs side by side."""
+    order: str = "stated"
+    errors: str = "stop"
+    """What an error of one member means for the composite."""
+    own_schedule: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +130,11 @@ class ComponentReport:
     last_error: str | None = None
     log: tuple[LogLine, ...] = ()
     """The last lines it logged, oldest first."""
+    calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
+    """The calls through each interface of its service ports, by "port", or "port.interface" where the names differ."""
+    machine: MachineReport | None = None
+    modes: ModeReport | None = None
+    composite: CompositeReport | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +145,31 @@ class ConnectorReport:
     target: str
     options: ConnectorProfile
     ledger: ConnectorStatistics
+
+
+@dataclass(frozen=True, slots=True)
+class BindingReport:
+    """A required interface bound to a provided one at one moment."""
+
+    required: str
+    provided: str
+    """Paths; of the caller's end and of the one that answers."""
+    interface: str
+    statistics: ServiceStatistics = field(default_factory=ServiceStatistics)
+    """Of the calls over this binding alone."""
+    waiting: int = 0
+    """Calls that wait or run."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConnectorReport:
+    """A connector of two service ports at one moment."""
+
+    ports: tuple[str, ...]
+    """Paths, in the order they were given."""
+    bindings: tuple[BindingReport, ...]
+    strict: bool = True
+    """Whether it was to bind every required interface or none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +213,7 @@ class SystemProfile:
     connectors: Mapping[str, ConnectorReport]
     contexts: Mapping[str, ContextReport]
     gc_pauses: Mapping[str, GcPauses] = field(default_factory=lambda: _NOTHING)
+    service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
     schema: int = PROFILE_VERSION
 
     def to_plain(self) -> dict[str, Any]:
@@ -142,16 +226,33 @@ class SystemProfile:
         return json.dumps(self.to_plain(), ensure_ascii=False, allow_nan=False, indent=indent)
 
     def structure(self) -> SystemProfile:
-        """The same without what changes without an event: time, ledgers, statistics, log lines, pauses."""
+        """The same without what changes without an event: time, ledgers, statistics, log lines, pauses, what a state
+        machine remembers, timers, modes that are pending."""
         return replace(
             self,
             sequence=0,
             clock=replace(self.clock, time_ns=0, monotonic_ns=0, uptime_ns=0),
-            components={name: replace(one, log=()) for name, one in self.components.items()},
+            components={name: _lasting(one) for name, one in self.components.items()},
             connectors={name: replace(one, ledger=_EMPTY_LEDGER) for name, one in self.connectors.items()},
             contexts={name: replace(one, statistics=_NO_STATISTICS) for name, one in self.contexts.items()},
+            service_connectors={name: _unused(one) for name, one in self.service_connectors.items()},
             gc_pauses=_NOTHING,
         )
+
+
+def _lasting(one: ComponentReport) -> ComponentReport:
+    """What an event tells of."""
+    machine, modes = one.machine, one.modes
+    if machine is not None:
+        machine = MachineReport(machine.chart, machine.states)
+    if modes is not None:
+        modes = replace(modes, pending=None)
+    return replace(one, log=(), calls=_NOTHING, machine=machine, modes=modes)
+
+
+def _unused(one: ServiceConnectorReport) -> ServiceConnectorReport:
+    bindings = tuple(BindingReport(each.required, each.provided, each.interface) for each in one.bindings)
+    return replace(one, bindings=bindings)
 
 
 _EMPTY_LEDGER: Final = ConnectorStatistics(0, 0, 0, _NOTHING)

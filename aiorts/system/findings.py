@@ -9,26 +9,9 @@ from typing import Any, Final
 
 from aiorts.system.places import Key, Place
 
-__all__ = ("CODES", "SEVERITIES", "Finding", "Said", "in_order")
+__all__ = ("SEVERITIES", "Finding", "Said", "in_order")
 
 SEVERITIES: Final = ("error", "warning", "note")
-CODES: Final = {
-    "W-UNUSED": ("a component is in no context", "name it among the members of a context, or take it away"),
-    "W-LOOP": (
-        "a cycle of components that all run on events keeps itself busy",
-        "put one of them into a periodic context, which paces the rest",
-    ),
-    "W-BLOCK": (
-        "a writer may wait for a reader of its own context, which runs only after it",
-        "make the buffer longer, set a timeout, or put the reader into another context",
-    ),
-    "W-EXPORT": ("a composite exports a pattern that no port fits", "correct the pattern, or take it away"),
-    "W-TURNED": ("a connection names the in-port first", "write the out-port under from"),
-    "N-OPEN": ("a port has no connection", "connect it, or leave it so"),
-    "N-COPY": ("a port's type is mutable: each write makes a snapshot", "make the dataclass frozen"),
-    "N-PORTS": ("the ports of a component are known only when it runs", "give it a method make_ports"),
-}
-"""Codes that a check alone has: cause and remedy. Those of errors are the codes of `aiorts.errors`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,8 +19,8 @@ from typing import Any, BinaryIO, Final
 
 from aiorts.errors import AiortsError, RecordError, WireError
 from aiorts.kernel.component import Component
-from aiorts.kernel.ports import InPort, OutPort
-from aiorts.system.pipes import Feed, _next_chunk, _standard_input
+from aiorts.kernel.ports import InPort
+from aiorts.system.pipes import Incoming, Tell, _next_chunk
 from aiorts.system.stream import put
 from aiorts.wire.codec import Codec
 
@@ -32,8 +32,6 @@ _LONGEST: Final = 64 << 20
 _SURE: Final = 4096
 """Octets that a pipe which is ready takes without blocking (PIPE_BUF on Linux)."""
 
-Tell = Callable[[int, str], None]
-
 
 def framed(port: str, record: bytes) -> bytes:
     """The frame of an encoded record of the port `port`. RecordError if it is too large."""
@@ -43,65 +41,32 @@ def framed(port: str, record: bytes) -> bytes:
     return b"".join((_HEAD.pack(len(name), len(record)), name, record))
 
 
-class FrameInput(Component):
+class FrameInput(Incoming):
     """A source of what the frames of standard input say; for an event context.
 
-    Args:
-        ports: type of each in-port that is to be fed; this component gets an out-port of the same name for it. With a
-            single one every frame is for it, whatever port the frame names: the out-port of who wrote it.
+    Args: see `Incoming`. With a single port every frame is for it, whatever port the frame names: the out-port of who
+        wrote it.
         codec: what decodes the records.
-        tell: called with the number of a frame (from 1) that is bad and why.
-        descriptor: what is read; standard input by default. It is not closed.
-        count: finish after so many samples; None is with the end of input.
-        ordered: feed the in-ports in the order of the frames; only for who reads all of them in each cycle.
-        held_up: whether the reader waits for somebody; while it does not, one that takes nothing is an error.
     """
 
     def __init__(
-        self,
-        name: str,
-        ports: Mapping[str, type],
-        codec: Codec,
-        tell: Tell,
-        descriptor: int | None = None,
-        *,
-        count: int | None = None,
-        ordered: bool = False,
-        held_up: Callable[[], bool] | None = None,
+        self, name: str, ports: Mapping[str, type], codec: Codec, tell: Tell, *args: Any, **options: Any
     ) -> None:
-        super().__init__(name)
+        super().__init__(name, ports, tell, *args, **options)
         self.frames = 0
         """Frames read, bad ones among them."""
-        self.bad = 0
-        self._types = dict(ports)
-        outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
-        self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._codec = codec
-        self._tell = tell
-        self._descriptor = descriptor
-        self._count = count
-        self._reading: asyncio.Task[None] | None = None
 
-    def on_activated(self) -> None:
-        self._reading = asyncio.ensure_future(self._read())
-
-    def on_deactivated(self) -> None:
-        if self._reading is not None:
-            self._reading.cancel()
-
-    async def _read(self) -> None:
-        descriptor = _standard_input() if self._descriptor is None else self._descriptor
+    async def _read(self, descriptor: int | None) -> None:
         try:
             async for port, record in _frames(descriptor):
                 if self._count is not None and self.frames - self.bad >= self._count:
-                    break
+                    return
                 self.frames += 1
                 await self._take(port, record)
         except WireError as error:  # no head, or half a frame: what follows cannot be told apart
             self.frames += 1
             self._complain(self.frames, str(error))
-        self._reading = None
-        self.finish()
 
     async def _take(self, name: bytes, record: bytes) -> None:
         try:
@@ -113,14 +78,6 @@ class FrameInput(Component):
             self._complain(self.frames, str(error))
         else:
             await self._feed.write(port, self.frames, sample)
-
-    def refused(self, port: str, nth: int, why: str) -> None:
-        """The reader could make nothing of the n-th sample (from 1) of a port: its frame is a bad one."""
-        self._complain(self._feed.line_of(port, nth), why)
-
-    def _complain(self, number: int, why: str) -> None:
-        self.bad += 1
-        self._tell(number, why)
 
 
 class FrameOutput(Component):

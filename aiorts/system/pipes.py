@@ -24,7 +24,7 @@ from aiorts.kernel.ports import InPort, OutPort
 from aiorts.system.stream import LineStream
 from aiorts.wire.lines import LineReader, LineWriter
 
-__all__ = ("StandardInput", "StandardOutput")
+__all__ = ("Incoming", "StandardInput", "StandardOutput")
 
 _CHUNK: Final = 1 << 16
 _LONGEST: Final = 64 << 20
@@ -113,15 +113,15 @@ async def _taken(port: OutPort[Any]) -> None:
         await asyncio.sleep(0 if turns < _TURNS else _LOOK)
 
 
-class StandardInput(Component):
-    """A source of what standard input says; for an event context.
+class Incoming(Component):
+    """A source of what a descriptor says, from which lines (`StandardInput`) and frames (`FrameInput`) derive.
 
     Args:
         ports: type of each in-port that is to be fed; this component gets an out-port of the same name for it.
-        tell: called with the number of a line (from 1) that is bad and why.
+        tell: called with the number (from 1) of what is bad and why.
         descriptor: what is read; standard input by default. It is not closed.
         count: finish after so many samples; None is with the end of input.
-        ordered: feed the in-ports in the order of the lines; only for who reads all of them in each cycle.
+        ordered: feed the in-ports in the order of what is read; only for who reads all of them in each cycle.
         held_up: whether the reader waits for somebody; while it does not, one that takes nothing is an error.
     """
 
@@ -137,11 +137,9 @@ class StandardInput(Component):
         held_up: Callable[[], bool] | None = None,
     ) -> None:
         super().__init__(name)
-        self._count = count
-        self.lines = 0
-        """Lines read, bad ones among them; blank ones are none."""
         self.bad = 0
-        self._reader = LineReader(ports)
+        self._types = dict(ports)
+        self._count = count
         outs: dict[str, OutPort[Any]] = {port: self.add_port(port, OutPort(cls)) for port, cls in ports.items()}
         self._feed = Feed(outs, ordered=ordered, held_up=held_up)
         self._tell = tell
@@ -149,48 +147,59 @@ class StandardInput(Component):
         self._reading: asyncio.Task[None] | None = None
 
     def on_activated(self) -> None:
-        self._reading = asyncio.ensure_future(self._read())
+        self._reading = asyncio.ensure_future(self._read_all())
 
     def on_deactivated(self) -> None:
         if self._reading is not None:
             self._reading.cancel()
 
-    async def _read(self) -> None:
-        number = 0
-        async for lines in _batches(_standard_input() if self._descriptor is None else self._descriptor):
-            for line in lines:
-                number += 1
-                if self._count is not None and self.lines - self.bad >= self._count:
-                    break
-                if line is None or line.strip():
-                    await self._take(number, line)
-            else:
-                continue
-            break
+    async def _read_all(self) -> None:
+        await self._read(_standard_input() if self._descriptor is None else self._descriptor)
         self._reading = None
         self.finish()
 
-    async def _take(self, number: int, line: bytes | None) -> None:
+    async def _read(self, descriptor: int | None) -> None:
+        """Feed what the descriptor says until its end, or until there was enough."""
+        raise NotImplementedError
+
+    def refused(self, port: str, nth: int, why: str) -> None:
+        """The reader could make nothing of the n-th sample (from 1) of a port: its line or frame is a bad one."""
+        self._complain(self._feed.line_of(port, nth), why)
+
+    def _complain(self, number: int, why: str) -> None:
+        self.bad += 1
+        self._tell(number, why)
+
+
+class StandardInput(Incoming):
+    """A source of what the lines of standard input say; for an event context. Args: see `Incoming`."""
+
+    lines = 0
+    """Lines read, bad ones among them; blank ones are none."""
+
+    async def _read(self, descriptor: int | None) -> None:
+        number, reader = 0, LineReader(self._types)
+        async for lines in _batches(descriptor):
+            for line in lines:
+                number += 1
+                if self._count is not None and self.lines - self.bad >= self._count:
+                    return
+                if line is None or line.strip():
+                    await self._take(reader, number, line)
+
+    async def _take(self, reader: LineReader, number: int, line: bytes | None) -> None:
         self.lines += 1
         try:
             if line is None:
                 raise RecordError(f"longer than {_LONGEST} bytes")
             text = (line.removeprefix(_MARK) if number == 1 else line).decode()
-            port, sample = self._reader.sample(text, self.clock.time_ns())
+            port, sample = reader.sample(text, self.clock.time_ns())
         except UnicodeDecodeError as error:
             self._complain(number, f"no UTF-8: {error.reason} at byte {error.start}")
         except RecordError as error:
             self._complain(number, str(error))
         else:
             await self._feed.write(port, number, sample)
-
-    def refused(self, port: str, nth: int, why: str) -> None:
-        """The reader could make nothing of the n-th sample (from 1) of a port: its line is a bad one."""
-        self._complain(self._feed.line_of(port, nth), why)
-
-    def _complain(self, number: int, why: str) -> None:
-        self.bad += 1
-        self._tell(number, why)
 
 
 class StandardOutput(Component):

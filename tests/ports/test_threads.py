@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+from collections import deque
 from typing import Any
 
 import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, OutPort, SimulatedClock, ThreadContext, WouldBlock
 from aiorts.errors import ClosedError, ReadTimeout, StateError, ThreadError, WriteTimeout
+from aiorts.kernel import crossings
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
 from campaign import cases
@@ -424,3 +426,106 @@ def test_a_thread_waits_for_data_and_room_in_virtual_time(timeout: float) -> Non
             )
 
     simulate(main)
+
+
+class Vanishing(deque[Any]):
+    """Another thread takes back what is in it, once, in the moment in which it is read."""
+
+    times = 1
+
+    def popleft(self) -> Any:
+        if self.times:
+            self.times -= 1
+            self.clear()
+        return super().popleft()
+
+
+class Listener(Component):
+    inp = InPort(TimedLong)
+
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
+        self.seen: list[Any] = []
+
+    def on_execute(self) -> None:
+        try:
+            self.seen.append(self.inp.read_blocking(1.0).data)
+        except ReadTimeout as error:
+            self.seen.append(type(error))
+
+
+@pytest.mark.parametrize("comes_late", [True, False])
+async def test_what_vanishes_while_it_is_read_across_threads_was_never_there(comes_late: bool) -> None:
+    """At a port without a lock a sample may be overwritten or disconnected between a look and the reading."""
+    async with Kernel() as kernel:
+        source, listener = await kernel.add(Source()), await kernel.add(Listener("listener"))
+        connector = await kernel.connect(source.out, listener.inp)
+        crossings.cross(listener.inp)
+        connector._queue = Vanishing()
+        await kernel.start(ThreadContext(), listener, activate=True)
+        source.out.write_nowait(long(1))
+        if comes_late:
+            await kernel.sleep(0.2)
+            source.out.write_nowait(long(2))
+        async with asyncio.timeout(20):
+            while not listener.seen:
+                await kernel.sleep(0.01)
+        assert listener.seen[0] == (2 if comes_late else ReadTimeout)
+
+
+async def test_what_vanishes_while_it_is_awaited_was_never_there() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Sink())
+        connector = await kernel.connect(source.out, sink.inp)
+        crossings.cross(sink.inp)
+        connector._queue = Vanishing()
+        source.out.write_nowait(long(1))
+        reading = asyncio.create_task(sink.inp.read())
+        await kernel.sleep(0.05)
+        assert not reading.done()
+        source.out.write_nowait(long(2))
+        assert (await reading).data == 2
+
+
+async def test_ports_get_their_locks_on_the_loop_and_not_while_somebody_there_is_inside(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where a component joins a context that runs, and where it is connected while it is about to."""
+    locked_in: list[int] = []
+    make_locked = InPort._make_locked
+
+    def noted(port: InPort[Any]) -> None:
+        if port._lock is None:
+            locked_in.append(threading.get_ident())
+        make_locked(port)
+
+    monkeypatch.setattr(InPort, "_make_locked", noted)
+    inside, goes_on = threading.Event(), threading.Event()
+
+    class Both(Component):
+        inp = InPort(TimedLong)
+        out = OutPort(TimedLong)
+
+        def on_execute(self) -> None:
+            inside.set()
+            assert goes_on.wait(20.0)
+
+    async with Kernel() as kernel:
+        source, first, both, sink, late = (
+            *(await kernel.add(Source("source")), await kernel.add(Both("first")), await kernel.add(Both("both"))),
+            *(await kernel.add(Sink("sink")), await kernel.add(Sink("late"))),
+        )
+        await kernel.connect(source.out, both.inp)
+        await kernel.connect(both.out, sink.inp)
+        context = await kernel.start(ThreadContext(rate=100.0), first, activate=True)
+        while not inside.is_set():
+            await kernel.sleep(0.01)
+        joining = asyncio.create_task(context.add(both, timeout=20.0))
+        await kernel.sleep(0.01)
+        await kernel.connect(both.out, late.inp)
+        assert both not in context.members
+        goes_on.set()
+        await joining
+        assert both in context.members
+        assert all(port._lock is not None for port in (first.inp, both.inp, sink.inp, late.inp))
+        assert locked_in == [threading.get_ident()] * 4

@@ -92,5 +92,20 @@ async def forever(_: Any) -> float:
     return 0.0
 
 
+def ignoring_cancellation() -> tuple[asyncio.Event, Callable[[Any], Awaitable[float]]]:
+    """A script that goes on whatever happens, and the event that ends it."""
+    free = asyncio.Event()
+
+    async def stubborn(_: Any) -> float:
+        while not free.is_set():
+            try:
+                await free.wait()
+            except asyncio.CancelledError:
+                continue
+        return 0.0
+
+    return free, stubborn
+
+
 async def drain(items: AsyncIterator[Any]) -> list[Any]:
     return [item async for item in items]

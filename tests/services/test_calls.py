@@ -21,7 +21,7 @@ from aiorts.errors import (
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.testing import simulated
 from campaign import CAMPAIGN
-from services.parts import Arm, Brake, PlainBrake, Quick, Scripted, forever, wired
+from services.parts import Arm, Brake, PlainBrake, Quick, Scripted, forever, ignoring_cancellation, wired
 
 LATE = 0.1 if CAMPAIGN else 2.0  # seconds; a machine that runs the whole suite is late at times
 
@@ -264,15 +264,7 @@ async def test_a_late_answer_is_ignored_and_the_next_call_gets_its_own() -> None
 @pytest.mark.fault("B20")
 @simulated
 async def test_a_method_that_ignores_cancellation_is_left_behind_and_blocks_nobody() -> None:
-    free = asyncio.Event()
-
-    async def stubborn(_: Any) -> float:
-        while not free.is_set():
-            try:
-                await free.wait()
-            except asyncio.CancelledError:
-                continue
-        return 0.0
+    free, stubborn = ignoring_cancellation()
 
     async with Kernel() as kernel:
         brake = Scripted(stubborn)
@@ -297,15 +289,7 @@ async def test_a_method_that_ignores_cancellation_is_left_behind_and_blocks_nobo
 @pytest.mark.fault("B20")
 @simulated
 async def test_a_kernel_closes_in_time_though_a_method_ignores_everything() -> None:
-    free = asyncio.Event()
-
-    async def stubborn(_: Any) -> float:
-        while not free.is_set():
-            try:
-                await free.wait()
-            except asyncio.CancelledError:
-                continue
-        return 0.0
+    free, stubborn = ignoring_cancellation()
 
     class Leaving(Scripted):
         def on_deactivated(self) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import gc
 import math
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING
 
@@ -285,3 +287,35 @@ def test_stopped_process_gets_one_late_wake_up() -> None:
     child.send_signal(signal.SIGCONT)
     rest, _ = child.communicate(timeout=20)
     assert rest == "1\n"
+
+
+@linux
+def test_two_threads_set_their_timers_by_the_same_system_call() -> None:
+    """What one of them fills in must never be what the other's timer is set to."""
+    libc = timers._LibcTimerfd()
+    gettime = ctypes.PyDLL(None).timerfd_gettime
+    wrong: list[tuple[int, int]] = []
+
+    def set_and_look(seconds: int) -> None:
+        fd, left = libc.create(), (ctypes.c_long * 4)()
+        try:
+            due = time.monotonic_ns() + seconds * 1_000_000_000
+            for _ in range(20_000):
+                libc.set(fd, due)
+                gettime(fd, left)
+                if abs(left[2] - seconds) > 500:
+                    wrong.append((seconds, left[2]))
+        finally:
+            os.close(fd)
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        threads = [threading.Thread(target=set_and_look, args=(seconds,)) for seconds in (1_000, 100_000)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        sys.setswitchinterval(interval)
+    assert wrong == []
