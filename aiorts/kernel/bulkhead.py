@@ -253,6 +253,7 @@ class TaskDriver(DriverState):
             busy = await wait_for_turn(self, member, hook)
             if busy is not None or member.abandoned:
                 return busy
+            component, (kind, function) = member.component, member.hook_of(hook)  # its code may have been replaced
         started_ns = context._now_ns() if context.timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))

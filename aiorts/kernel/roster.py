@@ -53,6 +53,10 @@ class Roster:
         """Tasks that components started and that have not ended."""
         self._arriving: dict[Component, asyncio.Future[None]] = {}
         self._leaving: dict[Component, asyncio.Task[BaseException | None]] = {}
+        self.renewing: set[asyncio.Task[Any]] = set()
+        """Reloads that have not come to their end."""
+        self.renewal = asyncio.Lock()
+        """Held by the one whose turn it is."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 
@@ -213,8 +217,12 @@ class Roster:
 
     async def close(self, budget: StopBudget) -> None:
         """Take everybody out, in reverse order; contexts have stopped and nobody comes in any more."""
-        while self._arriving or self._leaving:
-            coming_and_going: list[asyncio.Future[Any]] = [*self._arriving.values(), *self._leaving.values()]
+        while self._arriving or self._leaving or self.renewing:
+            coming_and_going: list[asyncio.Future[Any]] = [
+                *self._arriving.values(),
+                *self._leaving.values(),
+                *self.renewing,
+            ]
             await asyncio.wait(coming_and_going)
             await asyncio.sleep(0)
         embedding.settle(self._kernel, self._kernel.loop)
