@@ -146,8 +146,11 @@ class Changeover:
     def _enter(self, heir: Succession) -> Any:
         """In the place of a hook of the old one: nobody else is inside."""
         _on_loop(self._kernel, heir.switch)
-        if heir.new._rt_hook_kinds[_HOOK] == HookKind.ABSENT:
+        kind = heir.new._rt_hook_kinds[_HOOK]
+        if kind == HookKind.ABSENT:
             return None
+        if kind == HookKind.ASYNC or not self._kernel.on_loop_thread():
+            _on_loop(self._kernel, heir.end_tasks)  # they would go on meanwhile, beside what it starts itself
         return heir.new.on_reload(heir.old)
 
     def _refusal(self, heir: Succession, error: BaseException) -> BaseException:

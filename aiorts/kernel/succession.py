@@ -6,12 +6,14 @@ the new code has no more keep their connectors, so that nothing is lost when the
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import StateError
 from aiorts.kernel.bus import HookFailed, PortAdded, PortRemoved
+from aiorts.kernel.commit import commit
 from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.fresh_code import readings_of
 from aiorts.kernel.heir import Heir
@@ -22,6 +24,7 @@ from aiorts.kernel.ports import InPort, OutPort, Port, Turns
 from aiorts.kernel.references import pass_on_references
 from aiorts.kernel.reload_events import ComponentReloaded, Dropped
 from aiorts.kernel.solo import run_alone
+from aiorts.model.handover import handed_over
 from aiorts.model.lifecycle import LifeCycleState
 
 if TYPE_CHECKING:
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.fresh_code import FreshCode
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.member import Member
+    from aiorts.model.sets import ConfigurationState
 
 __all__ = ("Succession", "retire")
 
@@ -56,6 +60,7 @@ class Succession(Heir):
         self.began_ns = 0
         self.tasks: tuple[str, ...] = ()
         """Tasks of the old one that were ended."""
+        self._ended: set[asyncio.Task[Any]] = set()
         self._limits: Any = _MISSING
         """What limits the old one's hooks, while something else does."""
         self._gone: list[Port[Any]] = []
@@ -64,6 +69,7 @@ class Succession(Heir):
         self._said: dict[Port[Any], dict[str, Any]] = {}
         self._old_vars: dict[str, Any] = {}
         self._new_vars: dict[str, Any] = {}
+        self._put_in_force: ConfigurationState | None = None
         self._handed: frozenset[str] | None = None
         """Attributes that `on_reload` took over or set; None until it has returned."""
         self._states: dict[Member, tuple[LifeCycleState, BaseException | None]] = {}
@@ -103,6 +109,7 @@ class Succession(Heir):
         self.switched = True
         self._put(new, old, ports, self._words)
         _change_ports(new, self._gone, self._fresh)
+        self._put_in_force = new._rt_params._state
         self.began = {member.context: member.context.ticks for member in new._rt_members}
         self.began_ns = kernel.clock.monotonic_ns()
         if new._rt_composite is not None and (self._gone or self._fresh):
@@ -114,6 +121,7 @@ class Succession(Heir):
             return
         self.switched = False
         old, new, members = self.old, self.new, self.new._rt_members
+        configured = new._rt_params._state
         self._give_back()
         vars(old).clear()
         vars(old).update(self._old_vars)
@@ -132,6 +140,14 @@ class Succession(Heir):
         for port in self._gone:
             if isinstance(port, InPort) and port.is_new:
                 port._notify()
+        if configured is not self._put_in_force:
+            self._configure_back(configured)
+
+    def _configure_back(self, configured: ConfigurationState) -> None:
+        """What was configured while the new one was in place, as far as the old code has it, too."""
+        refused = commit(self.old, lambda state: handed_over(configured, state, configured.specs, bool, "")[0])
+        if refused is not None:
+            _LOG.warning("%s: what was configured meanwhile is not in force: %s", self.old.name, refused)
 
     def limit(self, seconds: float) -> None:
         """How long `on_reload`, which is called in the place of a hook of the old one, may take."""
@@ -154,10 +170,17 @@ class Succession(Heir):
     def end_tasks(self) -> None:
         """What the old one started ends with its code: it would go on reading and writing at the same ports."""
         tasks = [task for task in self.kernel._roster.tasks.get(self.old, ()) if not task.done()]
-        self.tasks = tuple(task.get_name() for task in tasks)
+        self.tasks += tuple(task.get_name() for task in tasks if task not in self._ended)
         for task in tasks:
-            _LOG.warning("%s: its task %s is ended with its old code", self.old.name, task.get_name())
-            task.cancel()
+            if task not in self._ended:
+                _LOG.warning("%s: its task %s is ended with its old code", self.old.name, task.get_name())
+                self._ended.add(task)
+                task.cancel()
+        for port in self.new.ports.values():
+            # It waits no more, though it will only find that out when it runs next: the new one's may wait there now.
+            if isinstance(port, InPort) and port._waiter is not None and port._waiter.done():
+                port._waiter = None
+                port._arm()
 
     def _ports_wanted(self) -> dict[str, Port[Any]]:
         """What the new code declares or adds, and what was added to the old one at run time."""
