@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import AiortsError, ClosedError, ComponentError, StateError, TransitionTimeout
 from aiorts.kernel.commit import _claimed
+from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.hooks import HookKind
 from aiorts.kernel.life import Action, Call
 from aiorts.kernel.plugins import cause_of
@@ -42,8 +43,21 @@ class Group:
         self.heirs: list[Succession] = []
         self.came: asyncio.Future[BaseException | None] = kernel.loop.create_future()
         """Done when they are in place, with why not if not."""
+        self.begun = False
         self.back: asyncio.Future[BaseException | None] | None = None
         """Done when they are out of it again."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether it has begun and will end: a hook that takes too long is cancelled, but for one in a thread."""
+        return self.begun and (self.context is None or self.context.suspends)
+
+    def late(self, timeout: float | None) -> str:
+        """What has not happened in time."""
+        names = ", ".join(heir.old.name for heir in self.heirs)
+        where = "" if self.context is None else f" in {self.context.name}"
+        what = "on_reload did not return" if self.begun else "no cycle ended"
+        return f"{names}{where}: {what} within {timeout} s"
 
 
 class Changeover:
@@ -72,25 +86,22 @@ class Changeover:
             groups[context].heirs.append(heir)
         for group in self._groups:
             if group.context is not None:
-                told = partial(self._tell, group.came)
+                told = partial(self._came, group)
                 group.context._submit(Action(partial(self._steps, group, told), told))
             else:
+                group.begun = True
                 kernel_task(kernel.loop, self._switch_alone(group), "aiorts reload")
         late: asyncio.Future[None] = kernel.loop.create_future()
         timer = None if self._timeout is None else kernel.call_later(self._timeout, lambda: resolve(late))
         try:
             for group in self._groups:
-                waited: list[asyncio.Future[Any]] = [group.came, late, self._failed, kernel._closing_begun]
-                await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
+                waited: list[asyncio.Future[Any]] = [group.came, self._failed, kernel._closing_begun]
+                await asyncio.wait([*waited, late], return_when=asyncio.FIRST_COMPLETED)
+                if late.done() and group.bounded:
+                    await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
                 self._check()
                 if not group.came.done():
-                    names = ", ".join(heir.old.name for heir in group.heirs)
-                    where = "" if group.context is None else f" in {group.context.name}"
-                    raise TransitionTimeout(
-                        f"reload: {names}{where}: no cycle ended within {self._timeout} s; nothing was changed"
-                    )
-                if (error := group.came.result()) is not None:
-                    raise error
+                    raise TransitionTimeout(f"reload: {group.late(self._timeout)}; nothing was changed")
         finally:
             late.cancel()
             if timer is not None:
@@ -102,6 +113,19 @@ class Changeover:
         if self._kernel._closed:
             raise ClosedError(f"{self._kernel.name}: closes; the reload was given up")
 
+    def _came(self, group: Group, error: BaseException | None) -> None:
+        """From whatever thread: the instances of a group are in their places, or will not be."""
+        if error is not None:
+            self._kernel._on_loop(partial(self._fail, error))
+        self._tell(group.came, error)
+
+    def _fail(self, failure: BaseException) -> None:
+        """All is to be taken back."""
+        if self._failure is None:
+            self._failure = failure
+            resolve(self._failed)
+            self._go_back()
+
     def _tell(self, future: asyncio.Future[BaseException | None], error: BaseException | None) -> None:
         """From whatever thread."""
         self._kernel._on_loop(lambda: None if future.done() else future.set_result(error))
@@ -110,6 +134,7 @@ class Changeover:
         """Between two cycles of the context: all of its instances, or none."""
         context = group.context
         assert context is not None  # noqa: S101 - only groups with one have steps
+        group.begun = True
         error: BaseException | None = ClosedError(f"{context.name}: the context has stopped")
         try:
             for heir in group.heirs:
@@ -179,7 +204,7 @@ class Changeover:
                 for other in group.heirs:
                     other.undo()
                 break
-        self._tell(group.came, error)
+        self._came(group, error)
 
     async def _take_over_alone(self, heir: Succession) -> BaseException | None:
         kernel, old, new = self._kernel, heir.old, heir.new
@@ -192,7 +217,8 @@ class Changeover:
             return refused
         new._rt_gate.inside = Visit(new, _HOOK)
         try:
-            error = await run_alone(kernel, new, _HOOK, None, old)
+            budget = None if self._timeout is None else StopBudget(kernel.loop, self._timeout)
+            error = await run_alone(kernel, new, _HOOK, budget, old)
         finally:
             new._rt_gate.inside = None
             new._rt_gate.pass_on()

@@ -184,11 +184,6 @@ class _Reload(Changeover):
                 self._fail(self._blamed(heir, event.hook, event.error))
                 return
 
-    def _fail(self, failure: BaseException) -> None:
-        self._failure = failure
-        resolve(self._failed)
-        self._go_back()
-
     async def _prove(self) -> None:
         """Wait until each has done its first cycles."""
         while not all(map(self._has_proved, self._heirs)):
