@@ -245,7 +245,8 @@ class Changeover:
             for heir in reversed(group.heirs):
                 gate, members = heir.old._rt_gate, heir.new._rt_members
                 member = next((member for member in members if member.context is group.context), None)
-                if member is not None and not gate.open:
+                # Who only waits comes in later, and finds the old code.
+                if member is not None and gate.inside is not None:
                     member.hooks[_HOOK] = HookKind.PLAIN, partial(_on_loop, self._kernel, heir.undo)
                     yield Call(member, _HOOK)
                     member.hooks.pop(_HOOK, None)

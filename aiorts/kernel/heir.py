@@ -12,8 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AiortsError, DeclarationError, PluginError, WiringError
 from aiorts.kernel.commit import commit
 from aiorts.kernel.constructing import construct
+from aiorts.kernel.hooks import coroutine_hooks
 from aiorts.kernel.plugins import cause_of
 from aiorts.kernel.ports import InPort, OutPort, Port, ServiceEnd
+from aiorts.kernel.service_ends import unanswerable
+from aiorts.kernel.service_heritage import ServiceHeritage
 from aiorts.kernel.solo import run_alone
 from aiorts.kernel.wiring import pair_faults
 from aiorts.model.handover import handed_over
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ("Heir",)
 
+_ON_LOOP: Final = ("on_initialize", "on_finalize")
 _WORDS: Final = ("unit", "shape", "doc", "max_connectors", "stamp")
 """What of a declaration can be changed on a live port."""
 
@@ -42,6 +46,7 @@ class Heir:
         self.lost: dict[str, str] = {}
         """Parameters that have lost a value, and why."""
         self.initialized = False
+        self.services = ServiceHeritage(old)
         self._words: dict[Port[Any], dict[str, Any]] = {}
         """What the new code says of the ports that stay."""
         self._seen: ConfigurationState | None = None
@@ -79,6 +84,7 @@ class Heir:
         except AiortsError as refused:
             raise PluginError(f"{where}: the new code refuses the values in force: {refused}") from refused
         self._adopt_group()
+        self._check_thread(where)
         new._rt_kernel = new._rt_host.kernel = kernel
         error = await run_alone(kernel, new, "on_initialize", None)
         if error is not None:
@@ -98,6 +104,17 @@ class Heir:
         if refused is not None:
             raise refused
 
+    def _check_thread(self, where: str) -> None:
+        """What runs in a thread, where nothing can wait, cannot be `async def` all at once."""
+        if all(context.suspends for context in self.old.contexts):
+            return
+        awaiting = [hook for hook in coroutine_hooks(self.new._rt_hook_kinds) if hook not in _ON_LOOP]
+        awaiting += unanswerable(self.new)
+        if awaiting:
+            raise PluginError(
+                f"{where}: {', '.join(awaiting)} is `async def` now, and it runs in a thread, where all is plain `def`"
+            )
+
     def _is_free(self, name: str) -> bool:
         return name not in vars(self.new) and inspect.getattr_static(type(self.new), name, None) is None
 
@@ -110,7 +127,7 @@ class Heir:
             for name in group:
                 ports[name] = group[name]
 
-    def bind(self, component: Component, name: str, declared: object) -> Port[Any]:
+    def bind(self, component: Component, name: str, declared: object) -> Port[Any] | ServiceEnd[Any]:
         """In the place of `Component.add_port`, while the component is made: the live port of the old one if it fits.
 
         Raises:
@@ -118,7 +135,7 @@ class Heir:
         """
         host = component._rt_host
         if isinstance(declared, ServiceEnd):
-            raise DeclarationError(f"{component.name}.{name}: a component with service ports cannot be reloaded yet")
+            return self.services.bind(component, name, declared)
         if name in host.ports:
             raise WiringError(f"{component.name}.{name}: there is a port of that name already")
         if not isinstance(declared, InPort | OutPort):

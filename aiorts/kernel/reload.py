@@ -19,7 +19,6 @@ from aiorts.errors import ConfigurationError, StateError
 from aiorts.kernel.bus import HookFailed
 from aiorts.kernel.changeover import Changeover, resolve
 from aiorts.kernel.fresh_code import FreshCode, find_type, read_anew
-from aiorts.kernel.ports import ServicePort
 from aiorts.kernel.reload_events import Reloaded
 from aiorts.kernel.succession import Succession, retire
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of
@@ -86,8 +85,6 @@ def check_replaceable(component: Component) -> None:
             "is in a real-time context, whose thread waits for nobody; take it out with `context.remove`, reload, and "
             "add it again"
         )
-    elif any(isinstance(port, ServicePort) for port in component.ports.values()):
-        why = "has service ports, which cannot be handed over yet"
     elif _runs_machine(component):
         why = "is a state machine that runs; deactivate it first"
     else:

@@ -15,7 +15,7 @@ class Dropped:
     """Something that a component had and, with its new code, has no more."""
 
     what: str
-    """"port", "parameter" or "task"."""
+    """"port", "interface" (of a service port), "parameter" or "task"."""
     name: str
     why: str
     connectors: tuple[str, ...] = ()

@@ -20,7 +20,7 @@ from aiorts.kernel.heir import Heir
 from aiorts.kernel.hooks import HookKind
 from aiorts.kernel.host import PortHost
 from aiorts.kernel.leftovers import leftovers
-from aiorts.kernel.ports import InPort, OutPort, Port, Turns
+from aiorts.kernel.ports import InPort, OutPort, Port, ServiceEnd, Turns
 from aiorts.kernel.references import pass_on_references
 from aiorts.kernel.reload_events import ComponentReloaded, Dropped
 from aiorts.kernel.solo import run_alone
@@ -189,6 +189,7 @@ class Succession(Heir):
         for name, port in self._ports.items():
             if name not in ports and name not in declared and old._rt_group.get(name) is not port:
                 ports[name] = port
+        self.services.wanted(ports, self._ports)
         return ports
 
     def _put(
@@ -209,6 +210,7 @@ class Succession(Heir):
                 for writer in [port, *(connector.out for connector in port.connectors)]:
                     if isinstance(writer, OutPort):
                         writer._refresh()
+        self.services.put(one)
         for member in one._rt_members:
             _rebind(member, one)
         pass_on_references(self.kernel, other, one)
@@ -245,6 +247,7 @@ class Succession(Heir):
         """The new one stays: the ports that have gone lose their connectors, and everybody hears of it."""
         old, new, kernel = self.old, self.new, self.kernel
         dropped = [self._end_port(port) for port in self._gone]
+        dropped += [self._end_interface(end) for end in self.services.gone()]
         dropped += [Dropped("parameter", name, why) for name, why in self.lost.items()]
         dropped += [Dropped("task", name, "the old code had started it") for name in self.tasks]
         for port in self._fresh:
@@ -265,6 +268,13 @@ class Succession(Heir):
         )
         kernel.bus.publish(event)
         return event
+
+    def _end_interface(self, end: ServiceEnd[Any]) -> Dropped:
+        connectors = end.connectors
+        for connector in connectors:
+            self.kernel._connections.end(connector)
+        path = end.path.partition(".")[2]
+        return Dropped("interface", path, "the new code has none like it", tuple(one.name for one in connectors))
 
     def _end_port(self, port: Port[Any]) -> Dropped:
         connectors = port.connectors
