@@ -18,6 +18,7 @@ from aiorts.kernel.deadlines import StopBudget
 from aiorts.kernel.hooks import HookKind
 from aiorts.kernel.life import Action, Call
 from aiorts.kernel.plugins import cause_of
+from aiorts.kernel.references import pass_on_distant_references
 from aiorts.kernel.service_visit import Visit
 from aiorts.kernel.solo import run_alone
 from aiorts.kernel.tasks import kernel_task
@@ -43,7 +44,7 @@ class Group:
         self.heirs: list[Succession] = []
         self.came: asyncio.Future[BaseException | None] = kernel.loop.create_future()
         """Done when they are in place, with why not if not."""
-        self.begun = False
+        self.begun = self.passed_on = False
         self.back: asyncio.Future[BaseException | None] | None = None
         """Done when they are out of it again."""
 
@@ -144,6 +145,7 @@ class Changeover:
                     for other in reversed(group.heirs):
                         _on_loop(self._kernel, other.undo)
                     return
+            _on_loop(self._kernel, partial(self._pass_on, group))
             error = None
         finally:
             told(error)
@@ -167,6 +169,14 @@ class Changeover:
         heir.note_handed()
         _on_loop(self._kernel, heir.end_tasks)
         return None
+
+    def _pass_on(self, group: Group) -> None:
+        pass_on_distant_references(self._kernel, {heir.old: heir.new for heir in group.heirs})
+        group.passed_on = True
+
+    def _pass_back(self, group: Group) -> None:
+        if group.passed_on:
+            pass_on_distant_references(self._kernel, {heir.new: heir.old for heir in group.heirs})
 
     def _enter(self, heir: Succession) -> Any:
         """In the place of a hook of the old one: nobody else is inside."""
@@ -204,6 +214,8 @@ class Changeover:
                 for other in group.heirs:
                     other.undo()
                 break
+        else:
+            self._pass_on(group)
         self._came(group, error)
 
     async def _take_over_alone(self, heir: Succession) -> BaseException | None:
@@ -251,6 +263,7 @@ class Changeover:
                     yield Call(member, _HOOK)
                     member.hooks.pop(_HOOK, None)
                 _on_loop(self._kernel, heir.undo)
+            _on_loop(self._kernel, partial(self._pass_back, group))
         finally:
             told(None)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.kernel import Kernel
 
-__all__ = ("pass_on_references",)
+__all__ = ("pass_on_distant_references", "pass_on_references")
 
 
 def pass_on_references(kernel: Kernel, old: Component, new: Component) -> None:
@@ -35,19 +35,28 @@ def pass_on_references(kernel: Kernel, old: Component, new: Component) -> None:
         _in_composite(composite, old, new)
     for member in new._rt_members:
         _in_sections(member.context, old, new)
+
+
+def pass_on_distant_references(kernel: Kernel, pairs: Mapping[Component, Component]) -> None:
+    """Those that only a look at every component finds, for all of a context at once."""
     machines = "aiorts.kernel.machine" in sys.modules
-    for component in roster.components.values():
+    for component in kernel.components.values():
         if component._rt_homes:
             component._rt_homes = tuple(
-                replace(home, behind=_renewed(home.behind, old, new)) for home in component._rt_homes
+                replace(home, behind=_all_renewed(home.behind, pairs)) for home in component._rt_homes
             )
         machine: Any = getattr(component, "machine", None) if machines else None
-        if (participants := getattr(machine, "_participants", None)) and old in participants:
-            machine._participants = _renewed(participants, old, new)
+        participants = getattr(machine, "_participants", None)
+        if participants and not pairs.keys().isdisjoint(participants):
+            machine._participants = _all_renewed(participants, pairs)
 
 
 def _renewed(those: Iterable[Component], old: Component, new: Component) -> tuple[Component, ...]:
     return tuple(new if one is old else one for one in those)
+
+
+def _all_renewed(those: Iterable[Component], pairs: Mapping[Component, Component]) -> tuple[Component, ...]:
+    return tuple(pairs.get(one, one) for one in those)
 
 
 def _in_composite(composite: Composed, old: Component, new: Component) -> None:

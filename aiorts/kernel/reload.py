@@ -144,10 +144,13 @@ class _Reload(Changeover):
             finally:
                 unsubscribe()
             code.adopt()
-            events = tuple(heir.settle() for heir in self._heirs)
+            events = []
+            for heir in self._heirs:
+                events.append(heir.settle())
+                await asyncio.sleep(0)
             for heir in self._heirs:
                 await retire(kernel, heir.old, heir.new)
-            return Reloaded(str(origin), origin.path, events)
+            return Reloaded(str(origin), origin.path, tuple(events))
 
     # -- making them -----------------------------------------------------------------------------------------------
 
@@ -219,6 +222,7 @@ class _Reload(Changeover):
             for heir in reversed(group.heirs):
                 if not heir.new._rt_members:
                     heir.undo()  # its context has stopped meanwhile
+                    self._pass_back(group)
         for heir in self._heirs:
             if heir.switched:
                 await retire(kernel, heir.old, heir.new)
