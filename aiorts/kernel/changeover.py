@@ -33,7 +33,7 @@ __all__ = ("Changeover", "Group", "resolve")
 
 _HOOK: Final = "on_reload"
 _LOOP_PATIENCE: Final = 5.0
-"""Real seconds that a context's thread waits for the loop to put an instance in place."""
+"""Real seconds after which a context's thread that waits for the loop looks whether that is still there."""
 
 
 class Group:
@@ -105,6 +105,21 @@ class Changeover:
                     raise TransitionTimeout(f"reload: {group.late(self._timeout)}; nothing was changed")
         finally:
             late.cancel()
+            if timer is not None:
+                timer.cancel()
+
+    async def _may_enter(self, heir: Succession) -> bool:
+        """Wait for the end of a call that the old one serves."""
+        gate = heir.old._rt_gate
+        if gate.open:
+            return True
+        turn: asyncio.Future[bool] = self._kernel.loop.create_future()
+        timer = None
+        if self._timeout is not None:
+            timer = self._kernel.call_later(self._timeout, lambda: None if turn.done() else turn.set_result(False))
+        try:
+            return await gate.wait(turn)
+        finally:
             if timer is not None:
                 timer.cancel()
 
@@ -222,10 +237,13 @@ class Changeover:
         kernel, old, new = self._kernel, heir.old, heir.new
         if old._rt_members:
             return StateError(f"{old.name}: came into {old.contexts[0].name} while its new code was made ready")
+        if not await self._may_enter(heir):
+            return StateError(f"{old.name}: the call that it serves did not end within {self._timeout} s")
         try:
             heir.switch()
         except AiortsError as refused:
             heir.undo()
+            old._rt_gate.pass_on()
             return refused
         new._rt_gate.inside = Visit(new, _HOOK)
         try:
@@ -291,9 +309,8 @@ def _on_loop(kernel: Kernel, change: Callable[[], None]) -> None:
                 done.set()
 
     kernel._on_loop(on_loop)
-    if not done.wait(_LOOP_PATIENCE):
-        if _claimed(chance):
-            raise ClosedError("reload: the loop did not put the new code in place in time; nothing was changed")
-        done.wait()
+    while not done.wait(_LOOP_PATIENCE):
+        if kernel.loop.is_closed() and _claimed(chance):
+            raise ClosedError("reload: the loop is closed")
     if raised:
         raise raised[0]

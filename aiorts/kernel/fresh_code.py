@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 __all__ = ("FreshCode", "Origin", "find_type", "read_anew", "readings_of")
 
 _NUMBERS = itertools.count(1)
-_READINGS = "__aiorts_readings__"
-"""How often a module's file was read anew, in the module."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +42,8 @@ class Origin:
     name: str
     """Of the class, within the module."""
     path: Path
+    readings: int = 0
+    """How often it was read anew before."""
 
     def __str__(self) -> str:
         return f"{self.path.name}:{self.name}"
@@ -149,7 +149,7 @@ def _origin(cls: type[Component]) -> Origin:
         raise PluginError(f"{cls.__module__}.{name}: its code comes from no Python file; it cannot be read anew")
     if "<locals>" in name:
         raise PluginError(f"{path}: {name} is made by a function; only a class of the module itself can be read anew")
-    return Origin(cls.__module__, name, path)
+    return Origin(cls.__module__, name, path, readings_of(cls))
 
 
 def readings_of(cls: type) -> int:
@@ -255,8 +255,7 @@ def _fresh(origin: Origin, module: ModuleType) -> FreshCode:
     except DeclarationError as error:
         line = _line_of(getattr(cls, "on_reload", None))
         raise PluginError(f"{origin.path}{line}: {error}; nothing was changed") from error
-    readings = int(getattr(sys.modules.get(origin.module), _READINGS, 0)) + 1
-    setattr(module, _READINGS, readings)
+    readings = origin.readings + 1
     for value in vars(module).values():
         if _is_own(value, module):
             value._rt_readings = readings

@@ -134,16 +134,17 @@ class Heir:
             WiringError, DeclarationError: as `add_port`. PluginError: its record type is of the reloaded file.
         """
         host = component._rt_host
+        if self.made is None and type(component) is self.code.cls:
+            self.made = component
+        mine = self.made is component  # its constructor may make others
         if isinstance(declared, ServiceEnd):
-            return self.services.bind(component, name, declared)
+            return self.services.bind(component, name, declared, mine=mine)
         if name in host.ports:
             raise WiringError(f"{component.name}.{name}: there is a port of that name already")
         if not isinstance(declared, InPort | OutPort):
             raise DeclarationError(f"{component.name}.{name}: expected InPort or OutPort, got {declared!r}")
         fresh: Port[Any] = declared.bind(host, name)
-        if self.made is None:
-            self.made = component
-        live = self._live(name, fresh) if self.made is component else None
+        live = self._live(name, fresh) if mine else None
         host.ports[name] = bound = live or fresh
         return bound
 

@@ -12,6 +12,7 @@ import asyncio
 import logging
 import math
 import sys
+from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -135,7 +136,9 @@ class _Reload(Changeover):
                 await self._prepare(code)
                 for heir in self._heirs:
                     check_replaceable(heir.old)
-                await self._switch()
+                composed = any(heir.old._rt_composite is not None for heir in self._heirs)
+                async with kernel._roster.composing if composed else nullcontext():
+                    await self._switch()
                 await self._prove()
             except BaseException as error:
                 await self._take_back(error)
@@ -146,8 +149,9 @@ class _Reload(Changeover):
             code.adopt()
             events = []
             for heir in self._heirs:
-                events.append(heir.settle())
-                await asyncio.sleep(0)
+                if (event := heir.settle()) is not None:
+                    events.append(event)
+                await asyncio.sleep(0)  # many of them must not hold the loop for long
             for heir in self._heirs:
                 await retire(kernel, heir.old, heir.new)
             return Reloaded(str(origin), origin.path, tuple(events))
@@ -178,7 +182,7 @@ class _Reload(Changeover):
         if self._failure is not None:
             return
         for heir in self._heirs:
-            if heir.switched and heir.new.name == event.component:
+            if heir.switched and self._kernel.components.get(event.component) is heir.new:
                 if event.hook == "task" and not event.context and heir.new._rt_members:
                     return  # one of the old instance's, which is being ended
                 self._fail(self._blamed(heir, event.hook, event.error))

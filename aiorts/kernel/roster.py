@@ -155,6 +155,8 @@ class Roster:
             raise StateError(f"{component.name}: its on_initialize still runs; start it once it was added")
         if component in self._leaving:
             raise StateError(f"{component.name}: is being removed; no context can take it")
+        if self.components.get(component.name) is not component:
+            raise StateError(f"{component.name}: another instance has its place; take kernel.components[...]")
 
     async def _initialize(self, component: Component) -> None:
         error = await run_alone(self._kernel, component, "on_initialize", None)

@@ -38,7 +38,7 @@ class ServiceHeritage:
         self._after: dict[ServicePort, Ends] = {}
         self._gone_ports: list[ServicePort] = []
 
-    def bind(self, component: Component, name: str, declared: ServiceEnd[Any]) -> ServiceEnd[Any]:
+    def bind(self, component: Component, name: str, declared: ServiceEnd[Any], *, mine: bool) -> ServiceEnd[Any]:
         """The live interface of the old one if it is the same, else a new one; nothing is announced."""
         kernel, component._rt_kernel = component._rt_kernel, None
         try:
@@ -47,7 +47,7 @@ class ServiceHeritage:
             component._rt_kernel = kernel
         port = self._old._rt_host.ports.get(name)
         live = port._ends.get(fresh.instance) if isinstance(port, ServicePort) else None
-        if live is None or live.polarity != fresh.polarity or not _same_interface(live, fresh):
+        if not mine or live is None or live.polarity != fresh.polarity or not _same_interface(live, fresh):
             return fresh
         self._stay[fresh] = live
         return live
@@ -59,6 +59,7 @@ class ServiceHeritage:
             there = live.get(name)
             if isinstance(made, ServicePort) and isinstance(there, ServicePort):
                 self._before[there] = there._ends
+                # One that was added at run time is there already: it stays as it is.
                 self._after[there] = {instance: self._stay.get(end, end) for instance, end in made._ends.items()}
                 ports[name] = there
 
@@ -90,10 +91,12 @@ class ServiceHeritage:
                 self._said[live] = _words(live)
             for word, value in (_words(fresh) if new else self._said.get(live, {})).items():
                 setattr(live, word, value)
-            if isinstance(live, Provided) and live._port is not None:
-                live._answers = None
-                for link in live._links:
-                    _rebind(link, component)
+        for port in self._before:
+            for end in port.interfaces:
+                if isinstance(end, Provided):
+                    end._answers = None
+                    for link in end._links:
+                        _rebind(link, component)
 
     def gone(self) -> list[ServiceEnd[Any]]:
         """The interfaces that the old code had and the new one has not, at ports that both have."""

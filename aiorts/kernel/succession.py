@@ -85,7 +85,7 @@ class Succession(Heir):
         """
         old, new, kernel = self.old, self.new, self.kernel
         self.unlimit()
-        if kernel.components.get(old.name) is not old:
+        if kernel.components.get(old.name) is not old or old in kernel._roster._leaving:
             raise StateError(f"{old.name}: was removed while its new code was made ready")
         if old._rt_params._state is not self._seen:
             self._hand_over_parameters()
@@ -106,6 +106,7 @@ class Succession(Heir):
             if name in vars(old):
                 setattr(new, name, getattr(old, name))
         self._said = {port: {word: getattr(port, word) for word in words} for port, words in self._words.items()}
+        old._rt_successor = new
         self.switched = True
         self._put(new, old, ports, self._words)
         _change_ports(new, self._gone, self._fresh)
@@ -243,9 +244,14 @@ class Succession(Heir):
 
     # -- for good --------------------------------------------------------------------------------------------------
 
-    def settle(self) -> ComponentReloaded:
-        """The new one stays: the ports that have gone lose their connectors, and everybody hears of it."""
+    def settle(self) -> ComponentReloaded | None:
+        """The new one stays: the ports that have gone lose their connectors, and everybody hears of it.
+
+        None: it was removed meanwhile.
+        """
         old, new, kernel = self.old, self.new, self.kernel
+        if kernel.components.get(new.name) is not new:
+            return None
         dropped = [self._end_port(port) for port in self._gone]
         dropped += [self._end_interface(end) for end in self.services.gone()]
         dropped += [Dropped("parameter", name, why) for name, why in self.lost.items()]
@@ -321,7 +327,7 @@ async def retire(kernel: Kernel, component: Component, heir: Component | None = 
     """The end of an instance that is in no place: `on_finalize`, and what it started is ended; no port is touched."""
     roster, budget = kernel._roster, StopBudget(kernel.loop)
     if heir is not None:
-        component._rt_host = _nowhere(component)
+        component._rt_host, component._rt_successor = _nowhere(component), None
     error = None
     if finalize and component._rt_abandoned is None:
         error = await run_alone(kernel, component, "on_finalize", budget)
