@@ -427,3 +427,37 @@ async def test_in_an_event_context_unread_data_is_still_a_cause_to_run(source: M
         await kernel.sleep(0.1)
         assert connector.unread == 0
         assert context.ticks == 40
+
+
+@simulated
+async def test_data_that_came_while_its_port_was_gone_wakes_the_old_code_that_is_back(source: Make) -> None:
+    file = source("""
+    class Sink(Component):
+        data = InPort(TimedDouble)
+        other = InPort(TimedDouble)
+
+        def __init__(self, name=""):
+            super().__init__(name)
+            self.got = []
+
+        def on_execute(self):
+            self.got += [sample.data for sample in self.data.drain()]
+    """)
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Writer, "one"), await kernel.create(Writer, "two")
+        sink = await kernel.create(file.get("Sink"), "sink")
+        connector = await kernel.connect(one.out, sink.data, length=10)
+        await kernel.connect(two.out, sink.other)
+        await kernel.start(EventContext(), sink, activate=True)
+        file.replace("    data = InPort(TimedDouble)\n", "")
+        reload = asyncio.ensure_future(kernel.reload("Sink", seconds=10.0))
+        await kernel.sleep(1.0)
+        assert kernel.components["sink"] is not sink
+        one.out.write_nowait(sample(7))
+        await kernel.sleep(1.0)
+        two.out.write_nowait(sample(8))
+        with pytest.raises(Exception, match="has no attribute 'data'"):
+            await reload
+        await kernel.sleep(0.1)
+        assert sink.got == [7.0]
+        assert connector.statistics.dropped == {}
