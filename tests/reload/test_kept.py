@@ -461,3 +461,42 @@ async def test_data_that_came_while_its_port_was_gone_wakes_the_old_code_that_is
         await kernel.sleep(0.1)
         assert sink.got == [7.0]
         assert connector.statistics.dropped == {}
+
+
+class Metres(Component):
+    out = OutPort(TimedDouble, unit="m")
+
+
+@simulated
+async def test_connectors_that_fit_no_more_end_with_counts(source: Make) -> None:
+    file = source(SINK)
+    async with Kernel() as kernel:
+        metres = await kernel.create(Metres, "metres")
+        sink = await kernel.create(file.get("Sink"), "sink")
+        connector = await kernel.connect(metres.out, sink.data, length=10)
+        metres.out.write_nowait(sample(1))
+        file.replace("data = InPort(TimedDouble)", "data = InPort(TimedDouble, unit='mm')")
+        done = await kernel.reload("Sink")
+        (dropped,) = done.components[0].dropped
+        assert (dropped.name, dropped.connectors, dropped.unread) == ("data", (connector.name,), 1)
+        assert connector.statistics.dropped == {"disconnected": 1}
+        assert kernel.components["sink"].ports["data"].unit == "mm"
+
+
+@pytest.mark.parametrize("hook", ["on_initialize(self)", "on_reload(self, old)"])
+def test_tasks_of_new_code_that_is_taken_back_are_ended(hook: str, source: Make) -> None:
+    @simulated
+    async def run() -> None:
+        file = source(SINK)
+        async with Kernel() as kernel:
+            sink = await kernel.create(file.get("Sink"), "sink")
+            await kernel.start(PeriodicContext(rate=100.0), sink, activate=True)
+            begin = "asyncio.get_running_loop().create_task(asyncio.Event().wait(), name='endless')"
+            file.replace("    def on_execute", f"    def {hook}:\n        {begin}\n\n    def on_execute")
+            file.replace("self.runs += 1", "1 / 0")
+            with pytest.raises(Exception, match="ZeroDivisionError"):
+                await kernel.reload("Sink")
+            assert not kernel._roster.tasks
+            assert [task for task in asyncio.all_tasks() if task.get_name() == "endless"] == []
+
+    run()
