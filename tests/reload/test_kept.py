@@ -253,49 +253,57 @@ async def test_life_cycle_state_stays_and_no_transition_hook_runs(source: Make) 
         assert new[1].ran[-1] == "reset"
 
 
-@simulated
-async def test_tasks_of_the_old_code_are_ended_and_reported(source: Make) -> None:
-    file = source("""
-    class Tasked(Component):
-        data = InPort(TimedDouble)
+@pytest.mark.parametrize("waits", [False, True])
+def test_tasks_of_the_old_code_are_ended_and_reported(waits: bool, source: Make) -> None:
+    @simulated
+    async def run() -> None:
+        file = source("""
+        class Tasked(Component):
+            data = InPort(TimedDouble)
 
-        def __init__(self, name=""):
-            super().__init__(name)
-            self.got = []
+            def __init__(self, name=""):
+                super().__init__(name)
+                self.got = []
 
-        def on_activated(self):
-            self.begin()
+            def on_activated(self):
+                self.begin()
 
-        def begin(self):
-            self.task = asyncio.get_running_loop().create_task(self.work(), name="work")
+            def begin(self):
+                self.task = asyncio.get_running_loop().create_task(self.work(), name="work")
 
-        def on_reload(self, old):
-            self.got = old.got
-            self.begin()
+            def on_reload(self, old):
+                self.got = old.got
+                self.begin()
+                # reload
 
-        async def work(self):
-            async for sample in self.data:
-                self.got.append(sample.data)
-    """)
-    async with Kernel() as kernel:
-        writer = await kernel.create(Writer, "writer")
-        old = await kernel.create(file.get("Tasked"), "tasked")
-        connector = await kernel.connect(writer.out, old.data, length=1000)
-        await kernel.start(PeriodicContext(rate=100.0), old, activate=True)
-        reload = None
-        for number in range(100):
-            writer.out.write_nowait(sample(number))
-            await kernel.sleep(0.003)
-            if number == 30:
-                reload = asyncio.ensure_future(kernel.reload("Tasked"))
-        assert reload is not None
-        done = await reload
-        new: Any = kernel.components["tasked"]
-        assert [(one.what, one.name) for one in done.components[0].dropped] == [("task", "work")]
-        assert old.task.cancelled()
-        assert not new.task.done()
-        assert new.got == [float(number) for number in range(100)]
-        assert connector.statistics.dropped == {}
+            async def work(self):
+                async for sample in self.data:
+                    self.got.append(sample.data)
+        """)
+        async with Kernel() as kernel:
+            if waits:
+                file.replace("def on_reload", "async def on_reload")
+                file.replace("# reload", "await self.sleep(0.05)")
+            writer = await kernel.create(Writer, "writer")
+            old = await kernel.create(file.get("Tasked"), "tasked")
+            connector = await kernel.connect(writer.out, old.data, length=1000)
+            await kernel.start(PeriodicContext(rate=100.0), old, activate=True)
+            reload = None
+            for number in range(100):
+                writer.out.write_nowait(sample(number))
+                await kernel.sleep(0.003)
+                if number == 30:
+                    reload = asyncio.ensure_future(kernel.reload("Tasked"))
+            assert reload is not None
+            done = await reload
+            new: Any = kernel.components["tasked"]
+            assert [(one.what, one.name) for one in done.components[0].dropped] == [("task", "work")]
+            assert old.task.cancelled()
+            assert not new.task.done()
+            assert new.got == [float(number) for number in range(100)]
+            assert connector.statistics.dropped == {}
+
+    run()
 
 
 @simulated

@@ -330,3 +330,22 @@ async def test_an_error_names_file_and_line(source: Make) -> None:
                 await kernel.reload("One")
             assert str(file.path) in str(raised.value)
             assert f"line {file.line_of(line)}" in str(raised.value)
+
+
+@simulated
+async def test_a_type_made_of_a_function_is_reloaded_as_any(source: Make) -> None:
+    file = source("""
+    from aiorts import component
+
+    @component
+    def double(value: float, *, factor: float = 2.0) -> float:
+        return value * factor
+    """)
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("double"), "double", factor=3.0)
+        file.replace("value * factor", "value * factor + 1")
+        await kernel.reload("double")
+        new: Any = kernel.components["double"]
+        assert new.factor == 3.0
+        assert new is not old
+        assert type(new).function(1.0, factor=2.0) == 3.0
