@@ -28,9 +28,16 @@ class Scaler(Component):
     version = 1
     pause = Param(0.01)
 
+    inside = False
+
     async def scale(self, value: float) -> float:
+        self.inside = True
         await self.sleep(self.pause)
+        self.inside = False
         return value * self.version
+
+    def on_reload(self, old):
+        assert not old.inside
 
     async def on_execute(self):
         await self.sleep(0.003)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import sys
 import weakref
 from typing import TYPE_CHECKING, Any
@@ -173,6 +174,8 @@ def test_a_member_of_a_composite_stays_a_member(groups: str, source: Make) -> No
             assert [each.version for each in now] == [2, 2, 2]
             assert context.members == tuple(now)
             assert pair.members == tuple(now)
+            beside = {part for section in context._sections for group in section for part in group}
+            assert beside == (set(now) if groups else set())
             assert set(pair.ports) == {"out", "more"}
             assert pair.ports["out"].connectors == (connector,)
             file.replace("self.seen.append(", "1 / 0, (")
@@ -227,12 +230,17 @@ async def test_a_type_of_a_plugin_is_reloaded_by_the_name_it_is_offered_under(tm
 
 
 @simulated
-async def test_an_edit_of_the_same_length_in_the_same_second_is_an_edit(source: Make) -> None:
+async def test_an_edit_of_the_same_length_in_the_same_second_is_an_edit(
+    source: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
     file = source(MANY)
+    assert list(file.path.parent.glob("__pycache__/*.pyc"))
     async with Kernel() as kernel:
         await kernel.create(file.get("One"), "one")
         for version in "234567":
             file.replace(f"version = {int(version) - 1}", f"version = {version}")
+            os.utime(file.path, (1e9, 1e9))
             await kernel.reload("One")
             assert str(kernel.components["one"].version) == version  # type: ignore[attr-defined]
 
