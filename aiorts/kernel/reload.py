@@ -228,10 +228,8 @@ class _Reload(Changeover):
                     heir.undo()  # its context has stopped meanwhile
                     self._pass_back(group)
         for heir in self._heirs:
-            if heir.switched:
+            if heir.switched or heir.homeless:
                 await retire(kernel, heir.old, heir.new)
                 continue
             if heir.made is not None:
                 await retire(kernel, heir.made, finalize=heir.initialized)
-            if heir.homeless:
-                await retire(kernel, heir.old)

@@ -199,7 +199,8 @@ class Roster:
                 await membership.change(component, membership.Wanted(()), 5.0)
             except (TimeoutError, RuntimeError) as error:
                 return error
-        while component._rt_members:
+        # Its code may be taken back meanwhile: then it is the old instance that goes.
+        while (component := component._rt_successor or component)._rt_members:
             context = component.contexts[0]
             try:
                 await context._remove((component,))

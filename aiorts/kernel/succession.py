@@ -122,6 +122,11 @@ class Succession(Heir):
             return
         self.switched = False
         old, new, members = self.old, self.new, self.new._rt_members
+        leaving = self.kernel._roster._leaving
+        if self._is_gone() or (new in leaving and not members):
+            self.homeless = True  # it is ended where it is, and the old one after it
+            self._end_gone()
+            return
         configured = new._rt_params._state
         self._give_back()
         vars(old).clear()
@@ -129,9 +134,10 @@ class Succession(Heir):
         old._rt_members, new._rt_members = members, []
         for port in self._fresh:
             port._host, port._turns = new._rt_host, new._rt_host.turns
-        if self.kernel.components.get(old.name) is not new:
-            old._rt_host, self.homeless = _nowhere(old), True
-            return
+        new._rt_successor = old
+        if new in leaving:
+            task = leaving[old] = leaving[new]
+            task.add_done_callback(lambda _: leaving.pop(old, None))
         self._put(old, new, self._ports, self._said)
         for member in members:
             self._restore(member)
@@ -250,7 +256,8 @@ class Succession(Heir):
         None: it was removed meanwhile.
         """
         old, new, kernel = self.old, self.new, self.kernel
-        if kernel.components.get(new.name) is not new:
+        if self._is_gone():
+            self._end_gone()
             return None
         dropped = [self._end_port(port) for port in self._gone]
         dropped += [self._end_interface(end) for end in self.services.gone()]
@@ -274,6 +281,16 @@ class Succession(Heir):
         )
         kernel.bus.publish(event)
         return event
+
+    def _is_gone(self) -> bool:
+        return self.kernel.components.get(self.old.name) is not self.new
+
+    def _end_gone(self) -> None:
+        """It was removed meanwhile: what its code had no name for goes, too."""
+        for port in self._gone:
+            self._end_port(port)
+        for end in self.services.gone():
+            self._end_interface(end)
 
     def _end_interface(self, end: ServiceEnd[Any]) -> Dropped:
         connectors = end.connectors
