@@ -508,3 +508,25 @@ def test_tasks_of_new_code_that_is_taken_back_are_ended(hook: str, source: Make)
             assert [task for task in asyncio.all_tasks() if task.get_name() == "endless"] == []
 
     run()
+
+
+@simulated
+async def test_a_task_of_the_old_code_that_fails_when_it_is_ended_is_not_the_new_ones_fault(source: Make) -> None:
+    file = source("""
+    class Tasked(Component):
+        def on_activated(self):
+            self.task = asyncio.get_running_loop().create_task(self.work())
+
+        async def work(self):
+            try:
+                await asyncio.Event().wait()
+            finally:
+                raise OSError
+    """)
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("Tasked"), "tasked")
+        await kernel.start(PeriodicContext(rate=100.0), old, activate=True)
+        await kernel.sleep(0.1)
+        await kernel.reload("Tasked", cycles=200, seconds=5.0)
+        assert kernel.components["tasked"] is not old
+        assert kernel.components["tasked"].state is ACTIVE

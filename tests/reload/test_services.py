@@ -156,3 +156,61 @@ async def test_in_a_thread_calls_are_answered_by_the_code_of_the_day(source: Mak
                 await kernel.reload("Threaded", cycles=2)
             file.replace(new, old)
         assert await user.scale.proxy.scale(1.0) == 2.0
+
+
+@simulated
+async def test_an_interface_that_goes_is_not_answered_by_the_old_code_and_comes_back_with_it(source: Make) -> None:
+    file = source("""
+    from aiorts import Provided
+    from services_api import Scale
+
+    class Scaler(Component):
+        service = Provided[Scale](always=True)
+        bad = False
+
+        def scale(self, value: float) -> float:
+            return value
+
+        def on_execute(self):
+            if self.bad: 1 / 0
+    """)
+    async with Kernel() as kernel:
+        user, scaler = await kernel.create(User, "user"), await kernel.create(file.get("Scaler"), "scaler")
+        connector = await kernel.connect(user.scale, scaler.service)
+        await kernel.start(PeriodicContext(rate=100.0), scaler, activate=True)
+        file.replace("    service = Provided[Scale](always=True)\n", "")
+        reload = asyncio.ensure_future(kernel.reload("Scaler", cycles=1000, seconds=5.0))
+        await kernel.sleep(1.0)
+        with pytest.raises(ServiceUnavailable):
+            await user.scale.proxy.scale(1.0)
+        kernel.components["scaler"].bad = True  # type: ignore[attr-defined]
+        with pytest.raises(ComponentError):
+            await reload
+        assert await user.scale.proxy.scale(1.0) == 1.0
+        assert not connector.closed
+
+
+@simulated
+async def test_a_call_that_waits_is_the_new_codes_in_every_respect(source: Make) -> None:
+    file = source(PROVIDER.replace("from services_api", "from aiorts import Provided\nfrom services_api"))
+    async with Kernel() as kernel:
+        user, scaler = await kernel.create(User, "user"), await kernel.create(file.get("Scaler"), "scaler", pause=0.5)
+        await kernel.connect(user.scale, scaler.service)
+        context = await kernel.start(PeriodicContext(rate=1.0), scaler, activate=True)
+        calls = [asyncio.ensure_future(user.scale.proxy.scale(1.0)) for _ in range(2)]
+        await kernel.sleep(0.01)
+        file.replace(
+            "        self.inside = True",
+            "        assert self.kernel.components[self.name] is self\n        self.inside = True",
+        )
+        file.replace(
+            "await self.sleep(self.pause)", "self.begun = asyncio.current_task()\n        await self.sleep(self.pause)"
+        )
+        reload = asyncio.ensure_future(kernel.reload("Scaler", cycles=1))
+        await kernel.sleep(0.1)
+        calls.append(asyncio.ensure_future(user.scale.proxy.scale(1.0)))
+        assert await asyncio.gather(*calls) == [1.0, 1.0, 1.0]
+        await reload
+        new: Any = kernel.components["scaler"]
+        assert new.begun._aiorts_component is new
+        assert context.members == (new,)

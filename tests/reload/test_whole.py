@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Catalogue, Component, Composite, InPort, Kernel, LifeCycleState, PeriodicContext
+from aiorts import (
+    After,
+    Catalogue,
+    Chart,
+    Component,
+    Composite,
+    InPort,
+    Kernel,
+    LifeCycleState,
+    PeriodicContext,
+    State,
+    StateMachineComponent,
+)
 from aiorts.errors import ComponentError, PluginError, StateError
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble
@@ -357,3 +369,90 @@ async def test_a_type_made_of_a_function_is_reloaded_as_any(source: Make) -> Non
         assert new.factor == 3.0
         assert new is not old
         assert type(new).function(1.0, factor=2.0) == 3.0
+
+
+@simulated
+async def test_what_the_new_code_has_taken_over_is_not_called_left_behind(
+    source: Make, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = source("""
+    class Holder(Component):
+        taken = None
+
+        def on_initialize(self):
+            self.mine = open(__file__)
+
+        def on_reload(self, old):
+            self.taken = old.mine
+    """)
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("Holder"), "holder")
+        await kernel.reload("Holder")
+        assert "left after on_finalize" not in caplog.text
+        new: Any = kernel.components["holder"]
+        file.replace("self.taken = old.mine", "pass")
+        await kernel.reload("Holder")
+        assert "holder: left after on_finalize: file" in caplog.text
+        for holder in (old, new, kernel.components["holder"]):
+            holder.mine.close()  # type: ignore[attr-defined]
+
+
+@simulated
+async def test_new_code_that_is_taken_back_is_finalized(source: Make) -> None:
+    file = source("""
+    class Paired(Component):
+        opened = []
+
+        def on_initialize(self):
+            self.opened.append(1)
+
+        def on_finalize(self):
+            self.opened.pop()
+
+        def on_reload(self, old):
+            pass  # reload
+    """)
+    opened: list[int] = file.get("Paired").opened
+    file.replace("opened = []", f"import sys; opened = sys.modules[{file.name!r}].Paired.opened")
+    async with Kernel() as kernel:
+        await kernel.create(file.get("Paired"), "paired")
+        await kernel.reload("Paired")
+        assert opened == [1]
+        file.replace("pass  # reload", "1 / 0")
+        with pytest.raises(ComponentError):
+            await kernel.reload("Paired")
+        assert opened == [1]
+    assert opened == []
+
+
+class Door(StateMachineComponent):
+    chart = Chart(State("shut", After(0.1, to="open"), initial=True), State("open", After(0.1, to="shut")))
+
+
+@simulated
+async def test_a_participant_of_a_machine_is_told_on(source: Make) -> None:
+    file = source("""
+    class Guard(aiorts.Participant):
+        told = 0
+
+        def on_action(self, change):
+            self.told += 1
+
+        def on_execute(self):
+            pass  # execute
+    """)
+    async with Kernel() as kernel:
+        door = await kernel.create(Door, "door")
+        guard = await kernel.create(file.get("Guard"), "guard")
+        door.machine.add_participant(guard)
+        await kernel.start(PeriodicContext(rate=100.0), door, guard, activate=True)
+        await kernel.reload("Guard", cycles=1)
+        new: Any = kernel.components["guard"]
+        await kernel.sleep(1.0)
+        told = new.told
+        assert told >= 9
+        file.replace("pass  # execute", "1 / 0")
+        with pytest.raises(ComponentError):
+            await kernel.reload("Guard")
+        await kernel.sleep(1.0)
+        assert new.told >= told + 9
