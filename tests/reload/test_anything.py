@@ -95,6 +95,7 @@ SCRIPT = st.lists(
 
 
 @pytest.mark.row(23)
+@pytest.mark.timeout(900)
 @settings(max_examples=cases(2000), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(script=SCRIPT, event=st.booleans())
 def test_whatever_is_asked_at_the_same_time_the_system_stays_whole(

@@ -399,12 +399,18 @@ async def test_what_follows_from_a_failure_ends_when_the_code_that_failed_is_tak
         def __init__(self, name=""):
             super().__init__(name)
             self.told = []
+            self.notes = []
+
+        def on_reload(self, old):
+            self.notes = old.notes
 
         async def on_execute(self):
             pass  # execute
 
         async def on_deactivated(self):
+            self.notes.append("begun")
             await self.sleep(0.05)
+            self.notes.append("ended")
 
         def on_aborting(self, error):
             self.told.append(error)
@@ -417,6 +423,7 @@ async def test_what_follows_from_a_failure_ends_when_the_code_that_failed_is_tak
         file.replace("pass  # execute", f"if self.context.name == {second.name!r}: 1 / 0")
         with pytest.raises(ComponentError, match="ZeroDivisionError"):
             await kernel.reload("Shared")
+        assert old.notes == ["begun", "ended"]
         await kernel.sleep(1.0)
         assert old.told == []
         assert (first.state(old), second.state(old)) == (ACTIVE, ACTIVE)

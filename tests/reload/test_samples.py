@@ -72,6 +72,7 @@ class Last(Component):
 
 
 @pytest.mark.row(23)
+@pytest.mark.timeout(900)
 @settings(max_examples=cases(1500), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     edits=st.lists(st.tuples(st.sampled_from(sorted(EDITS)), st.integers(0, 60)), min_size=1, max_size=4),

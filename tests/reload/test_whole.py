@@ -126,6 +126,7 @@ async def test_others_are_not_late(source: Make) -> None:
             assert {two - one for one, two in zip(neighbour.at, neighbour.at[1:], strict=False)} == {period}
 
 
+@pytest.mark.timeout(600)
 def test_old_classes_are_collected_and_nothing_grows(source: Make) -> None:
     declared = "data = InPort(TimedDouble)\n    out = OutPort(TimedDouble)\n    gain = Param(1.0)\n    seen = []"
     text = MANY.replace("seen = []", declared)
