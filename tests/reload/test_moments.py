@@ -55,6 +55,7 @@ class Slow(Component):
         self.ran.append(self.clock.monotonic_ns())
 
     async def on_finalize(self):
+        await self.sleep(0.02)
         self.ends += 1
 
     async def on_reload(self, old):

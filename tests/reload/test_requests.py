@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, ExternalContext, Kernel, LifeCycleState, PeriodicContext, Provided, Required
+from aiorts import (
+    Component,
+    ExternalContext,
+    Kernel,
+    LifeCycleState,
+    OutPort,
+    PeriodicContext,
+    Provided,
+    Required,
+)
 from aiorts.errors import AiortsError, ComponentError, StateError
 from aiorts.testing import simulated
+from aiorts.types import TimedDouble
 from services_api import Scale  # type: ignore[import-not-found]
 
 if TYPE_CHECKING:
@@ -180,7 +190,10 @@ async def test_constructors_that_make_others_and_ports_added_later(source: Make)
 SCRIPT = '''
 """A program that reloads a component of its own file."""
 import asyncio
+import sys
 import aiorts
+
+PROGRAM = sys.modules["__main__"]
 
 class Own(aiorts.Component):
     version = 1
@@ -193,7 +206,8 @@ async def main():
             open(__file__, "w").write(text.replace(f"version = {n - 1}\\n", f"version = {n}\\n", 1))
             done = await kernel.reload(Own)
             own = kernel.components["own"]
-            print(own.version, type(own).__module__, done.components[0].old, done.components[0].new)
+            (event,) = done.components
+            print(sys.modules["__main__"] is PROGRAM, own.version, type(own).__module__, event.old, event.new)
 
 if __name__ == "__main__":
     asyncio.run(main())
@@ -204,7 +218,7 @@ def test_a_program_reloads_a_component_of_its_own_file(tmp_path: Path) -> None:
     script = tmp_path / "program.py"
     script.write_text(SCRIPT, encoding="utf-8")
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=50, check=False)
-    assert (done.stdout, done.stderr) == ("2 __main__ 0 1\n3 __main__ 1 2\n", "")
+    assert (done.stdout, done.stderr) == ("True 2 __main__ 0 1\nTrue 3 __main__ 1 2\n", "")
 
 
 @simulated
@@ -223,3 +237,47 @@ async def test_a_caller_that_is_cancelled_ends_nothing_and_nobody_else_is_called
         assert not kernel._roster.renewing
         with pytest.raises(StateError):
             await kernel.start(PeriodicContext(rate=1.0), Component("strange"))
+
+
+FADING = """
+class Fading(Component):
+    data = InPort(TimedDouble)
+
+    def __init__(self, name=""):
+        super().__init__(name)
+        self.ends = 0
+
+    async def on_execute(self):
+        pass  # execute
+
+    async def on_finalize(self):
+        await self.sleep(0.1)
+        self.ends += 1
+"""
+
+
+class Writer(Component):
+    out = OutPort(TimedDouble)
+
+
+@simulated
+async def test_one_that_is_removed_while_its_code_is_taken_back_is_gone_once_and_for_all(source: Make) -> None:
+    file = source(FADING)
+    async with Kernel() as kernel:
+        writer = await kernel.create(Writer, "writer")
+        old = await kernel.create(file.get("Fading"), "fading")
+        connector = await kernel.connect(writer.out, old.data)
+        await kernel.start(PeriodicContext(rate=100.0), old, activate=True)
+        file.replace("    data = InPort(TimedDouble)\n", "")
+        file.replace("pass  # execute", "await self.sleep(1.0); 1 / 0")
+        reload = asyncio.ensure_future(kernel.reload("Fading", seconds=5.0))
+        await kernel.sleep(0.5)
+        new: Any = kernel.components["fading"]
+        removal = asyncio.ensure_future(kernel.remove(new))
+        with pytest.raises(ComponentError):
+            await reload
+        await removal
+        assert list(kernel.components) == ["writer"]
+        assert (old.ends, new.ends) == (1, 1)
+        assert connector.closed
+        assert not kernel._roster._leaving
