@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
     from aiorts.kernel.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
     from aiorts.kernel.modes import ModeChanged, MultiModeComponent, Participant
+    from aiorts.kernel.reload_events import ComponentReloaded, Dropped, Reloaded
     from aiorts.kernel.supervision import Helped, HelpExhausted, Supervised
     from aiorts.kernel.watchdog import LoopStall, LoopStalls
     from aiorts.model.blame import Blame
@@ -102,6 +103,7 @@ __all__ = (
     "Component",
     "ComponentAdded",
     "ComponentBeat",
+    "ComponentReloaded",
     "ComponentRemoved",
     "Configuration",
     "ConfigurationSetActivated",
@@ -120,6 +122,7 @@ __all__ = (
     "ContextStopped",
     "Declaration",
     "Disconnected",
+    "Dropped",
     "End",
     "Event",
     "EventContext",
@@ -163,6 +166,7 @@ __all__ = (
     "Provided",
     "RateChanged",
     "RealtimeContext",
+    "Reloaded",
     "Required",
     "ScaledClock",
     "ServiceCalled",
@@ -213,6 +217,7 @@ _HOMES = {
     "aiorts.kernel.machine": ("EventPort", "StateMachine", "StateMachineComponent"),
     "aiorts.kernel.machine_events": ("MachineChanged", "MachineAfter", "MachineBefore", "MachineEnded"),
     "aiorts.kernel.modes": ("ModeChanged", "MultiModeComponent", "Participant"),
+    "aiorts.kernel.reload_events": ("ComponentReloaded", "Dropped", "Reloaded"),
     "aiorts.kernel.supervision": ("HelpExhausted", "Helped", "Supervised"),
     "aiorts.kernel.watchdog": ("LoopStall", "LoopStalls"),
     "aiorts.model.blame": ("Blame",),

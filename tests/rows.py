@@ -32,6 +32,7 @@ FEATURES = {
     20: "Observers of every hook, before and after",
     21: "Ports added and removed at run time",
     22: "The number of instances of a type is limited",
+    23: "Hot reload of component code, with state handed over",
     24: "Periodic context, without drift",
     25: "A context ticked from outside, no tick lost",
     26: "A tick that returns when its cycle is complete",

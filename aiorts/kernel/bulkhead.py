@@ -250,9 +250,14 @@ class TaskDriver(DriverState):
         if (kind == HookKind.ABSENT and not watched) or member.abandoned:
             return None
         if gate.inside is not None or gate.waiting:
+            failure = member.failure
             busy = await wait_for_turn(self, member, hook)
             if busy is not None or member.abandoned:
                 return busy
+            if failure is not None and member.failure is not failure:
+                gate.pass_on()  # what this follows from was taken back, and with it the code that failed
+                return None
+            component, (kind, function) = member.component, member.hook_of(hook)  # its code may have been replaced
         started_ns = context._now_ns() if context.timing else 0
         if watched:
             context._publish(HookBefore(component.name, context.name, hook))

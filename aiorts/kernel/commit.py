@@ -37,7 +37,7 @@ _LOOP_PATIENCE = 5.0
 def commit(component: Component, edit: Edit) -> AiortsError | None:
     """Put in force what `edit` makes of the configuration; why not, if not."""
     try:
-        _Change(component, edit).put()
+        _Change(component._rt_successor or component, edit).put()
     except AiortsError as error:
         return error
     return None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Awaitable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, overload
 
 from aiorts.errors import DeclarationError, StateError, WiringError
 from aiorts.kernel.configuring import OVERRIDABLE, Configurable, declared_state
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from aiorts.clock import Clock
     from aiorts.kernel.composed import Composed
     from aiorts.kernel.context import Context
+    from aiorts.kernel.heir import Heir
     from aiorts.kernel.homes import Home
     from aiorts.kernel.kernel import Kernel
     from aiorts.kernel.member import Member
@@ -70,6 +71,8 @@ class Component(Configurable):
     _rt_composite: Composed | None = None
     _rt_homes: tuple[Home, ...] = ()
     """Where it ran before it ran with that composite."""
+    _rt_heir: Heir | None = None
+    """While it is made to take another one's place: what it takes over."""
 
     def __init_subclass__(cls, *, _rt_redefines: frozenset[str] = frozenset(), **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -244,6 +247,8 @@ class Component(Configurable):
         if self._rt_kernel is not None:
             self._rt_kernel.check_thread(f"{self.name}.add_port")
         check_name(name, "port")
+        if self._rt_heir is not None:
+            return self._rt_heir.bind(self, name, port)
         if isinstance(port, ServiceEnd):
             return add_end(self, name, port)
         if name in self._rt_host.ports:
@@ -267,6 +272,8 @@ class Component(Configurable):
         port = self._rt_host.ports.get(name)
         if port is None:
             raise WiringError(f"{self.name}.{name}: no such port; there are {', '.join(self._rt_host.ports) or 'none'}")
+        if self._rt_heir is not None:
+            return self._rt_heir.unbind(self, name)
         if self._rt_kernel is not None:
             for connector in port.connectors:
                 self._rt_kernel._connections.end(connector)
@@ -343,6 +350,10 @@ class Component(Configurable):
         """On the way from error to inactive. Raising means that the component stays in error."""
         return _nothing()
 
+    def on_reload(self, old: Self) -> Hook:
+        """Its code was replaced (`Kernel.reload`): take over from the instance of the old code, between two cycles."""
+        return _nothing()
+
     # -- called by the kernel --------------------------------------------------------------------------------------
 
     def _rt_move(self, threaded: bool) -> None:
@@ -384,5 +395,6 @@ _OURS = frozenset(name for name in (*vars(Component), *vars(Configurable)) if no
     *HOOKS,
     *OVERRIDABLE,
     "max_instance",
+    "on_reload",
 }
 """What a component cannot redefine: the kernel and every tool rely on it."""

@@ -166,6 +166,8 @@ class Configurable:
     # What few instances ever have stands in the class until then.
     _rt_group: Mapping[str, Port[Any]] = MappingProxyType({})
     """The ports that `ports_for` asked for."""
+    _rt_successor: Component | None = None
+    """The instance in whose place it was, while that proves itself: what was asked of it is asked of that."""
     _rt_changes_queued = 0
     _rt_params: Parameters
     _rt_kernel: Kernel | None

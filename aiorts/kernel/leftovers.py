@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 if TYPE_CHECKING:
@@ -23,11 +23,12 @@ if TYPE_CHECKING:
 __all__ = ("leftovers",)
 
 
-def leftovers(component: Component) -> list[str]:
-    """One text for each thing, such as "thread 'reader' (self.reader)"."""
+def leftovers(component: Component, passed_on: Collection[object] = ()) -> list[str]:
+    """One text for each thing, such as "thread 'reader' (self.reader)"; not for what another one has now."""
     found: dict[int, str] = {}
+    others = frozenset(map(id, passed_on))
     for name, value in tuple(vars(component).items()):
-        if name.startswith("_rt_"):
+        if name.startswith("_rt_") or id(value) in others:
             continue
         for one in _inside(value):
             for thing, text in _named(one):

@@ -236,7 +236,8 @@ class Life:
         if isinstance(member.failure, KeyboardInterrupt):
             self._context._interrupted(member.failure)
         for hook in hooks:
-            assert member.failure is not None  # noqa: S101 - set by whoever reported the failure
+            if member.failure is None:
+                return  # the code that failed was taken back meanwhile
             error = yield Call(member, hook, (member.failure,) if hook == "on_aborting" else ())
             if error is not None:
                 self._record(member, hook, error)

@@ -53,6 +53,10 @@ class Roster:
         """Tasks that components started and that have not ended."""
         self._arriving: dict[Component, asyncio.Future[None]] = {}
         self._leaving: dict[Component, asyncio.Task[BaseException | None]] = {}
+        self.renewing: set[asyncio.Task[Any]] = set()
+        """Reloads that have not come to their end."""
+        self.renewal = asyncio.Lock()
+        """Held by the one whose turn it is."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 
@@ -151,6 +155,8 @@ class Roster:
             raise StateError(f"{component.name}: its on_initialize still runs; start it once it was added")
         if component in self._leaving:
             raise StateError(f"{component.name}: is being removed; no context can take it")
+        if self.components.get(component.name) is not component:
+            raise StateError(f"{component.name}: another instance has its place; take kernel.components[...]")
 
     async def _initialize(self, component: Component) -> None:
         error = await run_alone(self._kernel, component, "on_initialize", None)
@@ -193,7 +199,8 @@ class Roster:
                 await membership.change(component, membership.Wanted(()), 5.0)
             except (TimeoutError, RuntimeError) as error:
                 return error
-        while component._rt_members:
+        # Its code may be taken back meanwhile: then it is the old instance that goes.
+        while (component := component._rt_successor or component)._rt_members:
             context = component.contexts[0]
             try:
                 await context._remove((component,))
@@ -213,8 +220,12 @@ class Roster:
 
     async def close(self, budget: StopBudget) -> None:
         """Take everybody out, in reverse order; contexts have stopped and nobody comes in any more."""
-        while self._arriving or self._leaving:
-            coming_and_going: list[asyncio.Future[Any]] = [*self._arriving.values(), *self._leaving.values()]
+        while self._arriving or self._leaving or self.renewing:
+            coming_and_going: list[asyncio.Future[Any]] = [
+                *self._arriving.values(),
+                *self._leaving.values(),
+                *self.renewing,
+            ]
             await asyncio.wait(coming_and_going)
             await asyncio.sleep(0)
         embedding.settle(self._kernel, self._kernel.loop)

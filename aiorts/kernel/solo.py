@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 __all__ = ("run_alone",)
 
 
-async def run_alone(kernel: Kernel, component: Component, hook: str, budget: StopBudget | None) -> BaseException | None:
+async def run_alone(
+    kernel: Kernel, component: Component, hook: str, budget: StopBudget | None, *args: Any
+) -> BaseException | None:
     """Run one hook; what it raised, or None.
 
     With a budget it is cancelled when that is used up, without when the kernel closes; and when the caller is
@@ -33,15 +35,17 @@ async def run_alone(kernel: Kernel, component: Component, hook: str, budget: Sto
         kernel.bus.publish(HookBefore(component.name, "", hook))
     error = None
     if component._rt_hook_kinds[hook] != HookKind.ABSENT:
-        error = await _contain(kernel, component, hook, budget)
+        error = await _contain(kernel, component, hook, budget, args)
     if watched:
         kernel.bus.publish(HookAfter(component.name, "", hook, error))
     return error
 
 
-async def _contain(kernel: Kernel, component: Component, hook: str, budget: StopBudget | None) -> BaseException | None:
+async def _contain(
+    kernel: Kernel, component: Component, hook: str, budget: StopBudget | None, args: tuple[Any, ...]
+) -> BaseException | None:
     where = f"{component.name}.{hook}"
-    task = kernel_task(kernel.loop, _run(component, hook), f"aiorts {where}")
+    task = kernel_task(kernel.loop, _run(component, hook, args), f"aiorts {where}")
     task._aiorts_component = component  # type: ignore[attr-defined] # read by tasks.owner_of
     closing = kernel._closing_begun
     waited: list[asyncio.Future[Any]] = [task] if budget is not None else [task, closing]
@@ -75,10 +79,10 @@ async def _cancel(task: asyncio.Task[Any], budget: StopBudget) -> bool:
     return False
 
 
-async def _run(component: Component, hook: str) -> BaseException | None:
+async def _run(component: Component, hook: str, args: tuple[Any, ...]) -> BaseException | None:
     """Never raises: a KeyboardInterrupt in a task would end the loop, a CancelledError would look like ours."""
     try:
-        result = getattr(component, hook)()
+        result = getattr(component, hook)(*args)
         if component._rt_hook_kinds[hook] == HookKind.ASYNC:
             result = await result
     except BaseException as error:

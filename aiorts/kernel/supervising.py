@@ -17,6 +17,7 @@ from aiorts.errors import AiortsError, ConfigurationError, DeclarationError
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.reload_events import Reloaded
     from aiorts.kernel.supervision import Supervised, Supervisor
     from aiorts.kernel.systemd import SystemdLink
     from aiorts.kernel.watchdog import LoopStalls, LoopWatch
@@ -64,6 +65,52 @@ class Supervising:
     def supervised(self) -> Mapping[str, Supervised]:
         """The supervised components, by name."""
         return MappingProxyType({} if self._supervisor is None else self._supervisor.supervised)
+
+    # -- new code --------------------------------------------------------------------------------------------------
+
+    async def reload(
+        self,
+        kind: type[Component] | str,
+        *,
+        cycles: int = 10,
+        seconds: float = 1.0,
+        timeout: float | None = 5.0,
+        import_timeout: float = 30.0,
+    ) -> Reloaded:
+        """Replace a component type's code while the system runs: its file is read anew, its instances go on with it.
+
+        Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
+        order and life-cycle state, parameters in force and sets, and the connectors and unread samples of the ports
+        that its code still has. `on_initialize` of the new one runs before, beside the old one; then its `on_reload`,
+        which is told the old one; no other transition hook runs. Tasks of the old one are cancelled, and its
+        `on_finalize` runs at the end: what `on_reload` takes over for good it takes away from the old one. It returns
+        when the new code has done its first cycles without a failure; whatever fails before that has everything taken
+        back, attributes of the old instance included. A caller that is cancelled does not end it.
+
+        Only the file itself is read anew, not what it imports. Other types in it keep their code; what is created
+        afterwards is made of the new.
+
+        Args:
+            kind: a class, "Pid", "pid.py:Pid", or a name that a plugin offers; there are instances of it.
+            cycles: the new code has proved itself after so many cycles of each context, 0 at once,
+            seconds: or after so many seconds of the kernel's clock.
+            timeout: seconds of the kernel's clock in which every context has to come to the end of a cycle, and
+                `on_reload` has to return; None is for ever.
+            import_timeout: seconds of real time that running the file may take.
+
+        Raises:
+            PluginError: no such type, or its file cannot be loaded, or an instance not be made; names file and line.
+            ComponentError: `on_reload`, or a hook in the first cycles, failed. StateError: one of them cannot be
+            replaced: it is in a real-time context, say. TransitionTimeout: a context did not come to it in time.
+            ClosedError: the kernel closes.
+        """
+        kernel = cast("Kernel", self)
+        kernel._require_open("reload")
+        from aiorts.kernel import reload  # late: most systems never do
+
+        return await reload.reload(
+            kernel, kind, cycles=cycles, seconds=seconds, timeout=timeout, import_timeout=import_timeout
+        )
 
     # -- names, and who is there ------------------------------------------------------------------------------------
 

@@ -45,6 +45,8 @@ BROAD_EXCEPT = {
     "aiorts/kernel/bus.py:publish",
     # Round a component's own check of a configuration: whatever it raises refuses the change.
     "aiorts/kernel/commit.py:_asked",
+    # A component file that is read anew: what running it does is the file's own fault.
+    "aiorts/kernel/fresh_code.py:_run",
     "aiorts/kernel/observers.py:_work",
     # A look at what another thread does, which changes under it: the diagnosis may fail, its thread may not.
     "aiorts/kernel/watcher.py:_ring",
