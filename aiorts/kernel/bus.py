@@ -8,6 +8,7 @@ observer that comes late has missed what was before.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter_ns
@@ -246,6 +247,8 @@ class CallFailed(Event):
 
 
 E = TypeVar("E", bound=Event)
+_AT_ONCE = 1000
+"""Events caused by observers that are told of before the loop has its turn."""
 _HOOKS = (HookBefore, HookAfter)
 
 
@@ -264,6 +267,9 @@ class Bus:
         """Whether anybody asked for ServiceCalled."""
         self.sequence = 0
         """Number of the event published last."""
+        self._telling = self._resuming = False
+        self._later: deque[tuple[Event, tuple[Observer, ...]]] = deque()
+        """Events that observers caused while they were told of another."""
 
     @property
     def observers(self) -> tuple[ObserverStatistics, ...]:
@@ -302,9 +308,45 @@ class Bus:
         """Tell everybody who wants to know, and these listeners."""
         self.sequence = sequence = self.sequence + 1
         object.__setattr__(event, "sequence", sequence)
-        for observer in (*listeners, *self._observers) if listeners else self._observers:
+        observers = (*listeners, *self._observers) if listeners else self._observers
+        if self._telling or self._later:
+            # An observer did what is an event in its turn: the others hear of it after the one it follows from.
+            self._later.append((event, observers))
+            if not self._telling:
+                self._tell_later()
+            return
+        self._telling = True
+        try:
+            self._tell(event, observers)
+        finally:
+            self._telling = False
+        if self._later:
+            self._tell_later()
+
+    def _tell_later(self) -> None:
+        later = self._later
+        self._telling = True
+        try:
+            for _ in range(_AT_ONCE):
+                if not later:
+                    return
+                self._tell(*later.popleft())
+        finally:
+            self._telling = False
+        if not self._resuming:
+            # Observers that answer each event with another one do not hold the loop.
+            self._resuming = True
+            asyncio.get_running_loop().call_soon(self._resume)
+
+    def _resume(self) -> None:
+        self._resuming = False
+        if not self._telling:
+            self._tell_later()
+
+    def _tell(self, event: Event, observers: tuple[Observer, ...]) -> None:
+        for observer in observers:
             kind = observer.kind
-            if isinstance(event, kind) and not (event.quiet and kind is Event):
+            if isinstance(event, kind) and not (event.quiet and kind is Event) and not observer.ended:
                 began_ns = perf_counter_ns()
                 try:
                     observer.tell(event)

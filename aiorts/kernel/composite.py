@@ -11,7 +11,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import ConfigurationError, DeclarationError, StateError
+from aiorts.errors import ConfigurationError, DeclarationError, StateError, said
 from aiorts.kernel import membership
 from aiorts.kernel.component import Component
 from aiorts.kernel.composed import Composed, CompositeChanged
@@ -152,7 +152,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
             tuple(replace(port.profile, name=name) for name, port in self.ports.items()),
             MappingProxyType(self._rt_params.values_in_force),
             MappingProxyType({name: state.value for name, state in self.states.items()}),
-            None if error is None else f"{type(error).__name__}: {error}",
+            None if error is None else said(error),
             tuple(member.name for member in self._rt_laid_out),
         )
 

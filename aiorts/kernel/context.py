@@ -16,7 +16,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from aiorts.errors import ClosedError, ConfigurationError, StateError
+from aiorts.errors import ClosedError, ConfigurationError, StateError, said
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
@@ -344,7 +344,7 @@ class Context(Members):
         self._requests.close()
         self._tell_began()
         kernel._context_ended(self)
-        self._publish(ContextStopped(self.name, None if error is None else f"{type(error).__name__}: {error}"))
+        self._publish(ContextStopped(self.name, None if error is None else said(error)))
         if error is not None and not isinstance(error, asyncio.CancelledError | GeneratorExit):
             _LOG.error("context %s ended by a fault of aiorts itself; please report it", self.name, exc_info=error)
 

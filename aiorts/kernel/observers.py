@@ -46,6 +46,8 @@ class Observer:
 
     def __init__(self, kind: type[Any], call: Callable[[Any], object], length: int = 0) -> None:
         self.kind = kind
+        self.ended = False
+        """Whether it was unsubscribed: it hears nothing more, be it of what is being told."""
         self._call = call
         self._length = length
         self._calls = self._errors = self._slow = self._max_ns = self._dropped = 0
@@ -85,6 +87,7 @@ class Observer:
 
     def end(self) -> None:
         """It was unsubscribed."""
+        self.ended = True
 
     async def aclose(self) -> None:
         """The kernel closes."""
@@ -103,11 +106,8 @@ class AsyncObserver(Observer):
     def __init__(self, kind: type[Any], call: Callable[[Any], Any], length: int) -> None:
         super().__init__(kind, call, length)
         self._task: asyncio.Task[None] | None = None
-        self._closed = False
 
     def tell(self, event: Any) -> None:
-        if self._closed:
-            return
         if len(self._queue) >= self._length:
             self._queue.popleft()
             self._dropped += 1
@@ -132,7 +132,7 @@ class AsyncObserver(Observer):
             self._task = None
 
     def end(self) -> None:
-        self._closed = True
+        super().end()
         self._queue.clear()
         if self._task is not None and self._task is not asyncio.current_task():
             self._task.cancel()

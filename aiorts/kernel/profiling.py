@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
+from aiorts.errors import said
 from aiorts.model.configuration import ParameterSpec
 from aiorts.model.profile import PortProfile
 from aiorts.model.system_profile import (
@@ -106,7 +107,7 @@ def component_report(component: Component) -> ComponentReport:
         MappingProxyType({name: ParameterReport(value, *_rest(kind, params, name)) for name, value in values.items()}),
         _configuration(component, values),
         MappingProxyType({member.context.name: member.state.value for member in component._rt_members}),
-        None if error is None else f"{type(error).__name__}: {error}",
+        None if error is None else said(error),
         () if component._rt_log is None else component._rt_log.last_lines,
     )
 

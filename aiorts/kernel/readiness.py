@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import ClosedError, TransitionTimeout
+from aiorts.errors import ClosedError, TransitionTimeout, said
 from aiorts.kernel.bus import Event
 from aiorts.model.lifecycle import LifeCycleState
 
@@ -74,6 +74,6 @@ def missing(kernel: Kernel, names: Sequence[str] = ()) -> list[str]:
             continue
         where = ", ".join(f"{state} in {context}" for context, state in states.items()) or "in no context"
         error = component.last_error
-        why = "" if error is None else f" ({type(error).__name__}: {error})"
+        why = "" if error is None else f" ({said(error)})"
         found.append(f"{name} is {where}{why}")
     return found

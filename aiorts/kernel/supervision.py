@@ -1,21 +1,23 @@
 """Helps components out of error as their policy says: `model/supervision.py` decides when, this carries it out.
 
 For each supervised component there is at most one task, only while it is in error. A reset runs `on_reset` and
-activates again. A restart puts a new instance of the same name in the old one's place: parameters in force, contexts,
-place in their order and connectors are as they were; what was queued in the connectors is dropped as disconnected.
+activates again. A restart puts a new instance of the same name in the old one's place: configuration, contexts, place
+in their order and in a composite, and connectors are as they were; what was queued in these is dropped as disconnected.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
-from aiorts.errors import ClosedError, DeclarationError, StateError
+from aiorts.errors import ClosedError, DeclarationError, said
 from aiorts.kernel.bus import ComponentRemoved, Event, StateChanged
+from aiorts.kernel.standing import Standing, instance_of, reset_whole, standing_of
 from aiorts.kernel.tasks import current_task, kernel_task
+from aiorts.kernel.unfold import is_composite
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.supervision import Attempts, Supervision
 
@@ -63,7 +65,8 @@ class _Place:
     """With the place in the order, and whether it is to be active there."""
     connectors: list[ConnectorProfile]
     """Their first port is the writer's."""
-    params: dict[str, Any] = field(default_factory=dict)
+    standing: Standing
+    """Its configuration, and its place in a composite."""
 
 
 class Supervised:
@@ -119,6 +122,9 @@ class Supervisor:
         """From now on; what was said of this component before does not count."""
         if not isinstance(policy, Supervision):
             raise DeclarationError(f"{component.name}: expected Supervision(...), got {policy!r}")
+        if is_composite(component) and (policy.restart == "restart" or policy.limits is not None):
+            what = "cannot be made anew" if policy.restart == "restart" else "runs no hooks of its own"
+            raise DeclarationError(f'{component.name}: a composite {what}; supervise its members, or restart="reset"')
         self._drop(component.name)
         one = self.supervised[component.name] = Supervised(component, policy, factory or type(component))
         _limit(component, policy)
@@ -206,6 +212,9 @@ class Supervisor:
 
     async def _reset(self, one: Supervised) -> None:
         component = one.component
+        if is_composite(component):
+            await reset_whole(component)
+            return
         if component._rt_abandoned is not None:
             # Nothing of it runs again: another attempt would end no better.
             one._attempts.exhausted = True
@@ -228,28 +237,31 @@ class Supervisor:
                 await kernel.remove(old)
             finally:
                 one._removing = False
-        new = one._factory(one.name)
-        if new.name != one.name:
-            raise StateError(f"{one.name}: its factory made a component named {new.name!r}")
-        await kernel.add(new, **{name: value for name, value in place.params.items() if name in new.params})
+        new = instance_of(kernel, one.name, one._factory)
+        place.standing.configure(new)
+        await kernel.add(new)
         one.component = new
         _limit(new, one.policy)
-        _connect(kernel, place)
+        kept = place.standing.kept
+        _connect(kernel, [profile for profile in place.connectors if profile.name in kept])
+        await place.standing.join(kernel, new)
+        _connect(kernel, [profile for profile in place.connectors if profile.name not in kept])
         for context, order, active in place.contexts:
             if context.running and kernel.contexts.get(context.name) is context:
-                await context.add(new)
+                if context not in new.contexts:
+                    await context.add(new)
                 await context._ask([(f"put {new.name} in its place", _putting(context, new, order))], 5.0)
-                if active:
+                if active and context.state(new) is _INACTIVE:
                     await context.activate(new)
         one._place = None
 
 
 def _said(error: BaseException | None) -> str:
-    return "an unknown error" if error is None else f"{type(error).__name__}: {error}"
+    return "an unknown error" if error is None else said(error)
 
 
 def _in_error(component: Component) -> bool:
-    return any(member.state is _ERROR for member in component._rt_members)
+    return any(state is _ERROR for state in component.states.values())
 
 
 def _limit(component: Component, policy: Supervision) -> None:
@@ -264,16 +276,16 @@ def _place_of(component: Component) -> _Place:
     found = {connector.name: connector for port in component.ports.values() for connector in port.connectors}
     # One from the component to itself hangs on two of its ports.
     profiles = [_with_ends(connector.profile, connector.out.path, connector.in_.path) for connector in found.values()]
-    return _Place(contexts, profiles, component.params.values_in_force)
+    return _Place(contexts, profiles, standing_of(component))
 
 
 def _with_ends(profile: ConnectorProfile, out: str, in_: str) -> ConnectorProfile:
     return replace(profile, ports=(out, in_, *(path for path in profile.ports if path not in (out, in_))))
 
 
-def _connect(kernel: Kernel, place: _Place) -> None:
+def _connect(kernel: Kernel, profiles: Sequence[ConnectorProfile]) -> None:
     """Connect anew what there still is; a port that was added at run time may be missing."""
-    for profile in place.connectors:
+    for profile in profiles:
         try:
             kernel._connections.renew(profile)
         except ValueError as error:

@@ -18,12 +18,16 @@ from aiorts import (
     ExternalContext,
     HookAfter,
     HookBefore,
+    InPort,
     Kernel,
+    PortAdded,
+    PortRemoved,
     SimulatedClock,
     StateChanged,
 )
 from aiorts.model.lifecycle import HOOKS
-from aiorts.testing import simulate
+from aiorts.testing import simulate, simulated
+from aiorts.types import TimedDouble
 from kernel_parts import PlainDiary, raising
 
 
@@ -186,3 +190,70 @@ def test_every_hook_is_told_before_and_after_with_its_outcome() -> None:
         assert failed == ["on_execute"]
 
     simulate(main)
+
+
+@pytest.mark.row(84, 105)
+@simulated
+async def test_what_an_observer_causes_is_told_after_what_it_follows_from() -> None:
+    """Whatever observers do, each of them hears of everything in the order in which it happened."""
+    heard: dict[str, list[Event]] = {"early": [], "late": []}
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        joined: list[Event] = []
+
+        def answers(event: StateChanged) -> None:
+            if not part.ports:
+                part.add_port("more", InPort(TimedDouble))
+                kernel.bus.subscribe(Event, joined.append)
+
+        kernel.bus.subscribe(Event, heard["early"].append)
+        kernel.bus.subscribe(StateChanged, answers)
+        kernel.bus.subscribe(Event, heard["late"].append)
+        async with kernel.watch() as watch:
+            fresh = await anext(watch)
+            await kernel.start(ExternalContext(), part, activate=True)
+            told = [change.sequence for change in [await anext(watch) for _ in range(3)]]
+        kinds = ["ContextStarted", "StateChanged", "PortAdded"]
+        for name in ("early", "late"):
+            assert [type(event).__name__ for event in heard[name]] == kinds
+            assert [event.sequence for event in heard[name]] == told
+        assert told == list(range(fresh.sequence + 1, fresh.sequence + 4))
+        assert joined == []  # what had happened before it was there is not told
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_who_was_unsubscribed_hears_nothing_more() -> None:
+    heard: list[Event] = []
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        kernel.bus.subscribe(StateChanged, lambda event: off())
+        off = kernel.bus.subscribe(StateChanged, heard.append)
+        await kernel.start(ExternalContext(), part, activate=True)
+        assert heard == []
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_observers_that_answer_for_ever_do_not_hold_the_loop() -> None:
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        heard: list[int] = []
+
+        def undo(event: PortAdded) -> None:
+            part.remove_port("more")
+
+        def again(event: PortRemoved) -> None:
+            part.add_port("more", InPort(TimedDouble))
+
+        ways = kernel.bus.subscribe(PortAdded, undo), kernel.bus.subscribe(PortRemoved, again)
+        kernel.bus.subscribe(Event, lambda event: heard.append(event.sequence))
+        part.add_port("more", InPort(TimedDouble))
+        assert len(heard) <= 1001
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert len(heard) > 1001
+        for unsubscribe in ways:
+            unsubscribe()
+        await asyncio.sleep(0)
+        assert heard == list(range(heard[0], kernel.bus.sequence + 1))

@@ -1,0 +1,203 @@
+"""A restart brings everything back that the old instance stood for, whatever its constructor and exceptions do."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from aiorts import (
+    Component,
+    Composite,
+    InPort,
+    Kernel,
+    LifeCycleState,
+    OutPort,
+    Param,
+    PeriodicContext,
+    SimulatedClock,
+    Supervision,
+)
+from aiorts.errors import DeclarationError, TransitionTimeout
+from aiorts.testing import simulated
+from aiorts.types import TimedDouble
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+A, E, I = LifeCycleState.ACTIVE, LifeCycleState.ERROR, LifeCycleState.INACTIVE  # noqa: E741
+
+
+class Unprintable(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError("no text")
+
+    __repr__ = __str__
+
+
+class Part(Component):
+    """Fails in its next cycle when told so."""
+
+    inp = InPort(TimedDouble)
+    out = OutPort(TimedDouble)
+    gain = Param(1.0)
+    configurations = {"soft": {"gain": 0.5}}  # noqa: RUF012
+    raises: BaseException | None = None
+    ran = 0
+
+    def on_execute(self) -> None:
+        if self.raises is not None:
+            error, self.raises = self.raises, None
+            raise error
+        self.ran += 1
+
+
+@pytest.mark.row(17)
+@pytest.mark.fault("A18")
+@pytest.mark.parametrize("action", ["reset", "restart"])
+@simulated
+async def test_a_component_whose_exception_has_no_text_is_helped_as_any(
+    action: str, simulated_clock: SimulatedClock
+) -> None:
+    async with Kernel() as kernel:
+        one = await kernel.create(Part, "one")
+        handle = kernel.supervise(one, Supervision(action, backoff=1.0))
+        await kernel.start(PeriodicContext(100.0), one, activate=True)
+        one.raises = Unprintable()
+        await simulated_clock.advance(0.1)
+        assert one.state is E
+        with pytest.raises(TransitionTimeout, match=r"one is error in \S+ \(Unprintable: \(its text cannot be had\)\)"):
+            await kernel.wait_ready("one", timeout=0.1)
+        assert kernel.profile().components["one"].last_error == "Unprintable: (its text cannot be had)"
+        assert one.profile.last_error == "Unprintable: (its text cannot be had)"
+        await simulated_clock.advance(3.0)
+        assert kernel.components["one"].state is A
+        assert handle.attempts == 1
+
+
+@pytest.mark.fault("A18")
+@pytest.mark.parametrize(
+    "error", [SystemExit(3), asyncio.CancelledError(), GeneratorExit(), BaseExceptionGroup("all", [SystemExit(3)])]
+)
+@simulated
+async def test_a_constructor_that_ends_the_process_ends_nothing_but_its_attempt(
+    error: BaseException, simulated_clock: SimulatedClock
+) -> None:
+    made = 0
+
+    class Late(Part):
+        def __init__(self, name: str = "") -> None:
+            super().__init__(name)
+            nonlocal made
+            made += 1
+            if made == 2:
+                raise error
+
+    async with Kernel() as kernel:
+        one, other = await kernel.create(Late, "one"), await kernel.create(Part, "other")
+        handle = kernel.supervise(one, Supervision("restart"))
+        await kernel.start(PeriodicContext(100.0), one, other, activate=True)
+        one.raises = ValueError("first")
+        await simulated_clock.advance(2.0)
+        assert made == 3
+        assert handle.attempts == 2
+        assert kernel.components["one"].state is A
+        assert other.ran >= 199
+
+
+def _no_component(name: str) -> Any:
+    return name
+
+
+@pytest.mark.parametrize("factory", [_no_component, lambda name: Component.__new__(Part)])
+@simulated
+async def test_a_factory_that_makes_no_component_uses_the_budget_and_says_so(
+    factory: Callable[[str], Any], simulated_clock: SimulatedClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Kernel() as kernel:
+        one = await kernel.create(Part, "one")
+        handle = kernel.supervise(one, Supervision("restart", budget=2), factory=factory)
+        await kernel.start(PeriodicContext(100.0), one, activate=True)
+        one.raises = ValueError("first")
+        await simulated_clock.advance(10.0)
+        assert handle.exhausted
+        assert "expected a component of that name" in caplog.text
+
+
+@pytest.mark.row(17)
+@simulated
+async def test_sets_the_active_one_and_added_parameters_are_as_they_were(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        one = await kernel.create(Part, "one")
+        kernel.supervise(one, Supervision("restart"))
+        await kernel.start(PeriodicContext(100.0), one, activate=True)
+        await one.add_param("speed", Param(2.0, ge=0.0))
+        await one.configuration.add("stiff", {"gain": 9.0})
+        await one.configuration.activate("soft")
+        await one.configure(speed=7.0)
+        before = one.configuration.profile
+        one.raises = ValueError("first")
+        await simulated_clock.advance(1.0)
+        now: Any = kernel.components["one"]
+        assert now is not one
+        assert now.state is A
+        assert now.configuration.profile == before
+        assert (now.gain, now.speed, now.configuration.active) == (0.5, 7.0, "soft")
+        await now.configuration.activate("default")
+        assert (now.gain, now.speed) == (1.0, 2.0)
+        await now.remove_param("speed")
+
+
+@pytest.mark.row(17, 98, 100)
+@pytest.mark.parametrize("errors", ["stop", "isolate"])
+@pytest.mark.parametrize("groups", ["", "first,one|last"])
+@simulated
+async def test_a_member_made_anew_is_a_member_in_its_place(
+    errors: str, groups: str, simulated_clock: SimulatedClock
+) -> None:
+    async with Kernel() as kernel:
+        first, one, last, aside = [await kernel.create(Part, name) for name in ("first", "one", "last", "aside")]
+        home = await kernel.start(PeriodicContext(10.0), one)
+        inner = await kernel.connect(first.out, one.inp, name="inner")
+        whole = await kernel.add(
+            Composite("whole", first, one, last, exported=["one.out"], errors=errors, groups=groups)
+        )
+        outer = await kernel.connect(whole.ports["out"], aside.inp, name="outer")
+        kernel.supervise(one, Supervision("restart"))
+        context = await kernel.start(PeriodicContext(100.0), whole, activate=True)
+        one.raises = ValueError("first")
+        await simulated_clock.advance(1.0)
+        now: Any = kernel.components["one"]
+        assert now is not one
+        assert (inner.closed, outer.closed) == (True, True)
+        assert whole.members == (first, now, last)
+        assert whole.groups == ((("first", "one"), ("last",)) if groups else ())
+        assert context.members == (first, now, last)
+        assert whole.ports["out"] is now.out
+        assert set(kernel.connectors) == {"inner", "outer"}
+        assert now.state is A
+        assert now.ran > 10
+        await whole.remove_members(now)
+        assert set(kernel.connectors) == {"inner"}  # what came by way of the composite goes with the membership
+        assert home.members == (now,)
+
+
+@pytest.mark.row(17, 100)
+@simulated
+async def test_a_composite_is_supervised_as_one(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Part, "one"), await kernel.create(Part, "two")
+        whole = await kernel.add(Composite("whole", one, two))
+        handle = kernel.supervise(whole, Supervision("reset"))
+        await kernel.start(PeriodicContext(100.0), whole, activate=True)
+        one.raises = ValueError("first")
+        await simulated_clock.advance(0.05)
+        assert (whole.state, one.state, two.state) == (E, E, I)
+        await simulated_clock.advance(1.0)
+        assert (whole.state, one.state, two.state) == (A, A, A)
+        assert handle.attempts == 1
+        with pytest.raises(DeclarationError, match="cannot be made anew; supervise its members"):
+            kernel.supervise(whole, Supervision("restart"))
+        with pytest.raises(DeclarationError, match="runs no hooks of its own; supervise its members"):
+            kernel.supervise(whole, Supervision("reset", deadline=1.0))
