@@ -15,7 +15,7 @@ from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from aiorts.errors import DeclarationError
-from aiorts.kernel.observers import AsyncObserver, Observer, ObserverStatistics, is_async
+from aiorts.kernel.observers import AsyncObserver, Observer, ObserverStatistics, check_length, is_async
 
 if TYPE_CHECKING:
     from aiorts.model.blame import Blame
@@ -110,14 +110,14 @@ class Disconnected(Event):
 
 @dataclass(frozen=True, slots=True)
 class ContextStarted(Event):
-    """An execution context runs."""
+    """An execution context runs, with the members it was started with."""
 
     context: str
 
 
 @dataclass(frozen=True, slots=True)
 class ContextStopped(Event):
-    """An execution context has ended; `error` says why if nobody asked for it."""
+    """An execution context has ended and has no members any more; `error` says why if nobody asked for it."""
 
     context: str
     error: str | None = None
@@ -125,7 +125,7 @@ class ContextStopped(Event):
 
 @dataclass(frozen=True, slots=True)
 class MemberAdded(Event):
-    """A component was attached to a context."""
+    """A component was attached to a context that runs."""
 
     context: str
     component: str
@@ -133,7 +133,7 @@ class MemberAdded(Event):
 
 @dataclass(frozen=True, slots=True)
 class MemberRemoved(Event):
-    """A component was detached from a context."""
+    """A component was detached from a context that goes on."""
 
     context: str
     component: str
@@ -289,9 +289,15 @@ class Bus:
         A plain function is called at once, on the loop: it must not take long. An `async def` is awaited in a task of
         its own, one event after the other; at most `length` events wait for it, the oldest beyond are dropped and
         counted. One that raises is counted and logged, and goes on being called.
+
+        Raises:
+            DeclarationError: not a class of events, or nothing to call. ConfigurationError: the length is none.
         """
         if not (isinstance(kind, type) and issubclass(kind, Event)):
             raise DeclarationError(f"subscribe({kind!r}): expected a class of events, such as StateChanged")
+        if not callable(observer):
+            raise DeclarationError(f"subscribe({kind.__name__}): expected a function to call, got {observer!r:.80}")
+        check_length("subscribe", length)
         entry = (AsyncObserver if is_async(observer) else Observer)(kind, observer, length)
         self._observers += (entry,)
         self._recount()

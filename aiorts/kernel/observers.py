@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from time import monotonic_ns
 from typing import Any, Final
 
+from aiorts.errors import ConfigurationError
 from aiorts.kernel.tasks import kernel_task
 
-__all__ = ("AsyncObserver", "Observer", "ObserverStatistics", "is_async")
+__all__ = ("AsyncObserver", "Observer", "ObserverStatistics", "check_length", "is_async")
 
 _LOG = logging.getLogger("aiorts.kernel")
 _SLOW_NS: Final = 50_000_000
@@ -144,6 +145,12 @@ class AsyncObserver(Observer):
         self.end()
         if task is not None and not task.done():
             await asyncio.wait([task], timeout=_PATIENCE)
+
+
+def check_length(where: str, length: object) -> None:
+    """Raise ConfigurationError unless so many events can wait."""
+    if isinstance(length, bool) or not isinstance(length, int) or length < 1:
+        raise ConfigurationError(f"{where}: length = {length!r}: expected a whole number from 1 on")
 
 
 def is_async(call: object) -> bool:

@@ -122,6 +122,8 @@ class Supervisor:
         """From now on; what was said of this component before does not count."""
         if not isinstance(policy, Supervision):
             raise DeclarationError(f"{component.name}: expected Supervision(...), got {policy!r}")
+        if factory is not None and not callable(factory):
+            raise DeclarationError(f"{component.name}: factory = {factory!r:.80}: expected a function of a name")
         if is_composite(component) and (policy.restart == "restart" or policy.limits is not None):
             what = "cannot be made anew" if policy.restart == "restart" else "runs no hooks of its own"
             raise DeclarationError(f'{component.name}: a composite {what}; supervise its members, or restart="reset"')

@@ -88,7 +88,7 @@ class SystemdLink:
         self._notifier = notifier
         self._interval = interval
         self._tick = _TICK if interval is None else min(_TICK, interval / _SHARE)
-        self._names = tuple(one if isinstance(one, str) else one.name for one in components)
+        self._names = readiness.names_of(components)
         self._seen: dict[str, tuple[int, float]] = {}
         """By context: what it did last, and since when."""
         self._told: set[str] = set()

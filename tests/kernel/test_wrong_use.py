@@ -1,0 +1,79 @@
+"""Arguments that cannot be meant: each is one error of aiorts that says what was expected, and nothing is changed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from aiorts import Component, Kernel, Param, PeriodicContext, StateChanged, Supervision
+from aiorts.errors import AiortsError
+from aiorts.testing import simulated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Pid(Component):
+    gain = Param(1.0)
+
+
+async def _now(result: object) -> None:
+    """For calls that are not awaited."""
+
+
+CALLS: dict[str, tuple[Callable[[Kernel, Any], Any], str]] = {
+    "change list": (lambda k, c: c.configuration.change("default", []), "pid0: expected values by parameter"),
+    "change text": (lambda k, c: c.configuration.change("default", "gain=1"), "pid0: expected values by parameter"),
+    "change none": (lambda k, c: c.configuration.change("default", None), "pid0: expected values by parameter"),
+    "add a set": (lambda k, c: c.configuration.add("soft", 3), r"pid0 \(set soft\): expected values by parameter"),
+    "replace sets": (lambda k, c: c.configuration.replace([]), "pid0: expected sets by name"),
+    "merge sets": (lambda k, c: c.configuration.merge("soft"), "pid0: expected sets by name"),
+    "merge a set": (
+        lambda k, c: c.configuration.merge({"soft": 3}),
+        r"pid0 \(set soft\): expected values by parameter",
+    ),
+    "wait for list": (lambda k, c: k.wait_ready([c]), "expected components or their names, one argument each"),
+    "wait for number": (lambda k, c: k.wait_ready(3), "3: expected components or their names"),
+    "systemd": (
+        lambda k, c: _now(k.notify_systemd(3, environ={"NOTIFY_SOCKET": "/nowhere/aiorts"})),  # type: ignore[arg-type]
+        "3: expected components or their names",
+    ),
+    "start in order text": (lambda k, c: k.start_in_order("pid0"), r"expected rules, such as \[StartRule"),
+    "start in order names": (lambda k, c: k.start_in_order(["pid0"]), r"expected rules, such as \[StartRule"),
+    "monitor number": (lambda k, c: _now(k.monitor([3])), r"expected a list of paths"),  # type: ignore[list-item]
+    "monitor all of it": (
+        lambda k, c: _now(k.monitor(["pid0"])),
+        "pid0: is a component; say what of it, such as pid0.state",
+    ),
+    "watch of none": (lambda k, c: _now(k.watch(length=0)), "watch: length = 0: expected a whole number from 1 on"),
+    "watch of text": (lambda k, c: _now(k.watch(length="8")), "watch: length = '8': expected"),  # type: ignore[arg-type]
+    "subscribe length": (
+        lambda k, c: _now(k.bus.subscribe(StateChanged, print, length=-1)),
+        "subscribe: length = -1: expected a whole number",
+    ),
+    "subscribe nobody": (
+        lambda k, c: _now(k.bus.subscribe(StateChanged, None)),  # type: ignore[arg-type]
+        r"subscribe\(StateChanged\): expected a function to call, got None",
+    ),
+    "supervise a name": (lambda k, c: _now(k.supervise("pid0", Supervision())), "'pid0': does not belong to"),  # type: ignore[arg-type]
+    "factory": (
+        lambda k, c: _now(k.supervise(c, Supervision("restart"), factory=3)),  # type: ignore[arg-type]
+        "pid0: factory = 3: expected a function of a name",
+    ),
+    "remove a name": (lambda k, c: k.remove("pid0"), "'pid0': does not belong to"),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+@simulated
+async def test_what_cannot_be_meant_is_said_and_changes_nothing(name: str) -> None:
+    call, why = CALLS[name]
+    async with Kernel() as kernel:
+        pid = await kernel.create(Pid, "pid0")
+        await kernel.start(PeriodicContext(100.0), pid, activate=True)
+        kernel.supervise(pid, Supervision())
+        before = pid.configuration.profile, kernel.profile().structure(), kernel.bus.observers
+        with pytest.raises(AiortsError, match=why):
+            await call(kernel, pid)
+        assert (pid.configuration.profile, kernel.profile().structure(), kernel.bus.observers) == before
