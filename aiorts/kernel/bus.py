@@ -255,8 +255,11 @@ _HOOKS = (HookBefore, HookAfter)
 class Bus:
     """Who wants to hear of what."""
 
-    def __init__(self, wanted_changed: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, wanted_changed: Callable[[], None] = lambda: None, check_thread: Callable[[str], None] = lambda what: None
+    ) -> None:
         self._wanted_changed = wanted_changed
+        self._check_thread = check_thread
         self._observers: tuple[Observer, ...] = ()
         self._wanted: dict[type[Event], bool] = {}
         self.hooks_wanted = False
@@ -292,17 +295,20 @@ class Bus:
 
         Raises:
             DeclarationError: not a class of events, or nothing to call. ConfigurationError: the length is none.
+            ThreadError: not on the kernel's loop.
         """
         if not (isinstance(kind, type) and issubclass(kind, Event)):
             raise DeclarationError(f"subscribe({kind!r}): expected a class of events, such as StateChanged")
         if not callable(observer):
             raise DeclarationError(f"subscribe({kind.__name__}): expected a function to call, got {observer!r:.80}")
         check_length("subscribe", length)
+        self._check_thread("bus.subscribe")
         entry = (AsyncObserver if is_async(observer) else Observer)(kind, observer, length)
         self._observers += (entry,)
         self._recount()
 
         def unsubscribe() -> None:
+            self._check_thread("unsubscribe")
             if entry in self._observers:
                 self._observers = tuple(one for one in self._observers if one is not entry)
                 entry.end()

@@ -70,7 +70,7 @@ class Kernel(ConfigurationFiles, Introspection, Supervising):
     ) -> None:
         self.name = check_name(name, "kernel")
         self.debug = debug
-        self.bus = Bus(self._hooks_wanted_changed)
+        self.bus = Bus(self._hooks_wanted_changed, self.check_thread)
         self.exit_status = 0
         """What `request_stop` said."""
         self.plugins = Catalogue.default() if plugins is None else plugins
