@@ -368,9 +368,9 @@ class Bus:
                     observer.failed(event)
                 observer.took(perf_counter_ns() - began_ns, event)
 
-    async def aclose(self) -> None:
-        """Give the asynchronous observers a second for what waits, and end them."""
-        await asyncio.gather(*(observer.aclose() for observer in self._observers))
+    async def aclose(self, patience: float = 1.0) -> None:
+        """Give the asynchronous observers `patience` seconds for what waits, and end them."""
+        await asyncio.gather(*(observer.aclose(patience) for observer in self._observers))
 
     def wants(self, kind: type[Event]) -> bool:
         """Whether anybody would be told of an event of `kind`: what is costly to say is not said to nobody."""

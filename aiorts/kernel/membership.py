@@ -137,7 +137,9 @@ class Wanted:
         for name in self.removing:
             if name not in here:
                 raise StateError(f"{name}: is no member of {composite.name}; it has {', '.join(here) or 'none'}")
-        kept = [one for one in members if (one if isinstance(one, str) else one.name) not in self.removing]
+        kept = [
+            one for one in members if (one if isinstance(one, str) else getattr(one, "name", "")) not in self.removing
+        ]
         return [*kept, *self.adding]
 
 

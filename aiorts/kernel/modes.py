@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.life import Done, Steps
     from aiorts.kernel.machine_events import MachineChanged
     from aiorts.kernel.member import Member
+    from aiorts.kernel.state_machine import StateMachine
 
 __all__ = ("ModeChanged", "MultiModeComponent", "Participant")
 
@@ -168,6 +169,9 @@ class Participant(Component):
 
     `on_action` runs in the participant's own context, between two cycles, while it is active.
     """
+
+    _rt_machines: tuple[StateMachine, ...] = ()
+    """The machines that tell it."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

@@ -12,7 +12,8 @@ from time import monotonic_ns
 from typing import Any, Final
 
 from aiorts.errors import ConfigurationError
-from aiorts.kernel.tasks import kernel_task
+from aiorts.kernel.deadlines import CANCELLATIONS
+from aiorts.kernel.tasks import kernel_task, leave_behind
 
 __all__ = ("AsyncObserver", "Observer", "ObserverStatistics", "check_length", "is_async")
 
@@ -20,8 +21,8 @@ _LOG = logging.getLogger("aiorts.kernel")
 _SLOW_NS: Final = 50_000_000
 """A plain observer that takes longer is named."""
 _TELL_EVERY_NS: Final = 5_000_000_000
-_PATIENCE: Final = 1.0
-"""Seconds that an asynchronous observer has for what waits when its kernel closes."""
+_GRACE: Final = 0.02
+"""Seconds between two cancellations of one that has not ended when its time is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +91,8 @@ class Observer:
         """It was unsubscribed."""
         self.ended = True
 
-    async def aclose(self) -> None:
-        """The kernel closes."""
+    async def aclose(self, patience: float) -> None:
+        """The kernel closes: `patience` s for what waits."""
 
     def _may_tell(self, what: str) -> bool:
         now = monotonic_ns()
@@ -125,9 +126,9 @@ class AsyncObserver(Observer):
                 self._calls += 1
                 try:
                     await self._call(event)  # type: ignore[misc] # a coroutine function
-                except (KeyboardInterrupt, asyncio.CancelledError):
-                    raise
-                except BaseException:  # noqa: BLE001 - an observer's fault must not become the kernel's
+                except BaseException as error:
+                    if isinstance(error, KeyboardInterrupt) or _is_cancelled(error):
+                        raise
                     self.failed(event)
         finally:
             self._task = None
@@ -138,13 +139,25 @@ class AsyncObserver(Observer):
         if self._task is not None and self._task is not asyncio.current_task():
             self._task.cancel()
 
-    async def aclose(self) -> None:
+    async def aclose(self, patience: float) -> None:
         task = self._task
         if task is not None:
-            await asyncio.wait([task], timeout=_PATIENCE)
+            await asyncio.wait([task], timeout=patience)
         self.end()
+        for _ in range(CANCELLATIONS):
+            if task is None or task.done():
+                return
+            task.cancel()
+            await asyncio.wait([task], timeout=_GRACE)
         if task is not None and not task.done():
-            await asyncio.wait([task], timeout=_PATIENCE)
+            _LOG.error("observer %s ignored %s cancellations and was left behind", self._name, CANCELLATIONS)
+            leave_behind(task)
+
+
+def _is_cancelled(error: BaseException) -> bool:
+    """Whether this task is to end; else it awaited what somebody has cancelled, which is an error of its own."""
+    task = asyncio.current_task()
+    return isinstance(error, asyncio.CancelledError) and task is not None and task.cancelling() > 0
 
 
 def check_length(where: str, length: object) -> None:

@@ -247,6 +247,8 @@ class Roster:
         if self.components.pop(component.name, None) is not None:
             self._leave_out(component)
         component._rt_host.alive = False
+        for machine in getattr(component, "_rt_machines", ()):
+            machine.remove_participant(component)
         for port in component.ports.values():
             if isinstance(port, InPort | ServicePort):
                 port._wake_waiter()

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.composed import Composed
     from aiorts.kernel.homes import Home
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.modes import Participant
+    from aiorts.kernel.state_machine import StateMachine
 
 __all__ = ("Standing", "instance_of", "reset_whole", "standing_of")
 
@@ -38,6 +40,10 @@ class Standing:
     kept: frozenset[str]
     """Connectors that its ports had before the composite exported them."""
     homes: tuple[Home, ...]
+    machines: tuple[StateMachine, ...]
+    """Machines that told it of their changes."""
+    participants: tuple[Participant, ...]
+    """Those that its own machine told."""
 
     def configure(self, new: Component) -> None:
         """Give an instance that belongs to no kernel yet the sets, the active one and the parameters of the old.
@@ -60,9 +66,10 @@ class Standing:
         return state.replaced(sets, old.active, owner)
 
     async def join(self, kernel: Kernel, new: Component) -> None:
-        """Take the old one's place in its composite, if there still is one."""
+        """Take the old one's place in its composite, if there still is one, and among participants."""
         from aiorts.kernel import membership
 
+        self._take_part(kernel, new)
         composite = self.composite
         if composite is None or kernel.components.get(composite.name) is not composite:
             return
@@ -70,6 +77,15 @@ class Standing:
         members.insert(self.place, new)
         await membership.change(composite, membership.Wanted(members), 5.0)
         new._rt_homes = self.homes
+
+    def _take_part(self, kernel: Kernel, new: Any) -> None:
+        if hasattr(new, "_rt_machines"):
+            for machine in self.machines:
+                machine.add_participant(new)
+        own: Any = getattr(new, "machine", None)
+        for one in self.participants if hasattr(own, "add_participant") else ():
+            if kernel.components.get(one.name) is one:
+                own.add_participant(one)
 
 
 def standing_of(component: Component) -> Standing:
@@ -85,6 +101,8 @@ def standing_of(component: Component) -> Standing:
         0 if composite is None else composite._rt_direct.index(component),
         frozenset(connector.name for connectors in known for connector in connectors),
         component._rt_homes,
+        getattr(component, "_rt_machines", ()),
+        getattr(getattr(component, "machine", None), "_participants", ()),
     )
 
 

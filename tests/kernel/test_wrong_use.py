@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, Kernel, Param, PeriodicContext, StateChanged, Supervision
+from aiorts import Component, Composite, Kernel, Param, PeriodicContext, StateChanged, Supervision
 from aiorts.errors import AiortsError
 from aiorts.testing import simulated
 
@@ -77,3 +77,31 @@ async def test_what_cannot_be_meant_is_said_and_changes_nothing(name: str) -> No
         with pytest.raises(AiortsError, match=why):
             await call(kernel, pid)
         assert (pid.configuration.profile, kernel.profile().structure(), kernel.bus.observers) == before
+
+
+@pytest.mark.parametrize(
+    ("wishes", "why"),
+    [
+        ({"groups": 3}, "whole: groups = 3: expected groups of names"),
+        ({"groups": ["pid0"]}, r"whole: groups = \['pid0'\]: expected groups of names"),
+        ({"groups": [["pid0", 3]]}, "3: no member"),
+        ({"exported": 3}, "whole: exported = 3: expected patterns"),
+        ({"members": "pid0"}, "whole: members = 'pid0': expected a list of components or names"),
+        ({"members": 3}, "whole: members = 3: expected a list"),
+        ({"members": ["pid0", 3]}, "whole: expected components or their names, got 3"),
+    ],
+)
+@simulated
+async def test_nor_can_a_composite_be_made_of_anything(wishes: dict[str, Any], why: str) -> None:
+    async with Kernel() as kernel:
+        pid = await kernel.create(Pid, "pid0")
+        whole = await kernel.add(Composite("whole", pid))
+        await kernel.start(PeriodicContext(100.0), whole, activate=True)
+        before = kernel.profile().structure()
+        with pytest.raises(AiortsError, match=why):
+            await whole.change(**wishes)
+        with pytest.raises(AiortsError, match="3: is no member of whole; it has pid0"):
+            await whole.remove_members(3)  # type: ignore[arg-type]
+        with pytest.raises(AiortsError, match="expected components or their names, got 3"):
+            await whole.add_members(3)  # type: ignore[arg-type]
+        assert kernel.profile().structure() == before

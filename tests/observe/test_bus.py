@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 import time
 from typing import Any
 
@@ -20,6 +21,7 @@ from aiorts import (
     HookBefore,
     InPort,
     Kernel,
+    PeriodicContext,
     PortAdded,
     PortRemoved,
     SimulatedClock,
@@ -257,3 +259,93 @@ async def test_observers_that_answer_for_ever_do_not_hold_the_loop() -> None:
             unsubscribe()
         await asyncio.sleep(0)
         assert heard == list(range(heard[0], kernel.bus.sequence + 1))
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_an_observer_that_raises_cancelled_error_of_its_own_goes_on_being_called(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """As when it awaits a task that somebody else has cancelled."""
+    heard: list[str] = []
+
+    async def awaits_what_was_cancelled(event: ComponentAdded) -> None:
+        heard.append(event.component)
+        gone = asyncio.get_running_loop().create_future()
+        gone.cancel()
+        await gone
+
+    async with Kernel() as kernel:
+        kernel.bus.subscribe(ComponentAdded, awaits_what_was_cancelled)
+        for number in range(3):
+            await kernel.add(Part(f"part{number}"))
+        await asyncio.sleep(0.1)
+        assert heard == ["part0", "part1", "part2"]
+        statistics = kernel.bus.observers[0]
+        assert (statistics.calls, statistics.errors, statistics.waiting) == (3, 3, 0)
+    assert "awaits_what_was_cancelled failed" in caplog.text
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_an_observer_that_is_unsubscribed_while_it_waits_is_cancelled() -> None:
+    ended: list[str] = []
+
+    async def waits(event: ComponentAdded) -> None:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            ended.append(event.component)
+            raise
+
+    async with Kernel() as kernel:
+        off = kernel.bus.subscribe(ComponentAdded, waits)
+        await kernel.add(Part("part0"))
+        await kernel.add(Part("part1"))
+        await asyncio.sleep(0)
+        off()
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert ended == ["part0"]
+        assert kernel.bus.observers == ()
+
+
+class Deaf(Component):
+    async def on_execute(self) -> None:
+        await deaf()
+
+
+async def deaf() -> None:
+    while not FREE.is_set():
+        try:
+            await asyncio.sleep(3600)
+        except asyncio.CancelledError:
+            continue
+
+
+FREE = threading.Event()
+
+
+@pytest.mark.row(92, 105)
+@pytest.mark.parametrize("hooks", [0, 3])
+def test_observers_that_ignore_cancellation_do_not_delay_the_end_beyond_five_seconds(
+    hooks: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    FREE.clear()
+
+    async def ignores(event: Event) -> None:
+        await deaf()
+
+    async def main(clock: SimulatedClock) -> float:
+        async with Kernel() as kernel:
+            for _ in range(hooks):
+                await kernel.start(PeriodicContext(100.0), await kernel.create(Deaf), activate=True)
+            kernel.bus.subscribe(ComponentAdded, ignores)
+            await kernel.add(Part("part"))
+            await clock.advance(0.1)
+            began = clock.monotonic_ns()
+        return (clock.monotonic_ns() - began) / 1e9
+
+    took = simulate(main)  # it ends, and so would asyncio.run
+    assert took <= (5.0 if hooks else 1.2)
+    assert "ignores ignored 4 cancellations and was left behind" in caplog.text

@@ -8,15 +8,21 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import (
+    Chart,
     Component,
     Composite,
     InPort,
     Kernel,
     LifeCycleState,
+    MachineChanged,
+    On,
     OutPort,
     Param,
+    Participant,
     PeriodicContext,
     SimulatedClock,
+    State,
+    StateMachineComponent,
     Supervision,
 )
 from aiorts.errors import DeclarationError, TransitionTimeout
@@ -201,3 +207,55 @@ async def test_a_composite_is_supervised_as_one(simulated_clock: SimulatedClock)
             kernel.supervise(whole, Supervision("restart"))
         with pytest.raises(DeclarationError, match="runs no hooks of its own; supervise its members"):
             kernel.supervise(whole, Supervision("reset", deadline=1.0))
+
+
+class Door(StateMachineComponent):
+    chart = Chart(State("shut", On("go", to="open"), initial=True), State("open", On("go", to="shut")))
+    raises = False
+
+    async def on_state_update(self) -> None:
+        if self.raises:
+            raise ValueError("told to")
+
+
+class Watcher(Participant):
+    raises = False
+
+    def __init__(self, name: str = "") -> None:
+        super().__init__(name)
+        self.seen: list[tuple[str, ...]] = []
+
+    def on_action(self, change: MachineChanged) -> None:
+        self.seen.append(change.new)
+        if self.raises:
+            raise ValueError("told to")
+
+
+@pytest.mark.row(17, 18)
+@simulated
+async def test_machines_and_participants_made_anew_find_each_other(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        door, watcher = await kernel.add(Door("door")), await kernel.add(Watcher("watcher"))
+        for one in (door, watcher):
+            kernel.supervise(one, Supervision("restart"))
+        door.machine.add_participant(watcher)
+        with pytest.raises(DeclarationError, match="door: expected a Participant, got"):
+            door.machine.add_participant(door)  # type: ignore[arg-type]
+        await kernel.start(PeriodicContext(100.0), watcher, activate=True)
+        await kernel.start(PeriodicContext(100.0), door, activate=True)
+        watcher.raises = True
+        door.machine.send("go")
+        await simulated_clock.advance(1.0)
+        second: Any = kernel.components["watcher"]
+        assert second is not watcher
+        door.raises = True
+        await simulated_clock.advance(1.0)
+        another: Any = kernel.components["door"]
+        assert another is not door
+        second.seen.clear()
+        another.machine.send("go")
+        await simulated_clock.advance(0.1)
+        assert second.seen == [("open",)]
+        assert another.machine._participants == (second,)
+        await kernel.remove(second)
+        assert another.machine._participants == ()  # a machine holds nobody that has gone
