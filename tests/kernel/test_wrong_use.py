@@ -61,6 +61,8 @@ CALLS: dict[str, tuple[Callable[[Kernel, Any], Any], str]] = {
         lambda k, c: _now(k.supervise(c, Supervision("restart"), factory=3)),  # type: ignore[arg-type]
         "pid0: factory = 3: expected a function of a name",
     ),
+    "remove nobody": (lambda k, c: k.remove(None), "None: does not belong to"),  # type: ignore[arg-type]
+    "remove the kernel": (lambda k, c: k.remove(k), "kernel: does not belong to"),  # type: ignore[arg-type]
     "remove a name": (lambda k, c: k.remove("pid0"), "'pid0': does not belong to"),  # type: ignore[arg-type]
 }
 
