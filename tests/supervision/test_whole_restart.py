@@ -166,10 +166,11 @@ async def test_a_member_made_anew_is_a_member_in_its_place(
         first, one, last, aside = [await kernel.create(Part, name) for name in ("first", "one", "last", "aside")]
         home = await kernel.start(PeriodicContext(10.0), one)
         inner = await kernel.connect(first.out, one.inp, name="inner")
+        await kernel.connect(one.out, aside.inp, name="known")  # before the composite shows the port
         whole = await kernel.add(
             Composite("whole", first, one, last, exported=["one.out"], errors=errors, groups=groups)
         )
-        outer = await kernel.connect(whole.ports["out"], aside.inp, name="outer")
+        outer = await kernel.connect(whole.ports["out"], aside.inp, name="outer", allow_duplicate=True)
         kernel.supervise(one, Supervision("restart"))
         context = await kernel.start(PeriodicContext(100.0), whole, activate=True)
         one.raises = ValueError("first")
@@ -181,11 +182,14 @@ async def test_a_member_made_anew_is_a_member_in_its_place(
         assert whole.groups == ((("first", "one"), ("last",)) if groups else ())
         assert context.members == (first, now, last)
         assert whole.ports["out"] is now.out
-        assert set(kernel.connectors) == {"inner", "outer"}
+        assert set(kernel.connectors) == {"inner", "known", "outer"}
         assert now.state is A
         assert now.ran > 10
         await whole.remove_members(now)
-        assert set(kernel.connectors) == {"inner"}  # what came by way of the composite goes with the membership
+        assert set(kernel.connectors) == {
+            "inner",
+            "known",
+        }  # what came by way of the composite goes with the membership
         assert home.members == (now,)
 
 
