@@ -189,7 +189,7 @@ async def test_a_member_made_anew_is_a_member_in_its_place(
         assert set(kernel.connectors) == {
             "inner",
             "known",
-        }  # what came by way of the composite goes with the membership
+        }  # outer came by way of the composite
         assert home.members == (now,)
 
 
