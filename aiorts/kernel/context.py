@@ -190,6 +190,12 @@ class Context(Members):
         kernel = self._check("stop")
         await self._stop(StopBudget(kernel.loop))
 
+    def _of(self, kernel: Kernel) -> Context:
+        """This context; StateError when another kernel runs it."""
+        if self._kernel not in (None, kernel):
+            raise StateError(f"{self.name}: runs in another kernel than {kernel.name}; stop it there")
+        return self
+
     # -- for the kinds of context ----------------------------------------------------------------------------------
 
     def _next_cause(self) -> Wait | None:

@@ -325,9 +325,9 @@ class Kernel(ConfigurationFiles, Introspection, Supervising):
         return context
 
     async def stop(self, context: Context) -> None:
-        """Stop one context: see `Context.stop`."""
+        """Stop one context: see `Context.stop`. StateError: another kernel runs it."""
         self._require_open("stop")
-        await context.stop()
+        await context._of(self).stop()
 
     async def sleep(self, seconds: float) -> None:
         """Wait on the kernel's clock; a negative time is 0. ValueError for NaN and infinities."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import Component, Composite, Kernel, Param, PeriodicContext, StateChanged, Supervision
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, StateError
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:
@@ -107,3 +107,15 @@ async def test_nor_can_a_composite_be_made_of_anything(wishes: dict[str, Any], w
         with pytest.raises(AiortsError, match="expected components or their names, got 3"):
             await whole.add_members(3)  # type: ignore[arg-type]
         assert kernel.profile().structure() == before
+
+
+@simulated
+async def test_a_kernel_stops_its_own_contexts_alone() -> None:
+    async with Kernel("one") as one, Kernel("two") as two:
+        context = await one.start(PeriodicContext(100.0), await one.create(Pid), activate=True)
+        with pytest.raises(StateError, match="runs in another kernel than two; stop it there"):
+            await two.stop(context)
+        assert context.running
+        await one.stop(context)
+        await one.stop(context)
+        await two.stop(PeriodicContext(1.0))
