@@ -14,6 +14,7 @@ from typing import Any, Final
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.deadlines import CANCELLATIONS
 from aiorts.kernel.tasks import kernel_task, leave_behind
+from aiorts.model.values import shown
 
 __all__ = ("AsyncObserver", "Observer", "ObserverStatistics", "check_length", "is_async")
 
@@ -75,7 +76,7 @@ class Observer:
         """It raised; called where the exception is handled."""
         self._errors += 1
         if self._may_tell("error"):
-            _LOG.exception("observer %s failed at %r (%s times so far)", self._name, event, self._errors)
+            _LOG.exception("observer %s failed at %s (%s times so far)", self._name, shown(event), self._errors)
 
     def took(self, duration_ns: int, event: Any) -> None:
         """How long the loop was held."""

@@ -19,6 +19,7 @@ from aiorts import (
     ExternalContext,
     HookAfter,
     HookBefore,
+    HookFailed,
     InPort,
     Kernel,
     PeriodicContext,
@@ -349,3 +350,28 @@ def test_observers_that_ignore_cancellation_do_not_delay_the_end_beyond_five_sec
     took = simulate(main)  # it ends, and so would asyncio.run
     assert took <= (5.0 if hooks else 1.2)
     assert "ignores ignored 4 cancellations and was left behind" in caplog.text
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_an_observer_that_fails_at_an_event_that_cannot_be_printed_is_named(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Unprintable(Exception):
+        def __str__(self) -> str:
+            raise RuntimeError("no text")
+
+        __repr__ = __str__
+
+    class Fails(Component):
+        def on_execute(self) -> None:
+            raise Unprintable
+
+    def careless(event: HookFailed) -> None:
+        raise ValueError("told to")
+
+    async with Kernel() as kernel:
+        kernel.bus.subscribe(HookFailed, careless)
+        loop = await kernel.start(ExternalContext(), await kernel.create(Fails), activate=True)
+        await loop.tick()
+    assert "careless failed at <HookFailed that cannot be shown> (1 times so far)" in caplog.text
