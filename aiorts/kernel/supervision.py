@@ -245,9 +245,9 @@ class Supervisor:
         one.component = new
         _limit(new, one.policy)
         kept = place.standing.kept
-        _connect(kernel, [profile for profile in place.connectors if profile.name in kept])
+        self._connect([profile for profile in place.connectors if profile.name in kept])
         await place.standing.join(kernel, new)
-        _connect(kernel, [profile for profile in place.connectors if profile.name not in kept])
+        self._connect([profile for profile in place.connectors if profile.name not in kept])
         for context, order, active in place.contexts:
             if context.running and kernel.contexts.get(context.name) is context:
                 if context not in new.contexts:
@@ -256,6 +256,31 @@ class Supervisor:
                 if active and context.state(new) is _INACTIVE:
                     await context.activate(new)
         one._place = None
+
+    def _connect(self, profiles: Sequence[ConnectorProfile]) -> None:
+        """Connect anew what there still is; a port that was added at run time may be missing."""
+        for profile in profiles:
+            there = self._kernel.connectors.get(profile.name)
+            if there is not None and set(there.profile.ports) == set(profile.ports):
+                continue  # the other end was made anew, too, and has done it
+            other = self._made_anew(profile)
+            if other is not None and other._place is not None:
+                other._place.connectors.append(profile)
+                continue
+            try:
+                self._kernel._connections.renew(profile)
+            except ValueError as error:
+                _LOG.warning("%s: not connected again after the restart: %s", profile.name, error)
+
+    def _made_anew(self, profile: ConnectorProfile) -> Supervised | None:
+        """One of the ends that goes or is not there yet: it connects when it has come."""
+        for path in profile.ports:
+            other = self.supervised.get(path.partition(".")[0])
+            if other is None or other._place is None:
+                continue
+            if other._removing or self._kernel.components.get(other.name) is not other.component:
+                return other
+        return None
 
 
 def _said(error: BaseException | None) -> str:
@@ -283,15 +308,6 @@ def _place_of(component: Component) -> _Place:
 
 def _with_ends(profile: ConnectorProfile, out: str, in_: str) -> ConnectorProfile:
     return replace(profile, ports=(out, in_, *(path for path in profile.ports if path not in (out, in_))))
-
-
-def _connect(kernel: Kernel, profiles: Sequence[ConnectorProfile]) -> None:
-    """Connect anew what there still is; a port that was added at run time may be missing."""
-    for profile in profiles:
-        try:
-            kernel._connections.renew(profile)
-        except ValueError as error:
-            _LOG.warning("%s: not connected again after the restart: %s", profile.name, error)
 
 
 def _putting(context: Context, component: Component, order: int) -> Callable[[Done], Steps]:

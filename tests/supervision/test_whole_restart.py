@@ -263,3 +263,63 @@ async def test_machines_and_participants_made_anew_find_each_other(simulated_clo
         assert another.machine._participants == (second,)
         await kernel.remove(second)
         assert another.machine._participants == ()  # a machine holds nobody that has gone
+
+
+@pytest.mark.row(17)
+@simulated
+async def test_two_that_fail_together_are_connected_as_before_and_not_twice(
+    simulated_clock: SimulatedClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Part, "one"), await kernel.create(Part, "two")
+        await kernel.connect(one.out, two.inp, name="there", length=3)
+        await kernel.connect(two.out, one.inp, name="back")
+        profiles = {name: connector.profile for name, connector in kernel.connectors.items()}
+        for component in (one, two):
+            kernel.supervise(component, Supervision("restart"))
+        await kernel.start(PeriodicContext(100.0), one, two, activate=True)
+        for _ in range(3):
+            for name in ("one", "two"):
+                kernel.components[name].raises = ValueError("both")  # type: ignore[attr-defined]
+            await simulated_clock.advance(10.0)
+            assert {name: connector.profile for name, connector in kernel.connectors.items()} == profiles
+            now: Any = kernel.components
+            assert now["one"].state is now["two"].state is A
+            now["one"].out.write_nowait(TimedDouble(0, 7.0))
+            assert [sample.data for sample in now["two"].inp.drain()] == [7.0]
+        assert now["one"] is not one
+        assert "not connected again" not in caplog.text
+
+
+@pytest.mark.row(17)
+@pytest.mark.parametrize("after", range(0, 24, 2))
+@simulated
+async def test_nor_does_a_connector_get_lost_when_one_fails_while_the_other_is_made_anew(
+    after: int, simulated_clock: SimulatedClock, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Slow(Part):
+        async def on_initialize(self) -> None:
+            await self.sleep(0.03)
+
+        async def on_finalize(self) -> None:
+            await self.sleep(0.03)
+
+    async with Kernel() as kernel:
+        one, two = await kernel.create(Slow, "one"), await kernel.create(Slow, "two")
+        await kernel.connect(one.out, two.inp, name="there")
+        await kernel.connect(two.out, one.inp, name="back")
+        for component in (one, two):
+            kernel.supervise(component, Supervision("restart"))
+        await kernel.start(PeriodicContext(100.0), one, activate=True)
+        await kernel.start(PeriodicContext(100.0), two, activate=True)
+        one.raises = ValueError("first")
+        await simulated_clock.advance(0.01 * after)
+        two.raises = ValueError("second")
+        await simulated_clock.advance(5.0)
+        now: Any = kernel.components
+        assert now["one"] is not one
+        assert now["two"] is not two
+        assert set(kernel.connectors) == {"there", "back"}
+        now["one"].out.write_nowait(TimedDouble(0, 7.0))
+        assert [sample.data for sample in now["two"].inp.drain()] == [7.0]
+        assert "not connected again" not in caplog.text
