@@ -42,6 +42,7 @@ __all__ = (
     "WireError",
     "WiringError",
     "WriteTimeout",
+    "said",
 )
 
 _E = TypeVar("_E", bound="AiortsError")
@@ -265,3 +266,12 @@ class InterfaceMismatch(ServiceError, WiringError, TypeError):
     """What is provided is not what is required: names both ports and the difference."""
 
     code = "E-INTERFACE"
+
+
+def said(error: BaseException) -> str:
+    """`Class: text` of what somebody else's code raised; its `__str__` may be as bad as what raised it."""
+    try:
+        text = str(error)
+    except BaseException:  # noqa: BLE001 - the border of an exception that is a user's own
+        text = "(its text cannot be had)"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

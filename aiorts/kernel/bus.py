@@ -8,13 +8,14 @@ observer that comes late has missed what was before.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from aiorts.errors import DeclarationError
-from aiorts.kernel.observers import AsyncObserver, Observer, ObserverStatistics, is_async
+from aiorts.kernel.observers import AsyncObserver, Observer, ObserverStatistics, check_length, is_async
 
 if TYPE_CHECKING:
     from aiorts.model.blame import Blame
@@ -109,14 +110,14 @@ class Disconnected(Event):
 
 @dataclass(frozen=True, slots=True)
 class ContextStarted(Event):
-    """An execution context runs."""
+    """An execution context runs, with the members it was started with."""
 
     context: str
 
 
 @dataclass(frozen=True, slots=True)
 class ContextStopped(Event):
-    """An execution context has ended; `error` says why if nobody asked for it."""
+    """An execution context has ended and has no members any more; `error` says why if nobody asked for it."""
 
     context: str
     error: str | None = None
@@ -124,7 +125,7 @@ class ContextStopped(Event):
 
 @dataclass(frozen=True, slots=True)
 class MemberAdded(Event):
-    """A component was attached to a context."""
+    """A component was attached to a context that runs."""
 
     context: str
     component: str
@@ -132,7 +133,7 @@ class MemberAdded(Event):
 
 @dataclass(frozen=True, slots=True)
 class MemberRemoved(Event):
-    """A component was detached from a context."""
+    """A component was detached from a context that goes on."""
 
     context: str
     component: str
@@ -246,14 +247,19 @@ class CallFailed(Event):
 
 
 E = TypeVar("E", bound=Event)
+_AT_ONCE = 1000
+"""Events caused by observers that are told of before the loop has its turn."""
 _HOOKS = (HookBefore, HookAfter)
 
 
 class Bus:
     """Who wants to hear of what."""
 
-    def __init__(self, wanted_changed: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, wanted_changed: Callable[[], None] = lambda: None, check_thread: Callable[[str], None] = lambda what: None
+    ) -> None:
         self._wanted_changed = wanted_changed
+        self._check_thread = check_thread
         self._observers: tuple[Observer, ...] = ()
         self._wanted: dict[type[Event], bool] = {}
         self.hooks_wanted = False
@@ -264,6 +270,9 @@ class Bus:
         """Whether anybody asked for ServiceCalled."""
         self.sequence = 0
         """Number of the event published last."""
+        self._telling = self._resuming = False
+        self._later: deque[tuple[Event, tuple[Observer, ...]]] = deque()
+        """Events that observers caused while they were told of another."""
 
     @property
     def observers(self) -> tuple[ObserverStatistics, ...]:
@@ -283,14 +292,23 @@ class Bus:
         A plain function is called at once, on the loop: it must not take long. An `async def` is awaited in a task of
         its own, one event after the other; at most `length` events wait for it, the oldest beyond are dropped and
         counted. One that raises is counted and logged, and goes on being called.
+
+        Raises:
+            DeclarationError: not a class of events, or nothing to call. ConfigurationError: the length is none.
+            ThreadError: not on the kernel's loop.
         """
         if not (isinstance(kind, type) and issubclass(kind, Event)):
             raise DeclarationError(f"subscribe({kind!r}): expected a class of events, such as StateChanged")
+        if not callable(observer):
+            raise DeclarationError(f"subscribe({kind.__name__}): expected a function to call, got {observer!r:.80}")
+        check_length("subscribe", length)
+        self._check_thread("bus.subscribe")
         entry = (AsyncObserver if is_async(observer) else Observer)(kind, observer, length)
         self._observers += (entry,)
         self._recount()
 
         def unsubscribe() -> None:
+            self._check_thread("unsubscribe")
             if entry in self._observers:
                 self._observers = tuple(one for one in self._observers if one is not entry)
                 entry.end()
@@ -302,9 +320,45 @@ class Bus:
         """Tell everybody who wants to know, and these listeners."""
         self.sequence = sequence = self.sequence + 1
         object.__setattr__(event, "sequence", sequence)
-        for observer in (*listeners, *self._observers) if listeners else self._observers:
+        observers = (*listeners, *self._observers) if listeners else self._observers
+        if self._telling or self._later:
+            # An observer did what is an event in its turn: the others hear of it after the one it follows from.
+            self._later.append((event, observers))
+            if not self._telling:
+                self._tell_later()
+            return
+        self._telling = True
+        try:
+            self._tell(event, observers)
+        finally:
+            self._telling = False
+        if self._later:
+            self._tell_later()
+
+    def _tell_later(self) -> None:
+        later = self._later
+        self._telling = True
+        try:
+            for _ in range(_AT_ONCE):
+                if not later:
+                    return
+                self._tell(*later.popleft())
+        finally:
+            self._telling = False
+        if not self._resuming:
+            # Observers that answer each event with another one do not hold the loop.
+            self._resuming = True
+            asyncio.get_running_loop().call_soon(self._resume)
+
+    def _resume(self) -> None:
+        self._resuming = False
+        if not self._telling:
+            self._tell_later()
+
+    def _tell(self, event: Event, observers: tuple[Observer, ...]) -> None:
+        for observer in observers:
             kind = observer.kind
-            if isinstance(event, kind) and not (event.quiet and kind is Event):
+            if isinstance(event, kind) and not (event.quiet and kind is Event) and not observer.ended:
                 began_ns = perf_counter_ns()
                 try:
                     observer.tell(event)
@@ -314,9 +368,9 @@ class Bus:
                     observer.failed(event)
                 observer.took(perf_counter_ns() - began_ns, event)
 
-    async def aclose(self) -> None:
-        """Give the asynchronous observers a second for what waits, and end them."""
-        await asyncio.gather(*(observer.aclose() for observer in self._observers))
+    async def aclose(self, patience: float = 1.0) -> None:
+        """Give the asynchronous observers `patience` seconds for what waits, and end them."""
+        await asyncio.gather(*(observer.aclose(patience) for observer in self._observers))
 
     def wants(self, kind: type[Event]) -> bool:
         """Whether anybody would be told of an event of `kind`: what is costly to say is not said to nobody."""

@@ -38,7 +38,7 @@ async def close(kernel: Kernel) -> None:
             heartbeat.stop()
         if "listening" in vars(kernel):  # made when somebody first listened
             kernel.listening.tell()
-        await kernel.bus.aclose()
+        await kernel.bus.aclose(budget.rest)
         for watch in tuple(kernel._watches):
             watch.end()
         kernel._timers.release()

@@ -127,6 +127,10 @@ class _Change:
 
     def _put_here(self) -> None:
         component, ports = self._component, self._ports
+        if component._rt_params._state is not self._old:
+            raise ConfigurationError(
+                f"{component.name}: its own check changed the configuration that it was asked about; it only looks"
+            )
         try:
             if ports is not None:
                 ports.put()

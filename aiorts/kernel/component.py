@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, overload
 
-from aiorts.errors import DeclarationError, StateError, WiringError
+from aiorts.errors import DeclarationError, StateError, WiringError, said
 from aiorts.kernel.configuring import OVERRIDABLE, Configurable, declared_state
 from aiorts.kernel.gate import Gate
 from aiorts.kernel.hooks import check_spelling, hook_kinds
@@ -203,7 +203,7 @@ class Component(Configurable):
             tuple(port.profile for port in self.ports.values()),
             self._rt_params._state.values,
             MappingProxyType({name: state.value for name, state in self.states.items()}),
-            None if error is None else f"{type(error).__name__}: {error}",
+            None if error is None else said(error),
         )
 
     def __repr__(self) -> str:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import ConfigurationError, DeclarationError, StateError
+from aiorts.errors import ConfigurationError, DeclarationError, StateError, said
 from aiorts.kernel import membership
 from aiorts.kernel.component import Component
 from aiorts.kernel.composed import Composed, CompositeChanged
@@ -152,7 +152,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
             tuple(replace(port.profile, name=name) for name, port in self.ports.items()),
             MappingProxyType(self._rt_params.values_in_force),
             MappingProxyType({name: state.value for name, state in self.states.items()}),
-            None if error is None else f"{type(error).__name__}: {error}",
+            None if error is None else said(error),
             tuple(member.name for member in self._rt_laid_out),
         )
 
@@ -192,7 +192,7 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
 
     async def remove_members(self, *members: Component | str, timeout: float | None = 5.0) -> tuple[Connector, ...]:
         """Fewer members: see `change`. StateError when one is not a member."""
-        leaving = [member if isinstance(member, str) else member.name for member in members]
+        leaving = [member if isinstance(member, str) else getattr(member, "name", repr(member)) for member in members]
         return await membership.change(self, membership.Wanted(removing=leaving), timeout)
 
     async def change(
@@ -222,4 +222,6 @@ class Composite(Composed, _rt_redefines=_REDEFINED):
         if order is not None and order not in ("stated", "dataflow"):
             raise ConfigurationError(f"{self.name}: order = {order!r}: expected stated or dataflow")
         rules = None if exported is None else exports(exported, self.name)
+        if members is not None and (isinstance(members, str) or not isinstance(members, Sequence)):
+            raise DeclarationError(f"{self.name}: members = {members!r:.80}: expected a list of components or names")
         return await membership.change(self, membership.Wanted(members, rules, order, groups), timeout)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from aiorts.errors import StateError, WiringError
+from aiorts.errors import DeclarationError, StateError, WiringError
 from aiorts.model.composition import groups_of
 
 if TYPE_CHECKING:
@@ -20,6 +20,9 @@ __all__ = ("check", "check_startable", "grouped", "resolved")
 def resolved(kernel: Kernel, composite: Composed, given: Sequence[Component | str]) -> tuple[Component, ...]:
     """The components that are meant. StateError when names are unknown (all of them are told), or one stands twice."""
     there = kernel.components
+    for one in given:
+        if not isinstance(one, str) and getattr(one, "_rt_host", None) is None:
+            raise DeclarationError(f"{composite.name}: expected components or their names, got {one!r:.80}")
     unknown = [one for one in given if isinstance(one, str) and one not in there]
     if unknown:
         raise StateError(

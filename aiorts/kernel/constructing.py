@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from aiorts.errors import AiortsError, PluginError
+from aiorts.errors import AiortsError, PluginError, said
 from aiorts.kernel.component import Component
 
 __all__ = ("construct",)
@@ -26,8 +26,7 @@ def construct(cls: type[C], name: str) -> C:
     except BaseException as error:  # a component's border: its constructor is the user's
         if isinstance(error, KeyboardInterrupt):
             raise
-        cause = f"{type(error).__name__}: {error}".removesuffix(": ")
-        raise PluginError(f"{cls.__name__} cannot be constructed: {cause}{_advice(cls, error)}") from error
+        raise PluginError(f"{cls.__name__} cannot be constructed: {said(error)}{_advice(cls, error)}") from error
     if not hasattr(component, "_rt_params"):
         raise PluginError(f"{cls.__name__}.__init__ must call super().__init__(name)")
     return component

@@ -16,7 +16,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from aiorts.errors import ClosedError, ConfigurationError, StateError
+from aiorts.errors import ClosedError, ConfigurationError, StateError, said
 from aiorts.kernel.bulkhead import TaskDriver
 from aiorts.kernel.bus import ContextStarted, ContextStopped, Event
 from aiorts.kernel.deadlines import StopBudget
@@ -190,6 +190,12 @@ class Context(Members):
         kernel = self._check("stop")
         await self._stop(StopBudget(kernel.loop))
 
+    def _of(self, kernel: Kernel) -> Context:
+        """This context; StateError when another kernel runs it."""
+        if self._kernel not in (None, kernel):
+            raise StateError(f"{self.name}: runs in another kernel than {kernel.name}; stop it there")
+        return self
+
     # -- for the kinds of context ----------------------------------------------------------------------------------
 
     def _next_cause(self) -> Wait | None:
@@ -344,7 +350,7 @@ class Context(Members):
         self._requests.close()
         self._tell_began()
         kernel._context_ended(self)
-        self._publish(ContextStopped(self.name, None if error is None else f"{type(error).__name__}: {error}"))
+        self._publish(ContextStopped(self.name, None if error is None else said(error)))
         if error is not None and not isinstance(error, asyncio.CancelledError | GeneratorExit):
             _LOG.error("context %s ended by a fault of aiorts itself; please report it", self.name, exc_info=error)
 

@@ -14,6 +14,8 @@ STOP_DEADLINE: Final = 2.0
 """Seconds that a hook may still take once its context or kernel stops."""
 _RESERVE: Final = 0.6
 """Seconds for all that is left once the first stuck hook has used up its time."""
+_LAST: Final = 0.2
+"""Seconds for observers where nothing is left: all of it ends within 5 s."""
 _SHARE: Final = 0.2
 _GRACE_SHARE: Final = 0.02
 """Parts of what is left of the reserve: many stuck hooks come ever closer to its end and never pass it."""
@@ -33,6 +35,11 @@ class StopBudget:
         """Seconds until a hook that runs now is cancelled for the first time."""
         now = self._loop.time()
         return max(0.0, self._soft - now, min(_RESERVE, self._end - now) * _SHARE)
+
+    @property
+    def rest(self) -> float:
+        """Seconds that observers may still take for what waits, once everything else has stopped."""
+        return min(1.0, max(0.0, self._end - self._loop.time()) + _LAST)
 
     @property
     def grace(self) -> float:

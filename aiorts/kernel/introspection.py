@@ -66,12 +66,14 @@ class Introspection:
             length: changes that wait for a slow reader; beyond that they are dropped for a fresh profile.
 
         Raises:
-            ClosedError: the kernel is not open.
+            ClosedError: the kernel is not open. ConfigurationError: the length is none.
         """
+        from aiorts.kernel.observers import check_length
         from aiorts.kernel.watching import Watch
 
         kernel = cast("Kernel", self)
         kernel._require_open("watch")
+        check_length("watch", length)
         made = Watch(kernel, length)
         self._watches.add(made)
         return made

@@ -70,7 +70,7 @@ class Kernel(ConfigurationFiles, Introspection, Supervising):
     ) -> None:
         self.name = check_name(name, "kernel")
         self.debug = debug
-        self.bus = Bus(self._hooks_wanted_changed)
+        self.bus = Bus(self._hooks_wanted_changed, self.check_thread)
         self.exit_status = 0
         """What `request_stop` said."""
         self.plugins = Catalogue.default() if plugins is None else plugins
@@ -325,9 +325,9 @@ class Kernel(ConfigurationFiles, Introspection, Supervising):
         return context
 
     async def stop(self, context: Context) -> None:
-        """Stop one context: see `Context.stop`."""
+        """Stop one context: see `Context.stop`. StateError: another kernel runs it."""
         self._require_open("stop")
-        await context.stop()
+        await context._of(self).stop()
 
     async def sleep(self, seconds: float) -> None:
         """Wait on the kernel's clock; a negative time is 0. ValueError for NaN and infinities."""
@@ -362,8 +362,8 @@ class Kernel(ConfigurationFiles, Introspection, Supervising):
 
     def _check_mine(self, component: Component, what: str) -> None:
         self._require_open(what)
-        if self.components.get(component.name) is not component:
-            raise StateError(f"{component.name}: does not belong to {self.name}; await kernel.add(...) first")
+        if self.components.get(name := getattr(component, "name", repr(component)), name) is not component:
+            raise StateError(f"{name}: does not belong to {self.name}; await kernel.add(...) first")
 
     # -- called by components, contexts and ports ------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.clock import SimulatedClock
-from aiorts.errors import ComponentError, StateError
+from aiorts.errors import ComponentError, StateError, said
 from aiorts.kernel.bus import HookFailed, MemberAdded, MemberRemoved, StateChanged
 from aiorts.kernel.chaining import chain
 from aiorts.model.lifecycle import ADVICE, ON_FAILURE, TRANSITIONS, Event, Failure, LifeCycleState, transition
@@ -188,7 +188,7 @@ class Life:
 
     def _refusal(self, member: Member, event: Event) -> str:
         if member.failure is not None and member.state is not _ERROR and not member.abandoned:
-            cause = f"{type(member.failure).__name__}: {member.failure}"
+            cause = said(member.failure)
             return f"{member.component.name} in {self._context.name}: cannot {event}: it goes to error: {cause}"
         if member.abandoned:
             advice = "one of its hooks was left behind and it never runs again; remove it"
@@ -366,6 +366,6 @@ def _because(member: Member, hook: str, error: BaseException | None) -> BaseExce
     """What the one who asked is told."""
     if error is None:
         return None
-    told = ComponentError(f"{member.component.name}: {hook} raised {type(error).__name__}: {error}; it is in error")
+    told = ComponentError(f"{member.component.name}: {hook} raised {said(error)}; it is in error")
     told.__cause__ = error
     return told

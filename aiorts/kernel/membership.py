@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import ComponentError, StateError, TransitionTimeout
+from aiorts.errors import ComponentError, StateError, TransitionTimeout, said
 from aiorts.kernel import composition_check, lanes
 from aiorts.kernel.bus import MemberAdded, MemberRemoved
 from aiorts.kernel.homes import arrange, go_home, leave_home
@@ -96,10 +96,7 @@ class _Move:
             for member in reversed(joined):
                 yield from self._let_go(member)
             name = joined[-1].component.name
-            told = ComponentError(
-                f"{self.composite.name}: {name} could not join: {type(failure).__name__}: {failure}; "
-                "nothing was changed"
-            )
+            told = ComponentError(f"{self.composite.name}: {name} could not join: {said(failure)}; nothing was changed")
             told.__cause__ = failure
             done(told)
             return
@@ -140,7 +137,9 @@ class Wanted:
         for name in self.removing:
             if name not in here:
                 raise StateError(f"{name}: is no member of {composite.name}; it has {', '.join(here) or 'none'}")
-        kept = [one for one in members if (one if isinstance(one, str) else one.name) not in self.removing]
+        kept = [
+            one for one in members if (one if isinstance(one, str) else getattr(one, "name", "")) not in self.removing
+        ]
         return [*kept, *self.adding]
 
 

@@ -12,7 +12,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from aiorts.errors import ComponentError, DeclarationError, StateError
+from aiorts.errors import ComponentError, DeclarationError, StateError, said
 from aiorts.kernel.bus import Event
 from aiorts.kernel.component import Component, Hook
 from aiorts.kernel.hooks import further_kinds
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.life import Done, Steps
     from aiorts.kernel.machine_events import MachineChanged
     from aiorts.kernel.member import Member
+    from aiorts.kernel.state_machine import StateMachine
 
 __all__ = ("ModeChanged", "MultiModeComponent", "Participant")
 
@@ -73,7 +74,8 @@ class MultiModeComponent(Component):
         super().__init__(name)
         self._rt_mode = self.modes[0]
         self._rt_modes: dict[str, str] = {}
-        self._rt_pending: str | None = None
+        self._rt_pending: list[str] = []
+        """The mode asked for last, until it has taken effect; each request has a list of its own."""
 
     @property
     def default_mode(self) -> str:
@@ -89,7 +91,7 @@ class MultiModeComponent(Component):
     @property
     def pending_mode(self) -> str | None:
         """The mode that was asked for and has not yet taken effect in every context; None where there is none."""
-        return self._rt_pending
+        return self._rt_pending[0] if self._rt_pending else None
 
     @property
     def modes_by_context(self) -> Mapping[str, str]:
@@ -118,11 +120,15 @@ class MultiModeComponent(Component):
             if self._rt_kernel is not None and old != mode:
                 self._rt_kernel.bus.publish(ModeChanged(self.name, "", old, mode))
             return
-        self._rt_pending = mode
-        for member in tuple(self._rt_members):
-            await member.context._ask(
-                [(f"change mode of {self.name}", partial(self._rt_change, member, mode))], timeout
-            )
+        self._rt_pending = pending = [mode]
+        try:
+            for member in tuple(self._rt_members):
+                await member.context._ask(
+                    [(f"change mode of {self.name}", partial(self._rt_change, member, mode))], timeout
+                )
+        except BaseException:
+            pending.clear()  # it was withdrawn: nobody waits for it
+            raise
 
     def on_mode_changed(self) -> Hook:
         """The mode is another: `mode` says which. Raising moves the component to error; the new mode stays."""
@@ -141,7 +147,7 @@ class MultiModeComponent(Component):
     def _rt_settle(self, mode: str) -> None:
         """Where every context has come to this mode, none is pending."""
         if all(each == mode for each in self.modes_by_context.values()):
-            self._rt_pending = None
+            self._rt_pending = []
             self._rt_modes.clear()
 
     def _rt_change(self, member: Member, mode: str, done: Done) -> Steps:
@@ -153,7 +159,7 @@ class MultiModeComponent(Component):
             error = yield Call(member, "on_mode_changed")
             if error is not None:
                 context._life._fail(member, "on_mode_changed", error, Failure.ABORT)
-                told = ComponentError(f"{self.name}: on_mode_changed raised {type(error).__name__}: {error}")
+                told = ComponentError(f"{self.name}: on_mode_changed raised {said(error)}")
                 told.__cause__ = error
             context._publish(ModeChanged(self.name, context.name, old, mode))
         else:
@@ -166,6 +172,9 @@ class Participant(Component):
 
     `on_action` runs in the participant's own context, between two cycles, while it is active.
     """
+
+    _rt_machines: tuple[StateMachine, ...] = ()
+    """The machines that tell it."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

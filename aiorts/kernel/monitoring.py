@@ -69,7 +69,7 @@ class Monitor:
     def __init__(self, kernel: Kernel, paths: Sequence[str], rate: float) -> None:
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0.0 < rate <= 10_000.0:
             raise ConfigurationError(f"monitor: rate = {rate!r}: expected a number of Hz above 0 and up to 10,000")
-        if isinstance(paths, str) or not paths:
+        if isinstance(paths, str) or not paths or not all(isinstance(path, str) for path in paths):
             raise ConfigurationError(f'monitor({paths!r}): expected a list of paths, such as ["pid0.gain"]')
         self._kernel = kernel
         self._paths = tuple(paths)
@@ -140,6 +140,9 @@ def _look(kernel: Kernel, path: str) -> Any:
         return _CONTEXT[what](context)
     if connector is not None and what in _LEDGER:
         return _LEDGER[what](connector)
+    if component is not None:
+        there = ", ".join((*component.ports, *component.params, "state"))
+        raise WiringError(f"{path}: is a component; say what of it, such as {path}.state; it has {there}")
     if context is not None or connector is not None:
         raise WiringError(f"{path}: {name} has no {what!r}; it has {', '.join(_CONTEXT if context else _LEDGER)}")
     known = [*kernel.components, *kernel.contexts, *kernel.connectors]

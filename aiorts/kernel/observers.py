@@ -12,16 +12,19 @@ from time import monotonic_ns
 from typing import Any, Final
 
 from aiorts.clock import current_clock
-from aiorts.kernel.tasks import kernel_task
+from aiorts.errors import ConfigurationError
+from aiorts.kernel.deadlines import CANCELLATIONS
+from aiorts.kernel.tasks import kernel_task, leave_behind
+from aiorts.model.values import shown
 
-__all__ = ("AsyncObserver", "Observer", "ObserverStatistics", "is_async")
+__all__ = ("AsyncObserver", "Observer", "ObserverStatistics", "check_length", "is_async")
 
 _LOG = logging.getLogger("aiorts.kernel")
 _SLOW_NS: Final = 50_000_000
 """A plain observer that takes longer is named."""
 _TELL_EVERY_NS: Final = 5_000_000_000
-_PATIENCE: Final = 1.0
-"""Seconds that an asynchronous observer has for what waits when its kernel closes."""
+_GRACE: Final = 0.02
+"""Seconds between two cancellations of one that has not ended when its time is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,8 @@ class Observer:
 
     def __init__(self, kind: type[Any], call: Callable[[Any], object], length: int = 0) -> None:
         self.kind = kind
+        self.ended = False
+        """Whether it was unsubscribed: it hears nothing more, be it of what is being told."""
         self._call = call
         self._length = length
         self._calls = self._errors = self._slow = self._max_ns = self._dropped = 0
@@ -72,7 +77,7 @@ class Observer:
         """It raised; called where the exception is handled."""
         self._errors += 1
         if self._may_tell("error"):
-            _LOG.exception("observer %s failed at %r (%s times so far)", self._name, event, self._errors)
+            _LOG.exception("observer %s failed at %s (%s times so far)", self._name, shown(event), self._errors)
 
     def took(self, duration_ns: int, event: Any) -> None:
         """How long the loop was held."""
@@ -87,9 +92,10 @@ class Observer:
 
     def end(self) -> None:
         """It was unsubscribed."""
+        self.ended = True
 
-    async def aclose(self) -> None:
-        """The kernel closes."""
+    async def aclose(self, patience: float) -> None:
+        """The kernel closes: `patience` s for what waits."""
 
     def _may_tell(self, what: str) -> bool:
         clock = current_clock()
@@ -106,11 +112,8 @@ class AsyncObserver(Observer):
     def __init__(self, kind: type[Any], call: Callable[[Any], Any], length: int) -> None:
         super().__init__(kind, call, length)
         self._task: asyncio.Task[None] | None = None
-        self._closed = False
 
     def tell(self, event: Any) -> None:
-        if self._closed:
-            return
         if len(self._queue) >= self._length:
             self._queue.popleft()
             self._dropped += 1
@@ -127,26 +130,44 @@ class AsyncObserver(Observer):
                 self._calls += 1
                 try:
                     await self._call(event)  # type: ignore[misc] # a coroutine function
-                except (KeyboardInterrupt, asyncio.CancelledError):
-                    raise
-                except BaseException:  # noqa: BLE001 - an observer's fault must not become the kernel's
+                except BaseException as error:
+                    if isinstance(error, KeyboardInterrupt) or _is_cancelled(error):
+                        raise
                     self.failed(event)
         finally:
             self._task = None
 
     def end(self) -> None:
-        self._closed = True
+        super().end()
         self._queue.clear()
         if self._task is not None and self._task is not asyncio.current_task():
             self._task.cancel()
 
-    async def aclose(self) -> None:
+    async def aclose(self, patience: float) -> None:
         task = self._task
         if task is not None:
-            await asyncio.wait([task], timeout=_PATIENCE)
+            await asyncio.wait([task], timeout=patience)
         self.end()
+        for _ in range(CANCELLATIONS):
+            if task is None or task.done():
+                return
+            task.cancel()
+            await asyncio.wait([task], timeout=_GRACE)
         if task is not None and not task.done():
-            await asyncio.wait([task], timeout=_PATIENCE)
+            _LOG.error("observer %s ignored %s cancellations and was left behind", self._name, CANCELLATIONS)
+            leave_behind(task)
+
+
+def _is_cancelled(error: BaseException) -> bool:
+    """Whether this task is to end; else it awaited what somebody has cancelled, which is an error of its own."""
+    task = asyncio.current_task()
+    return isinstance(error, asyncio.CancelledError) and task is not None and task.cancelling() > 0
+
+
+def check_length(where: str, length: object) -> None:
+    """Raise ConfigurationError unless so many events can wait."""
+    if isinstance(length, bool) or not isinstance(length, int) or length < 1:
+        raise ConfigurationError(f"{where}: length = {length!r}: expected a whole number from 1 on")
 
 
 def is_async(call: object) -> bool:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
+from aiorts.errors import said
 from aiorts.kernel import special_reports
 from aiorts.model.configuration import ParameterSpec
 from aiorts.model.system_profile import (
@@ -124,7 +125,7 @@ def component_report(component: Component) -> ComponentReport:
         _frozen({name: ParameterReport(value, *_rest(kind, params, name)) for name, value in state.values.items()}),
         ConfigurationReport(state.active, state.sets),
         _frozen({context: state.value for context, state in component.states.items()}),
-        None if error is None else f"{type(error).__name__}: {error}",
+        None if error is None else said(error),
         () if component._rt_log is None else component._rt_log.last_lines,
         special_reports.calls(ports),
         special_reports.machine(component) if kind.has_machine else None,

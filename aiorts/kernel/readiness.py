@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import ClosedError, TransitionTimeout
+from aiorts.errors import ClosedError, DeclarationError, TransitionTimeout, said
 from aiorts.kernel.bus import Event
 from aiorts.model.lifecycle import LifeCycleState
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
 
-__all__ = ("missing", "until", "wait_ready")
+__all__ = ("missing", "names_of", "until", "wait_ready")
 
 
 async def until(kernel: Kernel, ready: Callable[[], bool], timeout: float | None) -> bool:
@@ -53,9 +53,18 @@ async def until(kernel: Kernel, ready: Callable[[], bool], timeout: float | None
 
 async def wait_ready(kernel: Kernel, components: Sequence[Component | str], timeout: float | None) -> None:
     """See `Kernel.wait_ready`."""
-    names = tuple(one if isinstance(one, str) else one.name for one in components)
+    names = names_of(components)
     if not await until(kernel, lambda: not missing(kernel, names), timeout):
         raise TransitionTimeout(f"{kernel.name}: not ready within {timeout} s: {'; '.join(missing(kernel, names))}")
+
+
+def names_of(components: Sequence[Component | str]) -> tuple[str, ...]:
+    """Their names. DeclarationError: one is neither a component nor a name."""
+    names = tuple(one if isinstance(one, str) else getattr(one, "name", None) for one in components)
+    for one, name in zip(components, names, strict=True):
+        if not isinstance(name, str):
+            raise DeclarationError(f"{one!r:.80}: expected components or their names, one argument each")
+    return names  # type: ignore[return-value] # all of them are
 
 
 def missing(kernel: Kernel, names: Sequence[str] = ()) -> list[str]:
@@ -74,6 +83,6 @@ def missing(kernel: Kernel, names: Sequence[str] = ()) -> list[str]:
             continue
         where = ", ".join(f"{state} in {context}" for context, state in states.items()) or "in no context"
         error = component.last_error
-        why = "" if error is None else f" ({type(error).__name__}: {error})"
+        why = "" if error is None else f" ({said(error)})"
         found.append(f"{name} is {where}{why}")
     return found

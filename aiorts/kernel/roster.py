@@ -14,7 +14,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError
+from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError, said
 from aiorts.kernel import embedding
 from aiorts.kernel.bus import ComponentAdded, ComponentRemoved, HookFailed, PortAdded, PortRemoved
 from aiorts.kernel.chaining import chain
@@ -168,9 +168,7 @@ class Roster:
         if isinstance(error, Exception) and not isinstance(error, StopIteration | StopAsyncIteration):
             raise error
         # A CancelledError or SystemExit of the component must not pass for one of the caller's.
-        raise ComponentError(
-            f"{component.name}: on_initialize raised {type(error).__name__}: {error}; it was not created"
-        ) from error
+        raise ComponentError(f"{component.name}: on_initialize raised {said(error)}; it was not created") from error
 
     # -- going -----------------------------------------------------------------------------------------------------
 
@@ -244,7 +242,7 @@ class Roster:
             chain(error, component._rt_last_error)
             component._rt_last_error = error
             kernel.bus.publish(HookFailed(component.name, "", "on_finalize", error))
-            component.log.error("on_finalize failed: %s: %s", type(error).__name__, error, exc_info=error)
+            component.log.error("on_finalize failed: %s", said(error), exc_info=error)
             if isinstance(error, KeyboardInterrupt):
                 kernel._interrupted(error)
         await self._end_tasks(self.tasks.get(component, ()), budget)
@@ -260,6 +258,8 @@ class Roster:
         if self.components.pop(component.name, None) is not None:
             self._leave_out(component)
         component._rt_host.alive = False
+        for machine in getattr(component, "_rt_machines", ()):
+            machine.remove_participant(component)
         for port in component.ports.values():
             if isinstance(port, InPort | ServicePort):
                 port._wake_waiter()
@@ -325,7 +325,7 @@ class Roster:
             return
         component._rt_last_error = error
         self._kernel.bus.publish(HookFailed(component.name, "", "task", error))
-        component.log.error("its task %s failed: %s: %s", name, type(error).__name__, error, exc_info=error)
+        component.log.error("its task %s failed: %s", name, said(error), exc_info=error)
 
     async def _end_tasks(self, tasks: Any, budget: StopBudget) -> None:
         left = {task for task in tasks if not task.done() and task is not current_task()}

@@ -17,10 +17,12 @@ from aiorts.errors import (
     ServiceTimeout,
     ServiceUnavailable,
     ThreadError,
+    said,
 )
 from aiorts.kernel.bus import CallFailed, ServiceCalled
 from aiorts.kernel.service_visit import Visit, holder_of
 from aiorts.kernel.tasks import current_task
+from aiorts.model.values import shown
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -183,7 +185,7 @@ def failed(
             return TypeError(f"{link.named(answer.name)}{answer.signature}: {wrong}")
     if isinstance(error, KeyboardInterrupt):
         link.kernel._interrupted(error)
-    told = ServiceFailed(f"{link.named(answer.name)}: raised {type(error).__name__}: {error}")
+    told = ServiceFailed(f"{link.named(answer.name)}: raised {said(error)}")
     told.__cause__ = error
     if link.provided.failure == "error":
         for member in tuple(link.component._rt_members):
@@ -242,6 +244,6 @@ def _mismatch(link: Link, answer: Answer, value: object) -> InterfaceMismatch:
             f"{link.named(answer.name)}: {link.provided.path} answered with a coroutine; write `async def`"
         )
     return InterfaceMismatch(
-        f"{link.named(answer.name)}: {link.provided.path} answered with {type(value).__name__} {value!r:.60}, "
+        f"{link.named(answer.name)}: {link.provided.path} answered with {type(value).__name__} {shown(value)}, "
         f"{link.required.path} takes {answer.returns}"
     )

@@ -142,13 +142,20 @@ class StateMachine:
         self._core.raise_event(MachineEvent(event, data))
 
     def add_participant(self, component: Participant) -> None:
-        """Have the component's `on_action` run, in its own context, after each change of the configuration."""
+        """Have the component's `on_action` run, in its own context, after each change of the configuration.
+
+        Until it is removed; made anew by supervision it is told as before. DeclarationError: not a `Participant`.
+        """
+        if not hasattr(component, "_rt_machines"):
+            raise DeclarationError(f"{self._component.name}: expected a Participant, got {component!r:.80}")
         if component not in self._participants:
             self._participants = (*self._participants, component)
+            component._rt_machines = (*component._rt_machines, self)
 
     def remove_participant(self, component: Participant) -> None:
         """Tell it no more; nothing where it was not told."""
         self._participants = tuple(one for one in self._participants if one is not component)
+        component._rt_machines = tuple(one for one in component._rt_machines if one is not self)
 
     def _check(self, event: str) -> None:
         if not self.chart.knows(event):

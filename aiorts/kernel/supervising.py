@@ -51,7 +51,8 @@ class Supervising:
             factory: makes a new instance of the given name, for "restart"; the component's class by default.
 
         Raises:
-            StateError: it is not of this kernel. DeclarationError: the policy is none.
+            StateError: it is not of this kernel. DeclarationError: the policy is none, the factory is no function, or
+                a composite is to be made anew or to have deadlines: its members can, it can be reset.
         """
         kernel = cast("Kernel", self)
         kernel._check_mine(component, "supervise")

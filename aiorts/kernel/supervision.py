@@ -1,23 +1,25 @@
 """Helps components out of error as their policy says: `model/supervision.py` decides when, this carries it out.
 
 For each supervised component there is at most one task, only while it is in error. A reset runs `on_reset` and
-activates again. A restart puts a new instance of the same name in the old one's place: parameters in force, contexts,
-place in their order and connectors are as they were; what was queued in them is dropped as disconnected, and calls in
-progress end with ServiceUnavailable.
+activates again. A restart puts a new instance of the same name in the old one's place: configuration, contexts, place
+in their order and in a composite, and connectors are as they were; what was queued in these is dropped as disconnected,
+and calls in progress end with ServiceUnavailable.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
 
-from aiorts.errors import ClosedError, DeclarationError, StateError
+from aiorts.errors import ClosedError, DeclarationError, said
 from aiorts.kernel.bus import ComponentRemoved, Event, StateChanged
 from aiorts.kernel.service_port import ServiceConnector
+from aiorts.kernel.standing import Standing, instance_of, reset_whole, standing_of
 from aiorts.kernel.tasks import current_task, kernel_task
+from aiorts.kernel.unfold import is_composite
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.supervision import Attempts, Supervision
 
@@ -67,7 +69,8 @@ class _Place:
     """With the place in the order, and whether it is to be active there."""
     connectors: list[ConnectorProfile | ServiceConnectorProfile]
     """The first port of one of data is the writer's."""
-    params: dict[str, Any] = field(default_factory=dict)
+    standing: Standing
+    """Its configuration, and its place in a composite."""
 
 
 class Supervised:
@@ -123,6 +126,11 @@ class Supervisor:
         """From now on; what was said of this component before does not count."""
         if not isinstance(policy, Supervision):
             raise DeclarationError(f"{component.name}: expected Supervision(...), got {policy!r}")
+        if factory is not None and not callable(factory):
+            raise DeclarationError(f"{component.name}: factory = {factory!r:.80}: expected a function of a name")
+        if is_composite(component) and (policy.restart == "restart" or policy.limits is not None):
+            what = "cannot be made anew" if policy.restart == "restart" else "runs no hooks of its own"
+            raise DeclarationError(f'{component.name}: a composite {what}; supervise its members, or restart="reset"')
         self._drop(component.name)
         one = self.supervised[component.name] = Supervised(component, policy, factory or type(component))
         _limit(component, policy)
@@ -210,6 +218,9 @@ class Supervisor:
 
     async def _reset(self, one: Supervised) -> None:
         component = one.component
+        if is_composite(component):
+            await reset_whole(component)
+            return
         if component._rt_abandoned is not None:
             # Nothing of it runs again: another attempt would end no better.
             one._attempts.exhausted = True
@@ -232,28 +243,57 @@ class Supervisor:
                 await kernel.remove(old)
             finally:
                 one._removing = False
-        new = one._factory(one.name)
-        if new.name != one.name:
-            raise StateError(f"{one.name}: its factory made a component named {new.name!r}")
-        await kernel.add(new, **{name: value for name, value in place.params.items() if name in new.params})
+        new = instance_of(kernel, one.name, one._factory)
+        place.standing.configure(new)
+        await kernel.add(new)
         one.component = new
         _limit(new, one.policy)
-        _connect(kernel, place)
+        kept = place.standing.kept
+        self._connect([profile for profile in place.connectors if profile.name in kept])
+        await place.standing.join(kernel, new)
+        self._connect([profile for profile in place.connectors if profile.name not in kept])
         for context, order, active in place.contexts:
             if context.running and kernel.contexts.get(context.name) is context:
-                await context.add(new)
+                if context not in new.contexts:
+                    await context.add(new)
                 await context._ask([(f"put {new.name} in its place", _putting(context, new, order))], 5.0)
-                if active:
+                if active and context.state(new) is _INACTIVE:
                     await context.activate(new)
         one._place = None
 
+    def _connect(self, profiles: Sequence[ConnectorProfile | ServiceConnectorProfile]) -> None:
+        """Connect anew what there still is; a port that was added at run time may be missing."""
+        for profile in profiles:
+            kernel = self._kernel
+            there = kernel.connectors.get(profile.name) or kernel.service_connectors.get(profile.name)
+            if there is not None and set(there.profile.ports) == set(profile.ports):
+                continue  # the other end was made anew, too, and has done it
+            other = self._made_anew(profile)
+            if other is not None and other._place is not None:
+                other._place.connectors.append(profile)
+                continue
+            try:
+                self._kernel._connections.renew(profile)
+            except ValueError as error:
+                _LOG.warning("%s: not connected again after the restart: %s", profile.name, error)
+
+    def _made_anew(self, profile: ConnectorProfile | ServiceConnectorProfile) -> Supervised | None:
+        """One of the ends that goes or is not there yet: it connects when it has come."""
+        for path in profile.ports:
+            other = self.supervised.get(path.partition(".")[0])
+            if other is None or other._place is None:
+                continue
+            if other._removing or self._kernel.components.get(other.name) is not other.component:
+                return other
+        return None
+
 
 def _said(error: BaseException | None) -> str:
-    return "an unknown error" if error is None else f"{type(error).__name__}: {error}"
+    return "an unknown error" if error is None else said(error)
 
 
 def _in_error(component: Component) -> bool:
-    return any(member.state is _ERROR for member in component._rt_members)
+    return any(state is _ERROR for state in component.states.values())
 
 
 def _limit(component: Component, policy: Supervision) -> None:
@@ -267,7 +307,7 @@ def _place_of(component: Component) -> _Place:
     contexts = [(m.context, m.order, m.state is not _INACTIVE) for m in component._rt_members]
     # One from the component to itself hangs on two of its ports.
     found = {connector.name: connector for port in component.ports.values() for connector in port.connectors}
-    return _Place(contexts, [_profile_of(connector) for connector in found.values()], component.params.values_in_force)
+    return _Place(contexts, [_profile_of(connector) for connector in found.values()], standing_of(component))
 
 
 def _profile_of(connector: Connector | ServiceConnector) -> ConnectorProfile | ServiceConnectorProfile:
@@ -278,15 +318,6 @@ def _profile_of(connector: Connector | ServiceConnector) -> ConnectorProfile | S
 
 def _with_ends(profile: ConnectorProfile, out: str, in_: str) -> ConnectorProfile:
     return replace(profile, ports=(out, in_, *(path for path in profile.ports if path not in (out, in_))))
-
-
-def _connect(kernel: Kernel, place: _Place) -> None:
-    """Connect anew what there still is; a port that was added at run time may be missing."""
-    for profile in place.connectors:
-        try:
-            kernel._connections.renew(profile)
-        except ValueError as error:
-            _LOG.warning("%s: not connected again after the restart: %s", profile.name, error)
 
 
 def _putting(context: Context, component: Component, order: int) -> Callable[[Done], Steps]:

@@ -14,7 +14,7 @@ import socket
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, said
 from aiorts.kernel import readiness
 from aiorts.kernel.tasks import kernel_task
 from aiorts.model.lifecycle import LifeCycleState
@@ -88,7 +88,7 @@ class SystemdLink:
         self._notifier = notifier
         self._interval = interval
         self._tick = _TICK if interval is None else min(_TICK, interval / _SHARE)
-        self._names = tuple(one if isinstance(one, str) else one.name for one in components)
+        self._names = readiness.names_of(components)
         self._seen: dict[str, tuple[int, float]] = {}
         """By context: what it did last, and since when."""
         self._told: set[str] = set()
@@ -156,7 +156,7 @@ class SystemdLink:
         failed = [name for name, component in components.items() if LifeCycleState.ERROR in component.states.values()]
         if failed:
             error = components[failed[0]].last_error
-            why = "" if error is None else f" ({type(error).__name__}: {error})"
+            why = "" if error is None else f" ({said(error)})"
             text = f"{text}; in error: {', '.join(failed)}{why}"
         elif not self._is_ready:
             text = f"{text}; starting"

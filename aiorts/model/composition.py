@@ -14,6 +14,7 @@ from fnmatch import fnmatchcase
 from aiorts.errors import ConfigurationError, InvalidNameError, WiringError
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.names import check_name
+from aiorts.model.values import shown as shown_value
 
 __all__ = ("STATES", "ErrorPolicy", "Export", "derived", "exports", "flow_order", "groups_of", "shown")
 
@@ -83,6 +84,8 @@ def exports(given: Mapping[str, str] | Iterable[str], where: str) -> tuple[Expor
     Raises:
         ConfigurationError: a rule cannot be read; `where` begins the message.
     """
+    if not isinstance(given, Iterable):
+        raise ConfigurationError(f"{where}: exported = {shown_value(given)}: expected patterns, or names by pattern")
     if isinstance(given, str):
         given = [part.strip() for part in given.split(",") if part.strip()]
     pairs = given.items() if isinstance(given, Mapping) else [(pattern, "{port}") for pattern in given]
@@ -187,8 +190,10 @@ def groups_of(text: str | Sequence[Sequence[str]], members: Sequence[str], where
     if isinstance(text, str):
         parts = text.split("|") if text.strip() else []
         groups = tuple(tuple(name.strip() for name in part.split(",") if name.strip()) for part in parts)
-    else:
+    elif isinstance(text, Iterable) and all(isinstance(part, list | tuple) for part in text):
         groups = tuple(tuple(part) for part in text)
+    else:
+        raise ConfigurationError(f'{where}: groups = {shown_value(text)}: expected groups of names, such as "a,b|c"')
     if not groups:
         return ()
     named = [name for group in groups for name in group]
@@ -197,7 +202,7 @@ def groups_of(text: str | Sequence[Sequence[str]], members: Sequence[str], where
     twice = sorted({name for name in named if named.count(name) > 1})
     for wrong, what in ((unknown, "no member"), (missing, "in no group"), (twice, "in two places")):
         if wrong:
-            raise ConfigurationError(f"{where}: groups = {text!r}: {', '.join(wrong)}: {what}")
+            raise ConfigurationError(f"{where}: groups = {text!r}: {', '.join(map(str, wrong))}: {what}")
     if not all(groups):
         raise ConfigurationError(f"{where}: groups = {text!r}: a group is empty")
     return groups

@@ -8,6 +8,7 @@ several at once: all of them or none. What text becomes, from a command line or 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import InitVar, dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -27,7 +28,7 @@ from aiorts.model.values import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
 __all__ = ("WIDGETS", "Constraint", "ParameterSpec", "validate")
 
@@ -122,6 +123,7 @@ def validate(
 
     An unknown name is answered with near ones. Nothing is half done: the caller puts the result in force or keeps all.
     """
+    check_mapping(changes, owner)
     checked: dict[str, Any] = {}
     refused: list[tuple[str, str]] = []
     for name, value in changes.items():
@@ -142,6 +144,12 @@ def validate(
         raise ConfigurationError(listed)
     count = f"{len(refused)} of {len(changes)} changes refused, none was made"
     raise ConfigurationError(f"{owner + ': ' if owner else ''}{count}:\n  {listed}")
+
+
+def check_mapping(given: object, owner: str, expected: str = "values by parameter") -> None:
+    """Raise ConfigurationError unless something is given by name."""
+    if not isinstance(given, Mapping):
+        raise ConfigurationError(f"{owner}: expected {expected}, such as {{...}}, got {shown(given)}")
 
 
 def _unknown(name: object, specs: Mapping[str, ParameterSpec]) -> str:

@@ -15,6 +15,7 @@ from typing import Any, Final
 from aiorts.errors import ConfigurationError
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.names import check_name
+from aiorts.model.values import shown
 
 __all__ = ("ADDED", "Condition", "StartRule", "in_order")
 
@@ -99,9 +100,11 @@ def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
     """The rules so that each comes after those it waits for, and otherwise as they were given.
 
     Raises:
-        ConfigurationError: two rules for one component, or rules that wait for each other; names them.
+        ConfigurationError: no rules, two for one component, or rules that wait for each other; names them.
     """
     by_name: dict[str, StartRule] = {}
+    if not isinstance(rules, Sequence) or not all(isinstance(rule, StartRule) for rule in rules):
+        raise ConfigurationError(f'{shown(rules)}: expected rules, such as [StartRule("camera"), ...]')
     for rule in rules:
         if rule.component in by_name:
             raise ConfigurationError(f"{rule.component}: there are two rules for it")

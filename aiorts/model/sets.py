@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from aiorts.errors import ConfigurationError, InvalidNameError
-from aiorts.model.configuration import ParameterSpec, validate
+from aiorts.model.configuration import ParameterSpec, check_mapping, validate
 from aiorts.model.names import check_name
 
 __all__ = ("DEFAULT", "ConfigurationState", "Difference", "differences", "same", "values_in_force")
@@ -77,6 +77,7 @@ class ConfigurationState:
     def changed(self, changes: Mapping[str, object], name: str | None = None, owner: str = "") -> ConfigurationState:
         """With these values in the set `name`; the active set by default."""
         target = self.active if name is None else self._known(name, owner)
+        check_mapping(changes, owner)
         if not changes:
             return self
         old = self.sets[target]
@@ -119,6 +120,7 @@ class ConfigurationState:
         self, sets: Mapping[str, Mapping[str, object]], active: str | None = None, owner: str = ""
     ) -> ConfigurationState:
         """With these values in "default", and these other sets in the place of those of the same name, or added."""
+        check_mapping(sets, owner, "sets by name")
         merged, faults = self, []
         for name, values in sets.items():
             try:

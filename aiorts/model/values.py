@@ -53,6 +53,8 @@ def shown(value: object) -> str:
         text = str(value) if isinstance(value, Path) else repr(value)
     except ValueError:  # of a whole number with thousands of digits
         text = f"<{type(value).__name__} too long to be shown>"
+    except Exception:  # noqa: BLE001 - the border of a user's own `__repr__`
+        text = f"<{type(value).__name__} that cannot be shown>"
     return text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
 
 

@@ -38,11 +38,16 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # plugin, a component file, an observer, a timer's callback); there it is reported and contained. A new line here needs
 # a reason.
 BROAD_EXCEPT = {
+    # What somebody else's exception says of itself may raise in its turn.
+    "aiorts/errors.py:said",
+    "aiorts/model/values.py:shown",
+    # Round a factory, at a restart: a SystemExit of a constructor is told as an error of the component.
+    "aiorts/kernel/standing.py:instance_of",
     "aiorts/kernel/bulkhead.py:_run",
     # `_run` written out for the hooks of a cycle, and for the one that a sample woke.
     "aiorts/kernel/bulkhead.py:_run_one",
     "aiorts/kernel/bulkhead.py:_run_quickly",
-    "aiorts/kernel/bus.py:publish",
+    "aiorts/kernel/bus.py:_tell",
     # Round a component's own check of a configuration: whatever it raises refuses the change.
     "aiorts/kernel/commit.py:_asked",
     # A component file that is read anew: what running it does is the file's own fault.

@@ -746,3 +746,33 @@ async def test_what_a_thread_puts_in_force_is_told_on_the_loop_in_order() -> Non
         await asyncio.sleep(0.05)
         assert values == [float(number) for number in range(1, 21)]
         assert threads == {threading.get_ident()}
+
+
+@pytest.mark.fault("B22")
+@pytest.mark.parametrize("added", [False, True])
+@simulated
+async def test_a_check_that_changes_what_it_is_asked_about_leaves_nothing_half_done(added: bool) -> None:
+    class Meddler(Component):
+        gain = Param(1.0)
+        mode = Param("a")
+        meddles = False
+
+        def check_configuration(self, values: Mapping[str, Any]) -> None:
+            if self.meddles:
+                self.meddles = False
+                self.configuration.change_soon(mode="b")
+
+    async with Kernel() as kernel:
+        meddler = Meddler("meddler")
+        if added:
+            await kernel.add(meddler)
+        meddler.meddles = True
+        if added:
+            await meddler.configure(gain=2.0)
+            await asyncio.sleep(0)
+            assert dict(meddler.configuration.values) == {"gain": 2.0, "mode": "b"}
+        else:
+            with pytest.raises(ConfigurationError, match="its own check changed the configuration"):
+                await meddler.configure(gain=2.0)
+            assert dict(meddler.configuration.values) == {"gain": 1.0, "mode": "b"}
+        assert (meddler.gain, meddler.mode) == tuple(meddler.configuration.values.values())

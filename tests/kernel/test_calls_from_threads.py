@@ -8,7 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, OutPort, Param, PeriodicContext
+from aiorts import (
+    Chart,
+    Component,
+    Composite,
+    Event,
+    EventContext,
+    ExternalContext,
+    InPort,
+    Kernel,
+    MultiModeComponent,
+    On,
+    OutPort,
+    Param,
+    PeriodicContext,
+    State,
+    StateMachineComponent,
+    Supervision,
+)
 from aiorts.errors import ThreadError
 from aiorts.types import TimedLong
 
@@ -102,6 +119,64 @@ async def test_in_debug_mode_a_port_used_from_another_thread_says_so(call: str, 
 
         with pytest.raises(ThreadError, match=r"plant\.(out|in_): used from thread"):
             await asyncio.to_thread(use)
+
+
+MORE: dict[str, Callable[[Any, Any, Any, Any], Any]] = {
+    "arm.add_param": lambda k, a, w, d: a.add_param("mass", Param(1.0)),
+    "arm.configuration": lambda k, a, w, d: a.configuration.add("soft", {}),
+    "arm.set_mode": lambda k, a, w, d: a.set_mode("automatic"),
+    "change": lambda k, a, w, d: w.remove_members("plant"),
+    "door: send": lambda k, a, w, d: d.machine.send("go"),
+    "supervise": lambda k, a, w, d: k.supervise(a, Supervision("reset")),
+    "wait_ready": lambda k, a, w, d: k.wait_ready(),
+    "start in order": lambda k, a, w, d: k.start_in_order([]),
+    "stop in order": lambda k, a, w, d: k.stop_in_order(),
+    "watch the loop": lambda k, a, w, d: k.watch_loop(),
+    "notify systemd": lambda k, a, w, d: k.notify_systemd(environ={"NOTIFY_SOCKET": "/nowhere"}),
+    "watch": lambda k, a, w, d: k.watch(),
+    "monitor": lambda k, a, w, d: k.monitor(["arm.gain"]),
+    "profile": lambda k, a, w, d: k.profile(),
+    "heartbeat": lambda k, a, w, d: k.heartbeat(),
+    "bus.subscribe": lambda k, a, w, d: k.bus.subscribe(Event, print),
+    "listen": lambda k, a, w, d: k.listen(next(iter(k.connectors.values())), print),
+    "save_configuration": lambda k, a, w, d: k.save_configuration("/nowhere/values.toml"),
+    "load_configuration": lambda k, a, w, d: k.load_configuration("/nowhere/values.toml"),
+}
+
+
+class Arm(MultiModeComponent):
+    modes = ("manual", "automatic")
+    gain = Param(1.0)
+
+
+class Door(StateMachineComponent):
+    chart = Chart(State("a", On("go", to="b"), initial=True), State("b"))
+
+
+@pytest.mark.anyio
+@pytest.mark.fault("A16")
+@pytest.mark.parametrize("name", MORE)
+async def test_what_came_later_is_refused_as_well(name: str, anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        arm, door, plant = (
+            await kernel.add(Arm("arm")),
+            await kernel.add(Door("door")),
+            await kernel.add(Plant("plant")),
+        )
+        whole = await kernel.add(Composite("whole", plant))
+        await kernel.connect(plant.out, plant.in_)
+        await kernel.start(ExternalContext(), door, activate=True)
+        before = (kernel.profile().structure(), kernel.bus.observers, dict(kernel.supervised), arm.mode, whole.members)
+
+        async def attempt() -> None:
+            result = MORE[name](kernel, arm, whole, door)
+            if asyncio.iscoroutine(result):
+                await result
+
+        with pytest.raises(ThreadError, match=f"{name} called from thread"):
+            await asyncio.to_thread(asyncio.run, attempt())
+        now = (kernel.profile().structure(), kernel.bus.observers, dict(kernel.supervised), arm.mode, whole.members)
+        assert now == before
 
 
 @pytest.mark.anyio

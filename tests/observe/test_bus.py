@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 import time
 from typing import Any
 
@@ -18,12 +19,18 @@ from aiorts import (
     ExternalContext,
     HookAfter,
     HookBefore,
+    HookFailed,
+    InPort,
     Kernel,
+    PeriodicContext,
+    PortAdded,
+    PortRemoved,
     SimulatedClock,
     StateChanged,
 )
 from aiorts.model.lifecycle import HOOKS
-from aiorts.testing import simulate
+from aiorts.testing import simulate, simulated
+from aiorts.types import TimedDouble
 from kernel_parts import PlainDiary, raising
 
 
@@ -206,3 +213,185 @@ def test_every_hook_is_told_before_and_after_with_its_outcome() -> None:
         assert failed == ["on_execute"]
 
     simulate(main)
+
+
+@pytest.mark.row(84, 105)
+@simulated
+async def test_what_an_observer_causes_is_told_after_what_it_follows_from() -> None:
+    """Whatever observers do, each of them hears of everything in the order in which it happened."""
+    heard: dict[str, list[Event]] = {"early": [], "late": []}
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        joined: list[Event] = []
+
+        def answers(event: StateChanged) -> None:
+            if not part.ports:
+                part.add_port("more", InPort(TimedDouble))
+                kernel.bus.subscribe(Event, joined.append)
+
+        kernel.bus.subscribe(Event, heard["early"].append)
+        kernel.bus.subscribe(StateChanged, answers)
+        kernel.bus.subscribe(Event, heard["late"].append)
+        async with kernel.watch() as watch:
+            fresh = await anext(watch)
+            await kernel.start(ExternalContext(), part, activate=True)
+            told = [change.sequence for change in [await anext(watch) for _ in range(3)]]
+        kinds = ["ContextStarted", "StateChanged", "PortAdded"]
+        for name in ("early", "late"):
+            assert [type(event).__name__ for event in heard[name]] == kinds
+            assert [event.sequence for event in heard[name]] == told
+        assert told == list(range(fresh.sequence + 1, fresh.sequence + 4))
+        assert joined == []  # what had happened before it was there is not told
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_who_was_unsubscribed_hears_nothing_more() -> None:
+    heard: list[Event] = []
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        kernel.bus.subscribe(StateChanged, lambda event: off())
+        off = kernel.bus.subscribe(StateChanged, heard.append)
+        await kernel.start(ExternalContext(), part, activate=True)
+        assert heard == []
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_observers_that_answer_for_ever_do_not_hold_the_loop() -> None:
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        heard: list[int] = []
+
+        def undo(event: PortAdded) -> None:
+            part.remove_port("more")
+
+        def again(event: PortRemoved) -> None:
+            part.add_port("more", InPort(TimedDouble))
+
+        ways = kernel.bus.subscribe(PortAdded, undo), kernel.bus.subscribe(PortRemoved, again)
+        kernel.bus.subscribe(Event, lambda event: heard.append(event.sequence))
+        part.add_port("more", InPort(TimedDouble))
+        assert len(heard) <= 1001
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert len(heard) > 1001
+        for unsubscribe in ways:
+            unsubscribe()
+        await asyncio.sleep(0)
+        assert heard == list(range(heard[0], kernel.bus.sequence + 1))
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_an_observer_that_raises_cancelled_error_of_its_own_goes_on_being_called(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """As when it awaits a task that somebody else has cancelled."""
+    heard: list[str] = []
+
+    async def awaits_what_was_cancelled(event: ComponentAdded) -> None:
+        heard.append(event.component)
+        gone = asyncio.get_running_loop().create_future()
+        gone.cancel()
+        await gone
+
+    async with Kernel() as kernel:
+        kernel.bus.subscribe(ComponentAdded, awaits_what_was_cancelled)
+        for number in range(3):
+            await kernel.add(Part(f"part{number}"))
+        await asyncio.sleep(0.1)
+        assert heard == ["part0", "part1", "part2"]
+        statistics = kernel.bus.observers[0]
+        assert (statistics.calls, statistics.errors, statistics.waiting) == (3, 3, 0)
+    assert "awaits_what_was_cancelled failed" in caplog.text
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_an_observer_that_is_unsubscribed_while_it_waits_is_cancelled() -> None:
+    ended: list[str] = []
+
+    async def waits(event: ComponentAdded) -> None:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            ended.append(event.component)
+            raise
+
+    async with Kernel() as kernel:
+        off = kernel.bus.subscribe(ComponentAdded, waits)
+        await kernel.add(Part("part0"))
+        await kernel.add(Part("part1"))
+        await asyncio.sleep(0)
+        off()
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert ended == ["part0"]
+        assert kernel.bus.observers == ()
+
+
+class Deaf(Component):
+    async def on_execute(self) -> None:
+        await deaf()
+
+
+async def deaf() -> None:
+    while not FREE.is_set():
+        try:
+            await asyncio.sleep(3600)
+        except asyncio.CancelledError:
+            continue
+
+
+FREE = threading.Event()
+
+
+@pytest.mark.row(92, 105)
+@pytest.mark.parametrize("hooks", [0, 3])
+def test_observers_that_ignore_cancellation_do_not_delay_the_end_beyond_five_seconds(
+    hooks: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    FREE.clear()
+
+    async def ignores(event: Event) -> None:
+        await deaf()
+
+    async def main(clock: SimulatedClock) -> float:
+        async with Kernel() as kernel:
+            for _ in range(hooks):
+                await kernel.start(PeriodicContext(100.0), await kernel.create(Deaf), activate=True)
+            kernel.bus.subscribe(ComponentAdded, ignores)
+            await kernel.add(Part("part"))
+            await clock.advance(0.1)
+            began = clock.monotonic_ns()
+        return (clock.monotonic_ns() - began) / 1e9
+
+    took = simulate(main)  # it ends, and so would asyncio.run
+    assert took <= (5.0 if hooks else 1.2)
+    assert "ignores ignored 4 cancellations and was left behind" in caplog.text
+
+
+@pytest.mark.row(105)
+@simulated
+async def test_an_observer_that_fails_at_an_event_that_cannot_be_printed_is_named(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Unprintable(Exception):
+        def __str__(self) -> str:
+            raise RuntimeError("no text")
+
+        __repr__ = __str__
+
+    class Fails(Component):
+        def on_execute(self) -> None:
+            raise Unprintable
+
+    def careless(event: HookFailed) -> None:
+        raise ValueError("told to")
+
+    async with Kernel() as kernel:
+        kernel.bus.subscribe(HookFailed, careless)
+        loop = await kernel.start(ExternalContext(), await kernel.create(Fails), activate=True)
+        await loop.tick()
+    assert "careless failed at <HookFailed that cannot be shown> (1 times so far)" in caplog.text

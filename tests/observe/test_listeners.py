@@ -224,7 +224,6 @@ def test_a_reader_that_is_not_active_and_a_writer_nobody_runs() -> None:
             source, sink, _ = await pair(kernel, heard, dataflow="pull")
             context = await kernel.start(ExternalContext(), source, activate=True)
             await context.stop()
-            source._rt_host.retired = True
             assert sink.into.latest is None
             await told()
             assert heard.take() == ["buffer_empty", "sender_error"]

@@ -110,7 +110,8 @@ def test_a_slow_reader_is_told_what_it_missed() -> None:
         ("source.gian", "it has out, gain, state"),
         ("loop.speed", "it has ticks"),
         ("wire.speed", "it has written"),
-        ("source", "no component"),
+        ("source", r"is a component; say what of it, such as source\.state"),
+        ("nobody", "no component"),
     ],
 )
 def test_what_is_not_there_is_refused_with_what_there_is(path: str, says: str) -> None:

@@ -441,3 +441,42 @@ async def test_what_a_served_method_logs_says_which(caplog: pytest.LogCaptureFix
         await arm.brake.proxy.stop()
     said = next(record for record in caplog.records if record.getMessage() == "braking")
     assert (said.component, said.hook) == ("brake0", "service.stop")  # type: ignore[attr-defined]
+
+
+@pytest.mark.fault("B20")
+@pytest.mark.parametrize("fault", ["raises", "hangs", "vanishes", "wrong type", "absent"])
+@simulated
+async def test_each_way_a_provider_can_fail_is_a_typed_error_by_the_deadline(fault: str) -> None:
+    async def script(brake: Any) -> Any:
+        if fault == "raises":
+            raise ValueError("worn")
+        if fault == "hangs":
+            await asyncio.Event().wait()
+        if fault == "vanishes":
+            removing.append(asyncio.ensure_future(kernel.remove(brake)))
+            await asyncio.Event().wait()
+        return "much"
+
+    removing: list[asyncio.Future[None]] = []
+    kinds = {
+        "raises": (ServiceFailed, "ValueError: worn", 0.0),
+        "hangs": (ServiceTimeout, "did not answer within 0.5 s", 0.5),
+        "vanishes": (ServiceUnavailable, "is being removed", 0.0),
+        "wrong type": (InterfaceMismatch, "answered with str 'much'", 0.0),
+        "absent": (ServiceUnavailable, "is not connected", 0.0),
+    }
+    async with Kernel() as kernel:
+        brake = Scripted(script)
+        arm = await wired(kernel, brake)
+        loop = await kernel.start(PeriodicContext(100.0), brake, activate=True)
+        if fault == "absent":
+            await kernel.disconnect(arm.brake.connectors[0])
+        kind, text, after = kinds[fault]
+        begun = now()
+        with pytest.raises(kind, match=text):
+            await arm.brake.within(0.5).stop()
+        assert now() - begun == pytest.approx(after, abs=0.1)
+        await asyncio.gather(*removing)
+        cycles = loop.ticks
+        await kernel.sleep(0.1)
+        assert fault == "vanishes" or loop.ticks - cycles >= 9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -15,11 +16,12 @@ from aiorts import (
     MultiModeComponent,
     Participant,
     PeriodicContext,
+    SimulatedClock,
     StateMachineComponent,
     ThreadContext,
 )
-from aiorts.errors import ComponentError, DeclarationError, StateError
-from aiorts.testing import Rig, simulate
+from aiorts.errors import ComponentError, DeclarationError, StateError, TransitionTimeout
+from aiorts.testing import Rig, simulate, simulated
 from statechart.test_machines import Door
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(18)]
@@ -157,3 +159,33 @@ def test_a_component_may_have_both() -> None:
     both = Both("both0")
     assert both.mode == "manual"
     assert both.machine.chart is Door.chart
+
+
+@pytest.mark.row(18)
+@simulated
+async def test_a_mode_that_nobody_waits_for_any_more_is_not_pending(simulated_clock: SimulatedClock) -> None:
+    class Slow(MultiModeComponent):
+        modes = ("manual", "automatic", "off")
+
+        async def on_execute(self) -> None:
+            await self.sleep(0.05)
+
+    async with Kernel() as kernel:
+        slow = await kernel.add(Slow("slow"))
+        await kernel.start(PeriodicContext(10.0), slow, activate=True)
+        await simulated_clock.advance(0.01)
+        asked = asyncio.ensure_future(slow.set_mode("automatic"))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        assert slow.pending_mode == "automatic"
+        asked.cancel()
+        await asyncio.wait([asked])
+        assert slow.pending_mode is None
+        later = asyncio.ensure_future(slow.set_mode("off", timeout=0.001))
+        again = asyncio.ensure_future(slow.set_mode("off"))
+        await simulated_clock.advance(0.01)
+        with pytest.raises(TransitionTimeout):
+            await later
+        assert slow.pending_mode == "off"  # somebody else asked for it as well
+        await again
+        assert (slow.mode, slow.pending_mode) == ("off", None)

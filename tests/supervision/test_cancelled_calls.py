@@ -134,11 +134,11 @@ async def _failed(world: World) -> None:
     await world.context.reset(world.one)
 
 
-async def _cancelled_after(turns: int, call: Call, clock: SimulatedClock) -> bool:
+async def cancelled_after(turns: int, call: Call, clock: SimulatedClock, kind: type[World] = World) -> bool:
     """Whether the call was still under way after so many turns of the loop; then it was cancelled."""
     before = asyncio.all_tasks()
     async with Kernel() as kernel:
-        world = await World(kernel).build()
+        world = await kind(kernel).build()
         task = asyncio.ensure_future(call(world))
         for turn in range(turns):
             # Hooks wait for the clock, too: it goes on a little now and then.
@@ -166,7 +166,7 @@ async def _cancelled_after(turns: int, call: Call, clock: SimulatedClock) -> boo
 @pytest.mark.parametrize("name", CALLS)
 def test_cancelled_at_every_turn_it_leaves_nothing_behind(name: str) -> None:
     at = 0
-    while simulate(lambda clock, turns=at: _cancelled_after(turns, CALLS[name], clock)):  # type: ignore[misc]
+    while simulate(lambda clock, turns=at: cancelled_after(turns, CALLS[name], clock)):  # type: ignore[misc]
         at += 1
         if at > 100 and name in FOR_EVER:
             return

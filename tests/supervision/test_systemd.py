@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import os
 import socket
@@ -16,10 +17,13 @@ import pytest
 
 from aiorts import Component, EventContext, Kernel, PeriodicContext, ThreadContext
 from aiorts.errors import ConfigurationError
+from aiorts.testing import simulated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from aiorts import SimulatedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -239,3 +243,29 @@ async def test_nothing_is_left_when_the_kernel_closes_before_it_is_ready(
     assert "READY=1" not in said
     assert "STOPPING=1" in said
     assert not caplog.records
+
+
+@pytest.mark.fault("G12")
+@simulated
+async def test_no_two_pings_are_further_apart_than_half_the_time(
+    systemd: Systemd, simulated_clock: SimulatedClock
+) -> None:
+    """On the loop's own time, so to the microsecond."""
+    async with Kernel() as kernel:
+        part = await kernel.add(Part("part"))
+        part.go.set()
+        await kernel.start(PeriodicContext(1.0), part, activate=True)
+        kernel.notify_systemd(environ={"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "1000000"})
+        pings = []
+        for step in range(400):
+            if "WATCHDOG=1" in systemd.all():
+                pings.append(step * 0.05)
+            await simulated_clock.advance(0.05)
+        gaps = [later - earlier for earlier, later in itertools.pairwise(pings)]
+        assert len(pings) >= 40
+        assert max(gaps) <= 0.5 + 1e-9
+        part.waits = True
+        await simulated_clock.advance(3.0)
+        systemd.all()
+        await simulated_clock.advance(10.0)
+        assert "WATCHDOG=1" not in systemd.all()

@@ -1,0 +1,121 @@
+"""Arguments that cannot be meant: each is one error of aiorts that says what was expected, and nothing is changed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from aiorts import Component, Composite, Kernel, Param, PeriodicContext, StateChanged, Supervision
+from aiorts.errors import AiortsError, StateError
+from aiorts.testing import simulated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Pid(Component):
+    gain = Param(1.0)
+
+
+async def _now(result: object) -> None:
+    """For calls that are not awaited."""
+
+
+CALLS: dict[str, tuple[Callable[[Kernel, Any], Any], str]] = {
+    "change list": (lambda k, c: c.configuration.change("default", []), "pid0: expected values by parameter"),
+    "change text": (lambda k, c: c.configuration.change("default", "gain=1"), "pid0: expected values by parameter"),
+    "change none": (lambda k, c: c.configuration.change("default", None), "pid0: expected values by parameter"),
+    "add a set": (lambda k, c: c.configuration.add("soft", 3), r"pid0 \(set soft\): expected values by parameter"),
+    "replace sets": (lambda k, c: c.configuration.replace([]), "pid0: expected sets by name"),
+    "merge sets": (lambda k, c: c.configuration.merge("soft"), "pid0: expected sets by name"),
+    "merge a set": (
+        lambda k, c: c.configuration.merge({"soft": 3}),
+        r"pid0 \(set soft\): expected values by parameter",
+    ),
+    "wait for list": (lambda k, c: k.wait_ready([c]), "expected components or their names, one argument each"),
+    "wait for number": (lambda k, c: k.wait_ready(3), "3: expected components or their names"),
+    "systemd": (
+        lambda k, c: _now(k.notify_systemd(3, environ={"NOTIFY_SOCKET": "/nowhere/aiorts"})),  # type: ignore[arg-type]
+        "3: expected components or their names",
+    ),
+    "start in order text": (lambda k, c: k.start_in_order("pid0"), r"expected rules, such as \[StartRule"),
+    "start in order names": (lambda k, c: k.start_in_order(["pid0"]), r"expected rules, such as \[StartRule"),
+    "monitor number": (lambda k, c: _now(k.monitor([3])), r"expected a list of paths"),  # type: ignore[list-item]
+    "monitor all of it": (
+        lambda k, c: _now(k.monitor(["pid0"])),
+        "pid0: is a component; say what of it, such as pid0.state",
+    ),
+    "watch of none": (lambda k, c: _now(k.watch(length=0)), "watch: length = 0: expected a whole number from 1 on"),
+    "watch of text": (lambda k, c: _now(k.watch(length="8")), "watch: length = '8': expected"),  # type: ignore[arg-type]
+    "subscribe length": (
+        lambda k, c: _now(k.bus.subscribe(StateChanged, print, length=-1)),
+        "subscribe: length = -1: expected a whole number",
+    ),
+    "subscribe nobody": (
+        lambda k, c: _now(k.bus.subscribe(StateChanged, None)),  # type: ignore[arg-type]
+        r"subscribe\(StateChanged\): expected a function to call, got None",
+    ),
+    "supervise a name": (lambda k, c: _now(k.supervise("pid0", Supervision())), "'pid0': does not belong to"),  # type: ignore[arg-type]
+    "factory": (
+        lambda k, c: _now(k.supervise(c, Supervision("restart"), factory=3)),  # type: ignore[arg-type]
+        "pid0: factory = 3: expected a function of a name",
+    ),
+    "remove nobody": (lambda k, c: k.remove(None), "None: does not belong to"),  # type: ignore[arg-type]
+    "remove the kernel": (lambda k, c: k.remove(k), "kernel: does not belong to"),  # type: ignore[arg-type]
+    "remove a name": (lambda k, c: k.remove("pid0"), "'pid0': does not belong to"),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+@simulated
+async def test_what_cannot_be_meant_is_said_and_changes_nothing(name: str) -> None:
+    call, why = CALLS[name]
+    async with Kernel() as kernel:
+        pid = await kernel.create(Pid, "pid0")
+        await kernel.start(PeriodicContext(100.0), pid, activate=True)
+        kernel.supervise(pid, Supervision())
+        before = pid.configuration.profile, kernel.profile().structure(), kernel.bus.observers
+        with pytest.raises(AiortsError, match=why):
+            await call(kernel, pid)
+        assert (pid.configuration.profile, kernel.profile().structure(), kernel.bus.observers) == before
+
+
+@pytest.mark.parametrize(
+    ("wishes", "why"),
+    [
+        ({"groups": 3}, "whole: groups = 3: expected groups of names"),
+        ({"groups": ["pid0"]}, r"whole: groups = \['pid0'\]: expected groups of names"),
+        ({"groups": [["pid0", 3]]}, "3: no member"),
+        ({"exported": 3}, "whole: exported = 3: expected patterns"),
+        ({"members": "pid0"}, "whole: members = 'pid0': expected a list of components or names"),
+        ({"members": 3}, "whole: members = 3: expected a list"),
+        ({"members": ["pid0", 3]}, "whole: expected components or their names, got 3"),
+    ],
+)
+@simulated
+async def test_nor_can_a_composite_be_made_of_anything(wishes: dict[str, Any], why: str) -> None:
+    async with Kernel() as kernel:
+        pid = await kernel.create(Pid, "pid0")
+        whole = await kernel.add(Composite("whole", pid))
+        await kernel.start(PeriodicContext(100.0), whole, activate=True)
+        before = kernel.profile().structure()
+        with pytest.raises(AiortsError, match=why):
+            await whole.change(**wishes)
+        with pytest.raises(AiortsError, match="3: is no member of whole; it has pid0"):
+            await whole.remove_members(3)  # type: ignore[arg-type]
+        with pytest.raises(AiortsError, match="expected components or their names, got 3"):
+            await whole.add_members(3)  # type: ignore[arg-type]
+        assert kernel.profile().structure() == before
+
+
+@simulated
+async def test_a_kernel_stops_its_own_contexts_alone() -> None:
+    async with Kernel("one") as one, Kernel("two") as two:
+        context = await one.start(PeriodicContext(100.0), await one.create(Pid), activate=True)
+        with pytest.raises(StateError, match="runs in another kernel than two; stop it there"):
+            await two.stop(context)
+        assert context.running
+        await one.stop(context)
+        await one.stop(context)
+        await two.stop(PeriodicContext(1.0))
