@@ -17,6 +17,8 @@ import aiorts
 from aiorts import Component, InPort, OutPort, Param
 from aiorts.types import TimedDouble, TimedLong, Time
 """
+READ: list[str] = []
+"""Names of the modules that were run, of files that say so."""
 _NUMBERS = itertools.count()
 
 

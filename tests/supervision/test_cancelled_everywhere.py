@@ -145,6 +145,7 @@ ELSEWHERE = {
     "SimulatedClock.advance": "the clock of the tests: what it moves is what is cancelled here",
     "SimulatedClock.advance_to": "the same",
     "RealtimeContext.add": "Context.add, after a check that waits for nothing",
+    "Supervising.reload": "reload/test_cancelled.py",
     "Required.wait_bound": "services/test_cancelled_anywhere.py",
     "ServicePort.wait_bound": "services/test_cancelled_anywhere.py",
 }
