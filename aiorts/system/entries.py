@@ -22,7 +22,7 @@ from aiorts.system.places import Key
 from aiorts.system.reading import NOTHING, Reading
 from aiorts.system.values import ComponentEntry, CompositeEntry, WatchEntry
 
-__all__ = ("COMPOSITE_KEYS", "START_KEYS", "SUPERVISION_KEYS", "EntryReader")
+__all__ = ("COMPOSITE_KEYS", "ORDERS", "POLICIES", "START_KEYS", "SUPERVISION_KEYS", "EntryReader")
 
 COMPOSITE_KEYS: Final = ("members", "exported", "order", "groups", "errors", "own_schedule")
 SUPERVISION_KEYS: Final = tuple(field.name for field in fields(Supervision))
