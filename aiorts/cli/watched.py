@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aiorts import Kernel
+from aiorts import ContextStarted, Kernel
 from aiorts.system import WatchEntry
 
 __all__ = ("Watched",)
@@ -23,8 +23,14 @@ class Watched:
         if self.ready:  # of nobody it could not be said when they are
             kernel.notify_systemd(*self.ready)
 
+        def watch(_event: ContextStarted) -> None:
+            unsubscribe()
+            kernel.watch_loop(self.loop.limit, self.loop.policy)
+
+        # Not before a context runs: while a system is made it may well keep its loop.
+        unsubscribe = kernel.bus.subscribe(ContextStarted, watch)
+
     def made(self, kernel: Kernel) -> None:
-        """The system is made: what its making kept the loop from is no stall of it."""
-        kernel.watch_loop(self.loop.limit, self.loop.policy)
+        """The system is made."""
         if not self.ready:
             kernel.notify_systemd()

@@ -6,7 +6,7 @@ Pure, as `parse`: the values are made and checked here wherever no component has
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from types import MappingProxyType
@@ -205,6 +205,7 @@ class EntryReader(Reading):
                 self._say(("composites", name, "members"), f"would be a member of itself: {way}")
                 for one in seen:
                     owners.pop(one, None)
+                    composites[one] = replace(composites[one], members=())  # who follows the way finds an end
 
     # -- the order of starting ---------------------------------------------------------------------------------------
 
