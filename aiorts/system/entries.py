@@ -122,7 +122,7 @@ class EntryReader(Reading):
                 self._say(("composites", name), f"there is a component {name!r}; choose another name", of_key=True)
                 continue
             good[name] = self._composite(name, table, {**components, **tables})
-        self._families(good)
+        self._families(good, components)
         return MappingProxyType(good)
 
     def _composite(self, name: str, table: dict[str, Any], known: Mapping[str, Any]) -> CompositeEntry:
@@ -187,8 +187,8 @@ class EntryReader(Reading):
                 good[pattern] = shown
         return good
 
-    def _families(self, composites: dict[str, CompositeEntry]) -> None:
-        """Refuse a member of two composites, and one that would be a member of itself."""
+    def _families(self, composites: dict[str, CompositeEntry], components: Mapping[str, ComponentEntry]) -> None:
+        """Refuse a member of two composites, one that would be a member of itself, and one that could not stay one."""
         owners: dict[str, str] = {}
         for entry in composites.values():
             for number, member in enumerate(entry.members):
@@ -196,6 +196,12 @@ class EntryReader(Reading):
                 if owner != entry.name:
                     what = f"{member!r} is a member of {owner} already; take it away from one of them"
                     self._say(("composites", entry.name, "members", number), what)
+        for entry in components.values():
+            if entry.name in owners and entry.supervision is not None and entry.supervision.restart == "restart":
+                what = (
+                    f'a restart would take it out of {owners[entry.name]}, whose member it is; write restart = "reset"'
+                )
+                self._say(("components", entry.name, "supervision", "restart"), what)
         for name in composites:
             seen, here = [name], name
             while (here := owners.get(here, "")) not in ("", *seen):

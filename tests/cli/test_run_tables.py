@@ -172,7 +172,7 @@ def test_what_blocks_the_loop_is_named_and_may_end_the_process(folder: Path) -> 
     assert "it.on_execute (parts.py:" in done.stderr
     assert "the process ends with status 70" in done.stderr
     (folder / "blocked.toml").write_text(BLOCKED.replace("limit = 0.4", "").replace("exit", "warn"))
-    done = aiorts(folder, "run", "blocked.toml", "--for", "0.5")
+    done = aiorts(folder, "run", "blocked.toml", "--for", "1.5")
     assert done.returncode == 0
     assert "it.on_execute (parts.py:" in done.stderr
 

@@ -186,6 +186,13 @@ def test_a_table_that_says_nothing_is_refused(write: Write) -> None:
     ]
 
 
+def test_a_member_that_a_restart_would_take_out_of_its_composite_is_refused(write: Write) -> None:
+    path = write(changed("[components.two]\n", '[components.two]\nsupervision.restart = "restart"\n'))
+    assert [(one.cause, one.remedy) for one in check(path)] == [
+        ("a restart would take it out of hand, whose member it is", 'write restart = "reset"')
+    ]
+
+
 def test_rules_that_wait_for_each_other_are_named(write: Write) -> None:
     text = changed("[components.sink]\n", '[components.sink]\nstart.after = "source"\n')
     errors = [one for one in check(write(text)) if one.severity == "error"]
