@@ -228,7 +228,15 @@ def test_what_the_command_line_sets_is_in_force_though_the_set_says_otherwise(wr
     assert (other.params["rate_limit"], other.sets["slow"]) == (7, {"rate_limit": 2})
 
 
-def test_a_class_that_makes_ports_by_parameter_is_not_judged_by_what_it_declares(write: Write) -> None:
+@pytest.mark.parametrize(
+    "method",
+    [
+        "    def ports_for(self, values):\n        return {'output2': OutPort(TimedLong)}\n",
+        "    def on_initialize(self):\n        self.make_ports()\n"
+        "    def make_ports(self):\n        self.add_port('output2', OutPort(TimedLong))\n",
+    ],
+)
+def test_a_class_that_makes_ports_itself_is_not_judged_by_what_it_declares(write: Write, method: str) -> None:
     text = CHAIN.replace("parts.py:Middle", "more.py:Grown").replace("middle.output", "middle.output2")
     path = write(text)
     (path.parent / "more.py").write_text(
@@ -237,8 +245,7 @@ def test_a_class_that_makes_ports_by_parameter_is_not_judged_by_what_it_declares
         "class Grown(Component):\n"
         "    input = InPort(TimedLong)\n"
         "    output = OutPort(TimedLong)\n"
-        "    def ports_for(self, values):\n"
-        "        return {'output2': OutPort(TimedLong)}\n"
+        f"{method}"
     )
     assert [one for one in check(path) if one.severity == "error"] == []
     prepare(load(path))
