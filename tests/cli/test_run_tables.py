@@ -191,6 +191,7 @@ def test_systemd_is_told_when_it_asks(folder: Path) -> None:
             output, _ = child.communicate(timeout=20.0)
     ready = [number for number, text in enumerate(told) if text.startswith("READY=1")]
     assert len(ready) == 1
+    assert "0 of 0" not in told[ready[0]]
     assert "WATCHDOG=1" in told
     assert output.splitlines() == LINES
     # The source waited for half a second: it was not ready before.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -9,9 +10,10 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from aiorts import Catalogue, StartRule, Supervision
+from aiorts import Catalogue, Kernel, StartRule, Supervision
 from aiorts.errors import AiortsError
-from aiorts.system import Finding, WatchEntry, check, graph, load, prepare, schema
+from aiorts.system import Finding, WatchEntry, build, check, graph, load, prepare, schema, wait_finished
+from aiorts.testing import simulate
 from system_parts import CHAIN
 
 Write = Callable[..., Path]
@@ -166,11 +168,6 @@ def test_each_mistake_is_named_with_its_place(write: Write, old: str, new: str, 
     ("old", "new", "said"), [(old, new, said) for old, new, _, said in WRONG if said is not None], ids=str
 )
 def test_what_check_refuses_is_not_built_either(write: Write, old: str, new: str, said: str) -> None:
-    import asyncio
-
-    from aiorts import Kernel
-    from aiorts.system import build
-
     async def main() -> None:
         async with Kernel() as kernel:
             await build(kernel, load(write(changed(old, new))))
@@ -270,3 +267,54 @@ def test_composites_are_boxes_of_a_drawing_and_arrows_go_to_the_members_own_port
         assert "source.out → one.input" in drawn
     if form == "mermaid":
         assert drawn.count("subgraph") == drawn.count("  end\n") == 4
+
+
+FED_INSIDE = """\
+schema = 1
+[components.source]
+type = "few.py:Few"
+[components.middle]
+type = "parts.py:Middle"
+[components.sink]
+type = "parts.py:Sink"
+[composites.head]
+members = ["source", "middle"]
+exported = ["middle.output"]
+[[connections]]
+from = "source.out"
+to = "middle.input"
+[[connections]]
+from = "head.output"
+to = "sink.input"
+subscription = "new"
+push = "new"
+[contexts.loop]
+kind = "periodic"
+rate = 100.0
+members = ["head"]
+"""
+
+
+def test_a_composite_is_no_source_that_is_waited_for_beside_its_members(write: Write) -> None:
+    path = write(FED_INSIDE)
+    (path.parent / "few.py").write_text(
+        "from aiorts import Component, OutPort\n"
+        "from aiorts.types import TimedLong\n"
+        "class Few(Component):\n"
+        "    out = OutPort(TimedLong)\n"
+        "    def on_execute(self):\n"
+        "        self.out.write_nowait(TimedLong(0, 1))\n"
+        "        self.finish()\n"
+    )
+
+    async def main() -> bool:
+        async with Kernel() as kernel:
+            await build(kernel, load(path))
+            ending = asyncio.ensure_future(wait_finished(kernel))
+            await kernel.sleep(10.0)
+            done = ending.done()
+            ending.cancel()
+            await asyncio.wait([ending])
+            return done
+
+    assert simulate(main())
