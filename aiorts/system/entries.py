@@ -196,12 +196,11 @@ class EntryReader(Reading):
                 if owner != entry.name:
                     what = f"{member!r} is a member of {owner} already; take it away from one of them"
                     self._say(("composites", entry.name, "members", number), what)
-        for entry in components.values():
-            if entry.name in owners and entry.supervision is not None and entry.supervision.restart == "restart":
-                what = (
-                    f'a restart would take it out of {owners[entry.name]}, whose member it is; write restart = "reset"'
-                )
-                self._say(("components", entry.name, "supervision", "restart"), what)
+        for component in components.values():
+            policy, outer = component.supervision, owners.get(component.name)
+            if outer is not None and policy is not None and policy.restart == "restart":
+                what = f'a restart would take it out of {outer}, whose member it is; write restart = "reset"'
+                self._say(("components", component.name, "supervision", "restart"), what)
         for name in composites:
             seen, here = [name], name
             while (here := owners.get(here, "")) not in ("", *seen):
