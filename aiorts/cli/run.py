@@ -12,6 +12,7 @@ from aiorts.cli.options import Options, checked, with_clock
 from aiorts.cli.session import execute, log_of
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.target import DEFAULT_RATE, find_target
+from aiorts.cli.watched import Watched
 from aiorts.errors import AiortsError
 
 __all__ = ("run",)
@@ -54,6 +55,8 @@ def run(
     asks for it, after --for, or on Ctrl-C; a second Ctrl-C ends it at once. Exit status: what the component that asked
     said; 1 when a component could not be created; 2 when the file or the command line is wrong; 3 with --strict when a
     component ended in error; 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. SIGUSR1 prints state and stacks.
+    What keeps the event loop from turning for 0.2 s is named while it does; [watch_loop] of the file may end it
+    for that. systemd is told of readiness, status and life where NOTIFY_SOCKET asks for it.
     With --log-file standard error is told of warnings and errors only.
     """
     if given["duration"] is None:
@@ -76,4 +79,5 @@ def run(
             log=log,
             catalogue=found.catalogue,
             unfed_advice=found.unfed,
+            watched=Watched(found.watch_loop, found.ready),
         )

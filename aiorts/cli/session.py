@@ -18,13 +18,14 @@ from typing import Any, TypeAlias
 import click
 
 import aiorts
-from aiorts import Catalogue, Component, ComponentAdded, HookFailed, Kernel, LifeCycleState, ScaledClock
+from aiorts import Catalogue, Component, ComponentAdded, Composite, HookFailed, Kernel, LifeCycleState, ScaledClock
 from aiorts.cli.hints import dropped, unawaited_told, unfed
 from aiorts.cli.log import Log
 from aiorts.cli.options import Options, checked
 from aiorts.cli.report import cause_of
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.terminal import on_terminal
+from aiorts.cli.watched import Watched
 from aiorts.errors import (
     ConfigurationError,
     DeclarationError,
@@ -63,6 +64,7 @@ class _Run:
     log: Log
     catalogue: Catalogue | None
     unfed_advice: str
+    watched: Watched | None
 
     def warn(self, code: str, message: str) -> None:
         """A line of the command itself, unless only errors are asked for."""
@@ -79,6 +81,7 @@ def execute(
     log: Log | None = None,
     catalogue: Catalogue | None = None,
     unfed_advice: str = "",
+    watched: Watched | None = None,
 ) -> int:
     """Open a kernel, have the system made in it, run it to its end; the exit status.
 
@@ -87,12 +90,22 @@ def execute(
         log: the run's log, which its caller has begun; by default it has one of its own.
         catalogue: where the kernel has types from that are asked for by name.
         unfed_advice: for a component alone, what to do when it waits for data that cannot come.
+        watched: who watches the run, in real time.
     """
     with contextlib.ExitStack() as stack:
         if log is None:
             log = stack.enter_context(log_of(options, stopper))
         try:
-            run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice)
+            run = _Run(
+                construct,
+                components,
+                options,
+                stopper,
+                log,
+                catalogue,
+                unfed_advice,
+                None if options.simulate else watched,
+            )
             with unawaited_told(run.warn):
                 return _run(run)
         finally:
@@ -134,6 +147,8 @@ async def _session(run: _Run) -> int:
         debugger = stack.enter_context(on_terminal(kernel, options, stopper))
         stopper.attach(kernel)
         run.log.attach(kernel)
+        if run.watched is not None:
+            run.watched.begin(kernel)
         built, error = await _unless_stopped(kernel, run.construct(kernel))
         if error is not None:
             run.log.failed(error)
@@ -142,6 +157,8 @@ async def _session(run: _Run) -> int:
             status = 2 if isinstance(error, _FAULTS_OF_THE_FILE) else 1
         elif built:
             gc.freeze()  # what activation made; without a collection, since contexts run by now
+            if run.watched is not None:
+                run.watched.made(kernel)
             if run.unfed_advice and options.duration is None and (hint := unfed(kernel, run.unfed_advice)):
                 run.warn("W-UNFED", hint)
             status = await _until_end(kernel, run)
@@ -210,7 +227,9 @@ async def _until_end(kernel: Kernel, run: _Run) -> int:
 
 
 def _failed(kernel: Kernel) -> list[Component]:
-    return [c for c in kernel.components.values() if LifeCycleState.ERROR in c.states.values()]
+    """Of a composite its members are told."""
+    those = [c for c in kernel.components.values() if not isinstance(c, Composite)]
+    return [c for c in those if LifeCycleState.ERROR in c.states.values()]
 
 
 def _tell_failed(components: list[Component], run: _Run) -> None:

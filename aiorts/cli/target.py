@@ -18,12 +18,13 @@ from aiorts import Catalogue, Component, EventContext, InPort, Kernel, PeriodicC
 from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.single import component_class
 from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
-from aiorts.system import ClockEntry, build, construct, load, prepare
+from aiorts.system import ClockEntry, SystemFile, WatchEntry, build, construct, load, prepare
 from aiorts.system.whole import NOTHING_RUNS
 
 __all__ = ("DEFAULT_RATE", "Target", "find_target")
 
 _SYSTEM_CLOCK: Final = ClockEntry()
+_WATCH: Final = WatchEntry()
 DEFAULT_RATE: Final = 10.0
 """Hz of a component without in-ports that is run alone."""
 
@@ -37,6 +38,9 @@ class Target:
     catalogue: Catalogue
     make: Callable[[Kernel], Any]
     clock: ClockEntry = _SYSTEM_CLOCK
+    ready: tuple[str, ...] = ()
+    """Who is active once it is ready."""
+    watch_loop: WatchEntry = _WATCH
     unfed: str = ""
     """Of a component alone: what to do when it waits for data that cannot come."""
 
@@ -127,7 +131,21 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
     plan = prepare(system, catalogue)
     if system.components and not any(context.members for context in system.contexts.values()):
         raise SystemFileError(f"{system.path}: {NOTHING_RUNS}")
-    return Target(tuple(system.components), catalogue, lambda kernel: build(kernel, plan), system.clock)
+    return Target(
+        (*system.components, *system.composites),
+        catalogue,
+        lambda kernel: build(kernel, plan),
+        system.clock,
+        _activated(system),
+        system.watch_loop,
+    )
+
+
+def _activated(system: SystemFile) -> tuple[str, ...]:
+    """Who is made active when the system is built."""
+    members = [name for context in system.contexts.values() if context.activate for name in context.members]
+    started = [entry.name for entry in system.components.values() if entry.start is not None]
+    return tuple(dict.fromkeys((*members, *started)))
 
 
 # -- one component -----------------------------------------------------------------------------------------------------
@@ -154,7 +172,7 @@ def _alone(
         except ComponentError:
             return  # its on_activated failed: it is in error, as it would be later on
 
-    return Target((name,), catalogue, make, unfed=unfed)
+    return Target((name,), catalogue, make, ready=(name,), unfed=unfed)
 
 
 def _check_rate(rate: float) -> None:

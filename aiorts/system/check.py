@@ -14,7 +14,7 @@ from aiorts.errors import AiortsError, StateError, SystemFileError
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.system.composed_drafts import compositions, leaf_paths
 from aiorts.system.draft import Draft, draft
-from aiorts.system.families import with_parts
+from aiorts.system.families import parts, with_parts
 from aiorts.system.findings import Finding, Said, in_order
 from aiorts.system.joints import joint_findings
 from aiorts.system.parse import Mistake, read, spelled
@@ -73,7 +73,10 @@ def check_text(
     # What is said of the whole is said of who runs, in the place of whom it is a part of.
     found.system = with_parts(leaf_paths(system, every))
     said += _of_members(found, drafts)
-    said += whole_findings(found, drafts, whole=not mistakes)
+    # Of a composite whose ports are not known it is not known either which of its members' ports are connected.
+    vague = {part for name, one in composed.drafts.items() if one.error for part in parts(system.composites, name)}
+    known = {name: one for name, one in drafts.items() if name not in vague}
+    said += whole_findings(found, known, whole=not mistakes)
     return in_order(_found(path, system.text, one) for one in said)
 
 

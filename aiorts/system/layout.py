@@ -124,24 +124,20 @@ def _group(
     members = tuple(members)
     own = [boxes[one] for one in members if one in boxes and homes.get(one, context) == context]
     inner = [
-        _group(
-            system, one, f"{one}: composite{_words(system, one)}", system.composites[one].members, boxes, homes, context
-        )
+        _group(system, one, _composite_title(system, one), system.composites[one].members, boxes, homes, context)
         for one in members
         if one in system.composites
     ]
     return Group(name, title, tuple(own), tuple(group for group in inner if group.all_boxes))
 
 
-def _words(system: SystemFile, name: str) -> str:
-    """What is unusual about a composite."""
-    options = system.composites[name].options
-    words = [
-        str(options[word]) for word in ("order", "errors") if options.get(word, "stated") not in ("stated", "stop")
-    ]
+def _composite_title(system: SystemFile, name: str) -> str:
+    """With what is unusual about it."""
+    options, usual = system.composites[name].options, {"order": "stated", "errors": "stop"}
+    words = [str(options[word]) for word, value in usual.items() if options.get(word, value) != value]
     if options.get("groups"):
         words.append(" | ".join(", ".join(group) for group in options["groups"]))
-    return "".join(f", {word}" for word in words)
+    return ", ".join([f"{name}: composite", *words])
 
 
 def _box(found: Survey, name: str, made: Draft | None, arrows: tuple[Arrow, ...], also: list[str]) -> Box:

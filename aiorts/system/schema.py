@@ -24,6 +24,14 @@ from aiorts.model.configuration import Constraint, ParameterSpec
 from aiorts.system.connection_schema import connection_schema
 from aiorts.system.context_args import arguments_of, needs_rate
 from aiorts.system.parse import SCHEMA
+from aiorts.system.table_schemas import (
+    active_schema,
+    composite_schema,
+    sets_schema,
+    start_schema,
+    supervision_schema,
+    watch_schema,
+)
 
 __all__ = ("schema",)
 
@@ -63,6 +71,12 @@ def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
                 **named,
                 "additionalProperties": {"$ref": "#/$defs/component"},
             },
+            "composites": {
+                "type": "object",
+                "description": "[composites.NAME]: components that are one to everybody else.",
+                **named,
+                "additionalProperties": {"$ref": "#/$defs/composite"},
+            },
             "connections": {
                 "type": "array",
                 "description": "[[connections]]: which out-port feeds which in-ports.",
@@ -74,9 +88,13 @@ def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
                 **named,
                 "additionalProperties": {"$ref": "#/$defs/context"},
             },
+            "watch_loop": watch_schema(),
         },
         "$defs": {
             "component": {"oneOf": [*_components(catalogue), _by_file()]},
+            "composite": composite_schema(),
+            "supervision": supervision_schema(),
+            "start": start_schema(),
             "connection": connection_schema(_NAME),
             "context": {"oneOf": _contexts(catalogue)},
         },
@@ -157,7 +175,15 @@ def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | 
         "type": "object",
         "required": ["type"],
         "additionalProperties": False,
-        "properties": {"type": kind, "options": options, "params": params},
+        "properties": {
+            "type": kind,
+            "options": options,
+            "params": params,
+            "sets": sets_schema(params, _NAME),
+            "active": active_schema(),
+            "supervision": {"$ref": "#/$defs/supervision"},
+            "start": {"$ref": "#/$defs/start"},
+        },
     }
 
 

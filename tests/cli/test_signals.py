@@ -40,7 +40,7 @@ def test_a_signal_ends_it_in_order_within_five_seconds(folder: Path, target: str
     process.send_signal(getattr(signal, name))
     out, errors = process.communicate(timeout=20)
     assert time.monotonic() - at < ORDERLY + SLACK
-    assert (process.returncode, errors) == (status, "")
+    assert (process.returncode, unwatched(errors)) == (status, "")
     if target == "system.toml":
         assert "stopped in event" in out
 
@@ -161,6 +161,12 @@ def moments() -> list[float]:
     return POINTS if CAMPAIGN else [ENDS * number / 12 + 0.02 * (number % 3) for number in range(12)]
 
 
+def unwatched(errors: str) -> str:
+    """Without the lines of the loop's watch: these components block it on purpose."""
+    lines = errors.splitlines(keepends=True)
+    return "".join(line for line in lines if "kernel: the event loop does not turn for" not in line)
+
+
 def interrupted(folder: Path, seconds: float, times: int) -> tuple[int, str, float]:
     """Ctrl-C so long after the start: exit status, standard error, and how long it took since the last one."""
     process = begun(folder, *SLOW, start_new_session=True)
@@ -172,7 +178,7 @@ def interrupted(folder: Path, seconds: float, times: int) -> tuple[int, str, flo
         at = time.monotonic()
         os.killpg(process.pid, signal.SIGINT) if process.poll() is None else None
     _, errors = process.communicate(timeout=20)
-    return process.returncode, errors, time.monotonic() - at
+    return process.returncode, unwatched(errors), time.monotonic() - at
 
 
 @pytest.mark.fault("F09")
@@ -212,7 +218,7 @@ def test_an_interrupt_in_a_blocked_hook_ends_it(folder: Path, times: int) -> Non
     assert time.monotonic() - at < (ORDERLY if times == 1 else AT_ONCE) + SLACK
     assert process.returncode == 130
     if times == 1:
-        assert errors.startswith("aiorts: E-STOP: not everything ended in 4.8 s: parts.py, line ")
+        assert unwatched(errors).startswith("aiorts: E-STOP: not everything ended in 4.8 s: parts.py, line ")
         assert errors.endswith(", in on_execute still runs; the process ends now\n")
     else:
         assert errors == ""

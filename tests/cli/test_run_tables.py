@@ -1,0 +1,209 @@
+"""`aiorts run` with a file that uses every table, and what it does for whoever watches it from outside."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from run_parts import aiorts
+
+PARTS = """
+import time
+from aiorts import Component, InPort, OutPort, Param
+from aiorts.types import TimedLong
+
+class Source(Component):
+    out = OutPort(TimedLong)
+    count = Param(3)
+    n = 0
+    def on_initialize(self):
+        print(f"{self.name} initialize: count {self.count}", flush=True)
+    def on_activated(self):
+        print(f"{self.name} active", flush=True)
+    def on_execute(self):
+        self.n += 1
+        self.out.write_nowait(TimedLong(0, self.n))
+        if self.n >= self.count:
+            self.finish()
+
+class Gain(Component):
+    input = InPort(TimedLong)
+    output = OutPort(TimedLong)
+    gain = Param(1)
+    fails = Param(0)
+    configurations = {"soft": {"gain": 7}}
+    seen = 0
+    def on_activated(self):
+        print(f"{self.name} active: gain {self.gain}", flush=True)
+    def on_execute(self):
+        for sample in self.input.drain():
+            self.seen += 1
+            if self.seen == self.fails:
+                raise ValueError("too warm")
+            self.output.write_nowait(TimedLong(0, sample.data * self.gain))
+
+class Sink(Component):
+    input = InPort(TimedLong)
+    def on_execute(self):
+        for sample in self.input.drain():
+            print(f"{self.name}: {sample.data}", flush=True)
+
+class Blocks(Component):
+    def on_execute(self):
+        time.sleep(1.0)
+"""
+SYSTEM = """\
+schema = 1
+[watch_loop]
+limit = 20.0
+[components.source]
+type = "parts.py:Source"
+[components.source.start]
+after = ["arm active", "sink active"]
+wait = 0.5
+[components.one]
+type = "parts.py:Gain"
+active = "stiff"
+[components.one.sets.stiff]
+gain = 5
+[components.two]
+type = "parts.py:Gain"
+params.gain = 2
+params.fails = 2
+active = "soft"
+[components.two.supervision]
+restart = "reset"
+backoff = 0.01
+[components.sink]
+type = "parts.py:Sink"
+[composites.arm]
+members = ["hand", "two"]
+exported = {"hand.*" = "{port}", "two.output" = "force"}
+errors = "isolate"
+[composites.hand]
+members = ["one"]
+exported = {"one.input" = "command", "one.output" = "inner"}
+[[connections]]
+from = "arm.inner"
+to = "two.input"
+[[connections]]
+from = "source.out"
+to = "arm.command"
+[[connections]]
+from = "arm.force"
+to = "sink.input"
+[contexts.loop]
+kind = "periodic"
+rate = 100.0
+members = ["arm", "sink"]
+[contexts.slow]
+kind = "periodic"
+rate = 10.0
+members = ["source"]
+"""
+BLOCKED = """\
+schema = 1
+[watch_loop]
+limit = 0.4
+policy = "exit"
+[components.it]
+type = "parts.py:Blocks"
+[contexts.c]
+kind = "periodic"
+rate = 1.0
+members = ["it"]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(SYSTEM)
+    (tmp_path / "blocked.toml").write_text(BLOCKED)
+    return tmp_path
+
+
+LINES = [
+    "source initialize: count 3",
+    "one active: gain 5",
+    "two active: gain 7",
+    "source active",
+    "sink: 35",
+    "two active: gain 7",  # it failed at the second sample, and was reset
+    "sink: 105",
+]
+
+
+@pytest.mark.parametrize("how", [("--simulate",), ("--speed", "5")])
+def test_one_file_with_every_table_does_what_each_says(folder: Path, how: tuple[str, ...]) -> None:
+    done = aiorts(folder, "run", "system.toml", *how, "--strict")
+    assert done.stdout.splitlines() == LINES
+    assert done.returncode == 0
+    assert done.stderr.count("ValueError: too warm") == 1
+
+
+def test_another_set_and_another_value_from_the_command_line(folder: Path) -> None:
+    sets = ("--set", "one.active=soft", "--set", "two.gain=1", "--set", "two.fails=0")
+    done = aiorts(folder, "run", "system.toml", "--simulate", *sets)
+    assert [line for line in done.stdout.splitlines() if "sink" in line] == ["sink: 7", "sink: 14", "sink: 21"]
+    done = aiorts(folder, "run", "system.toml", "--simulate", "--set", "one.active=sof")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--set one.active=sof: one: no set 'sof'; did you mean soft?" in done.stderr
+
+
+def test_a_source_that_waits_for_nobody_who_comes_says_for_whom(folder: Path) -> None:
+    text = SYSTEM.replace('"sink active"]', '"sink error"]\ntimeout = 2.0')
+    (folder / "system.toml").write_text(text)
+    done = aiorts(folder, "run", "system.toml", "--simulate")
+    assert done.returncode == 1
+    assert "source: not started: after 2.0 s still not sink error: it is active" in done.stderr
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="timerfd")
+def test_what_blocks_the_loop_is_named_and_may_end_the_process(folder: Path) -> None:
+    done = aiorts(folder, "run", "blocked.toml")
+    assert done.returncode == 70
+    assert "the event loop does not turn for 0." in done.stderr
+    assert "it.on_execute (parts.py:" in done.stderr
+    assert "the process ends with status 70" in done.stderr
+    (folder / "blocked.toml").write_text(BLOCKED.replace("limit = 0.4", "").replace("exit", "warn"))
+    done = aiorts(folder, "run", "blocked.toml", "--for", "1.5")
+    assert done.returncode == 0
+    assert "it.on_execute (parts.py:" in done.stderr
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="systemd")
+def test_systemd_is_told_when_it_asks(folder: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ours:
+        ours.bind(str(folder / "notify"))
+        ours.settimeout(20.0)
+        environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "1000000"}
+        command = [sys.executable, "-m", "aiorts", "run", "system.toml"]
+        with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as child:
+            told: list[str] = []
+            while not told or not told[-1].startswith("STOPPING=1"):
+                told.append(ours.recv(1000).decode())
+            output, _ = child.communicate(timeout=20.0)
+    ready = [number for number, text in enumerate(told) if text.startswith("READY=1")]
+    assert len(ready) == 1
+    assert "0 of 0" not in told[ready[0]]
+    assert "WATCHDOG=1" in told
+    assert output.splitlines() == LINES
+    # The source waited for half a second: it was not ready before.
+    assert any("starting" in text for text in told[: ready[0]])
+
+
+def test_nothing_of_it_in_simulated_time(folder: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ours:
+        ours.bind(str(folder / "notify"))
+        ours.setblocking(False)
+        environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify")}
+        command = [sys.executable, "-m", "aiorts", "run", "system.toml", "--simulate"]
+        subprocess.run(command, cwd=folder, env=environment, check=True, timeout=60, capture_output=True)
+        with pytest.raises(BlockingIOError):
+            ours.recv(1000)
