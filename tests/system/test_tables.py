@@ -10,7 +10,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from aiorts import Catalogue, Kernel, StartRule, Supervision
+from aiorts import Catalogue, Composite, Kernel, LifeCycleState, StartRule, Supervision
 from aiorts.errors import AiortsError
 from aiorts.system import Finding, WatchEntry, build, check, graph, load, prepare, schema, wait_finished
 from aiorts.testing import simulate
@@ -183,11 +183,34 @@ def test_a_table_that_says_nothing_is_refused(write: Write) -> None:
     ]
 
 
-def test_a_member_that_a_restart_would_take_out_of_its_composite_is_refused(write: Write) -> None:
-    path = write(changed("[components.two]\n", '[components.two]\nsupervision.restart = "restart"\n'))
-    assert [(one.cause, one.remedy) for one in check(path)] == [
-        ("a restart would take it out of hand, whose member it is", 'write restart = "reset"')
-    ]
+def test_a_member_that_is_restarted_stays_in_its_composite_with_its_set(write: Write) -> None:
+    frail = 'type = "frail.py:Frail"\nsupervision.restart = "restart"\nactive = "stiff"\nsets.stiff.gain = 3.0\n'
+    path = write(changed('[components.two]\ntype = "parts.py:Middle"\n', f"[components.two]\n{frail}"))
+    (path.parent / "frail.py").write_text(
+        "from aiorts import Component, InPort, OutPort, Param\n"
+        "from aiorts.types import TimedLong\n"
+        "class Frail(Component):\n"
+        "    input, output, gain = InPort(TimedLong), OutPort(TimedLong), Param(1.0)\n"
+        "    broken = False\n"
+        "    def on_execute(self):\n"
+        "        if not Frail.broken:\n"
+        "            Frail.broken = True\n"
+        "            raise ValueError('once')\n"
+    )
+    assert check(path) == ()
+
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(path))
+            await kernel.sleep(5.0)
+            two, hand = kernel.components["two"], kernel.components["hand"]
+            assert type(two).broken  # type: ignore[attr-defined]
+            assert isinstance(hand, Composite)
+            assert hand.members == (two,)
+            assert (two.state, two.configuration.active) == (LifeCycleState.ACTIVE, "stiff")
+            assert two.configuration.values["gain"] == 3.0
+
+    simulate(main())
 
 
 def test_rules_that_wait_for_each_other_are_named(write: Write) -> None:
