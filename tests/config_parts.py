@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from aiorts import Component, Event, InPort, OutPort, Param
+from aiorts import Component, InPort, OutPort, Param
+from aiorts.events import Event
 from aiorts.types import TimedLong
 
 if TYPE_CHECKING:

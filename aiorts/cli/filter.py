@@ -13,17 +13,7 @@ from typing import Any, Final
 
 import click
 
-from aiorts import (
-    Catalogue,
-    Component,
-    EventContext,
-    InPort,
-    Kernel,
-    LifeCycleState,
-    OutPort,
-    StateChanged,
-    declaration_of,
-)
+from aiorts import Catalogue, Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, declaration_of
 from aiorts.cli.completion import completer_of
 from aiorts.cli.ends import Ends
 from aiorts.cli.output import plain, table
@@ -32,6 +22,7 @@ from aiorts.cli.session import Options, checked, execute
 from aiorts.cli.stopping import Stopper
 from aiorts.cli.type_modules import import_types
 from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.events import StateChanged
 from aiorts.system import FrameInput, StandardInput, construct, option_params
 from aiorts.types import type_name
 

@@ -23,7 +23,8 @@ from aiorts.cli.report import ADVICE, cause_of, code_of, marked_in, one_line, pl
 from aiorts.errors import AiortsError
 
 if TYPE_CHECKING:
-    from aiorts import ComponentAdded, HookFailed, Kernel
+    from aiorts import Kernel
+    from aiorts.events import ComponentAdded, HookFailed
 
 __all__ = ("Line", "Log")
 
@@ -100,7 +101,7 @@ class Log(logging.Handler):
 
     def attach(self, kernel: Kernel) -> None:
         """From now on it is this kernel's system that speaks, by this kernel's clock."""
-        from aiorts import ComponentAdded, HookFailed
+        from aiorts.events import ComponentAdded, HookFailed
 
         self._kernel = kernel
         self._now_ns = kernel.time_ns

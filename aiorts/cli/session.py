@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import click
 
 import aiorts
-from aiorts import Catalogue, Component, ComponentAdded, Composite, HookFailed, Kernel, LifeCycleState, ScaledClock
+from aiorts import Catalogue, Component, Composite, Kernel, LifeCycleState, ScaledClock
 from aiorts.cli.hints import dropped, unawaited_told, unfed
 from aiorts.cli.log import Log
 from aiorts.cli.options import Options, checked
@@ -35,6 +35,7 @@ from aiorts.errors import (
     UnknownTypeError,
     WiringError,
 )
+from aiorts.events import ComponentAdded, HookFailed
 from aiorts.system import wait_finished
 
 __all__ = ("Construct", "Options", "checked", "execute", "log_of")

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from aiorts import LifeCycleState, StateChanged
+from aiorts import LifeCycleState
 from aiorts.cli import status
+from aiorts.events import StateChanged
 
 if TYPE_CHECKING:
     from aiorts import Kernel

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aiorts import ContextStarted, Kernel
+from aiorts import Kernel
+from aiorts.events import ContextStarted
 from aiorts.system import WatchEntry
 
 __all__ = ("Watched",)

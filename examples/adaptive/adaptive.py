@@ -12,18 +12,8 @@ from __future__ import annotations
 import asyncio
 import sys
 
-from aiorts import (
-    Change,
-    Component,
-    EventContext,
-    InPort,
-    Kernel,
-    OutPort,
-    PeriodicContext,
-    PortAdded,
-    PortRemoved,
-    SimulatedClock,
-)
+from aiorts import Component, EventContext, InPort, Kernel, OutPort, PeriodicContext, SimulatedClock
+from aiorts.events import Change, PortAdded, PortRemoved
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
 

@@ -7,21 +7,9 @@ It prints the diagram of the table that runs (Mermaid), then what the door does 
 
 from __future__ import annotations
 
-from aiorts import (
-    After,
-    Chart,
-    Component,
-    EventContext,
-    EventPort,
-    Kernel,
-    MachineChanged,
-    On,
-    OutPort,
-    Param,
-    SimulatedClock,
-    State,
-    StateMachineComponent,
-)
+from aiorts import Component, EventContext, EventPort, Kernel, OutPort, Param, SimulatedClock, StateMachineComponent
+from aiorts.events import MachineChanged
+from aiorts.statechart import After, Chart, On, State
 from aiorts.testing import simulate
 from aiorts.types import TimedBoolean, TimedDouble
 

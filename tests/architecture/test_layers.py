@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LAYERS = (
-    {"errors"},
+    {"errors", "late"},
     {"timer_heap"},
     {"clock"},
     {"model"},
@@ -18,7 +18,7 @@ LAYERS = (
     {"wire"},
     {"kernel"},
     {"contexts"},
-    {"running"},
+    {"running", "events", "statechart"},
     {"system"},
     {"testing"},
     {"cli", "bench"},
@@ -26,6 +26,8 @@ LAYERS = (
 LEVEL = {name: level for level, names in enumerate(LAYERS) for name in names}
 PUBLIC = (
     "aiorts",
+    "aiorts.events",
+    "aiorts.statechart",
     "aiorts.types",
     "aiorts.errors",
     "aiorts.clock",

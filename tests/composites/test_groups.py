@@ -10,7 +10,6 @@ from aiorts import (
     Component,
     Composite,
     ExternalContext,
-    HookFailed,
     Kernel,
     LifeCycleState,
     PeriodicContext,
@@ -18,6 +17,7 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import ConfigurationError, HookAbandoned, HookTimeout, StateError
+from aiorts.events import HookFailed
 from aiorts.testing.simulation import simulate
 
 pytestmark = pytest.mark.row(30)

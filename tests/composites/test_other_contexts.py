@@ -9,7 +9,6 @@ import pytest
 from aiorts import (
     Component,
     Composite,
-    CompositeChanged,
     EventContext,
     ExternalContext,
     InPort,
@@ -22,6 +21,7 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import ComponentError, StateError, TransitionTimeout, WiringError
+from aiorts.events import CompositeChanged
 from aiorts.kernel.context import Context
 from aiorts.model.composition import flow_order
 from aiorts.testing.simulation import simulate

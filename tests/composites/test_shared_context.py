@@ -15,12 +15,10 @@ from aiorts import (
     LifeCycleState,
     OutPort,
     PeriodicContext,
-    PortAdded,
-    PortRemoved,
     SimulatedClock,
-    StateChanged,
 )
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError, StateError, WiringError
+from aiorts.events import PortAdded, PortRemoved, StateChanged
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble
 

@@ -14,23 +14,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from aiorts import (
-    Component,
+from aiorts import Component, EventContext, InPort, Kernel, Param, PeriodicContext
+from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.events import (
     ConfigurationSetActivated,
     ConfigurationSetAdded,
     ConfigurationSetChanged,
     ConfigurationSetRemoved,
-    EventContext,
-    InPort,
-    Kernel,
-    Param,
     ParameterAdded,
     ParameterChanged,
     ParameterRemoved,
     ParametersChanged,
-    PeriodicContext,
 )
-from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.testing import simulate
 from aiorts.types import TimedLong
 from campaign import cases

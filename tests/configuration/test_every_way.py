@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import pytest
 
-from aiorts import Component, ExternalContext, Kernel, Param, ParametersChanged
+from aiorts import Component, ExternalContext, Kernel, Param
 from aiorts.cli.app import run_command
 from aiorts.errors import ConfigurationError, DeclarationError
+from aiorts.events import ParametersChanged
 from aiorts.testing import simulated
 from config_parts import hear
 

@@ -19,8 +19,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import Component, ConfigurationSetActivated, Kernel, Param, ParameterChanged, PeriodicContext
+from aiorts import Component, Kernel, Param, PeriodicContext
 from aiorts.errors import ConfigurationError, StateError
+from aiorts.events import ConfigurationSetActivated, ParameterChanged
 from aiorts.model.configuration import ParameterSpec
 from aiorts.model.configuration_text import LARGEST, document_text, parse_document
 from aiorts.model.constraints import Constraint

@@ -13,23 +13,18 @@ from hypothesis import strategies as st
 
 from aiorts import (
     Component,
-    Connected,
-    Disconnected,
     EventContext,
     ExternalContext,
     InPort,
     Kernel,
     OutPort,
     Param,
-    ParameterChanged,
-    ParametersChanged,
     PeriodicContext,
-    PortAdded,
-    PortRemoved,
     RealtimeContext,
     ThreadContext,
 )
 from aiorts.errors import ClosedError, ConfigurationError, DeclarationError
+from aiorts.events import Connected, Disconnected, ParameterChanged, ParametersChanged, PortAdded, PortRemoved
 from aiorts.testing import simulate, simulated
 from aiorts.types import TimedDouble, TimedLong
 from config_parts import Many, Source, hear

@@ -11,8 +11,9 @@ from typing import Any, ClassVar
 
 import pytest
 
-from aiorts import Component, ExternalContext, Kernel, Param, ParameterAdded, ParameterChanged, ParameterRemoved
+from aiorts import Component, ExternalContext, Kernel, Param
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError
+from aiorts.events import ParameterAdded, ParameterChanged, ParameterRemoved
 from aiorts.model.constraint_text import parse_constraint
 from aiorts.model.standard_names import STANDARD_NAMES
 from aiorts.model.values import parse_type

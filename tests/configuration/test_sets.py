@@ -10,16 +10,10 @@ import pytest
 
 from aiorts import (
     Component,
-    ConfigurationSetActivated,
-    ConfigurationSetAdded,
-    ConfigurationSetChanged,
-    ConfigurationSetRemoved,
     EventContext,
     ExternalContext,
     Kernel,
     Param,
-    ParameterChanged,
-    ParametersChanged,
     PeriodicContext,
     RealtimeContext,
     ThreadContext,
@@ -31,6 +25,14 @@ from aiorts.errors import (
     InvalidNameError,
     ThreadError,
     TransitionTimeout,
+)
+from aiorts.events import (
+    ConfigurationSetActivated,
+    ConfigurationSetAdded,
+    ConfigurationSetChanged,
+    ConfigurationSetRemoved,
+    ParameterChanged,
+    ParametersChanged,
 )
 from aiorts.testing import simulated
 from config_parts import Arm, hear

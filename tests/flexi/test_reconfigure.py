@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, OutPort, PeriodicContext, PortAdded
+from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, OutPort, PeriodicContext
 from aiorts.errors import ConfigurationError
+from aiorts.events import PortAdded
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble, TimedLong, TimedShort
 from aiorts_flexi.add import FlexiAdd

@@ -15,17 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from aiorts import (
-    Blame,
-    Component,
-    Context,
-    EventContext,
-    Kernel,
-    Overrun,
-    PeriodicContext,
-    SimulatedClock,
-    ThreadContext,
-)
+from aiorts import Blame, Component, Context, EventContext, Kernel, PeriodicContext, SimulatedClock, ThreadContext
+from aiorts.events import Overrun
 from aiorts.kernel import timers
 from aiorts.testing import simulate
 from contexts.parts import MS, Idle, Ticker
@@ -222,7 +213,8 @@ async def test_a_garbage_collection_is_named_and_counted() -> None:
 
 STOPPED = """
 import asyncio, sys
-from aiorts import Component, Kernel, Overrun, PeriodicContext
+from aiorts import Component, Kernel, PeriodicContext
+from aiorts.events import Overrun
 class Tick(Component):
     async def on_execute(self): pass
 async def main():

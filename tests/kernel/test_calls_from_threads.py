@@ -9,24 +9,22 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import (
-    Chart,
     Component,
     Composite,
-    Event,
     EventContext,
     ExternalContext,
     InPort,
     Kernel,
     MultiModeComponent,
-    On,
     OutPort,
     Param,
     PeriodicContext,
-    State,
     StateMachineComponent,
     Supervision,
 )
 from aiorts.errors import ThreadError
+from aiorts.events import Event
+from aiorts.statechart import Chart, On, State
 from aiorts.types import TimedLong
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from pathlib import Path
 import anyio
 import pytest
 
-from aiorts import Component, Kernel, LifeCycleState, PeriodicContext, StateChanged, ThreadContext, ThreadsExhausted
+from aiorts import Component, Kernel, LifeCycleState, PeriodicContext, ThreadContext
+from aiorts.events import StateChanged, ThreadsExhausted
 from campaign import CAMPAIGN
 from contexts.parts import MS, Ticker
 

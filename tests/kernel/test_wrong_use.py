@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, Composite, Kernel, Param, PeriodicContext, StateChanged, Supervision
+from aiorts import Component, Composite, Kernel, Param, PeriodicContext, Supervision
 from aiorts.errors import AiortsError, StateError
+from aiorts.events import StateChanged
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ import tracemalloc
 
 import pytest
 
-from aiorts import Component, ConnectorEvent, InPort, Kernel, OutPort, SimulatedClock
+from aiorts import Component, InPort, Kernel, OutPort, SimulatedClock
+from aiorts.events import ConnectorEvent
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
 

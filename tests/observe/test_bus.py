@@ -10,22 +10,16 @@ from typing import Any
 
 import pytest
 
-from aiorts import (
-    Bus,
-    Component,
+from aiorts import Bus, Component, ExternalContext, InPort, Kernel, PeriodicContext, SimulatedClock
+from aiorts.events import (
     ComponentAdded,
     ComponentRemoved,
     Event,
-    ExternalContext,
     HookAfter,
     HookBefore,
     HookFailed,
-    InPort,
-    Kernel,
-    PeriodicContext,
     PortAdded,
     PortRemoved,
-    SimulatedClock,
     StateChanged,
 )
 from aiorts.model.lifecycle import HOOKS

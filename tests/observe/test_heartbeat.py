@@ -7,17 +7,9 @@ from typing import Any
 
 import pytest
 
-from aiorts import (
-    Component,
-    ComponentBeat,
-    ContextBeat,
-    Event,
-    EventContext,
-    Kernel,
-    PeriodicContext,
-    SimulatedClock,
-)
+from aiorts import Component, EventContext, Kernel, PeriodicContext, SimulatedClock
 from aiorts.errors import ConfigurationError
+from aiorts.events import ComponentBeat, ContextBeat, Event
 from aiorts.testing import simulate
 
 pytestmark = pytest.mark.row(105)

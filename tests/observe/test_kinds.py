@@ -8,8 +8,19 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import pytest
 
 from aiorts import (
-    Chart,
     Component,
+    EventPort,
+    ExternalContext,
+    InPort,
+    Kernel,
+    OutPort,
+    Param,
+    PeriodicContext,
+    SimulatedClock,
+    StateMachineComponent,
+    WouldBlock,
+)
+from aiorts.events import (
     ComponentAdded,
     ComponentBeat,
     ComponentRemoved,
@@ -24,33 +35,22 @@ from aiorts import (
     ContextStopped,
     Disconnected,
     Event,
-    EventPort,
-    ExternalContext,
     Happening,
-    InPort,
-    Kernel,
     MachineAfter,
     MachineBefore,
     MachineChanged,
     MemberAdded,
     MemberRemoved,
-    On,
-    OutPort,
-    Param,
     ParameterAdded,
     ParameterChanged,
     ParameterRemoved,
     ParametersChanged,
-    PeriodicContext,
     PortAdded,
     PortRemoved,
     RateChanged,
-    SimulatedClock,
-    State,
     StateChanged,
-    StateMachineComponent,
-    WouldBlock,
 )
+from aiorts.statechart import Chart, On, State
 from aiorts.testing import simulated
 from aiorts.types import TimedBoolean, TimedDouble
 

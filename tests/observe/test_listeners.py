@@ -12,18 +12,9 @@ from anyio import WouldBlock
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import (
-    Component,
-    ExternalContext,
-    InPort,
-    Kernel,
-    OutPort,
-    RealtimeContext,
-    SimulatedClock,
-    StateChanged,
-    ThreadContext,
-)
+from aiorts import Component, ExternalContext, InPort, Kernel, OutPort, RealtimeContext, SimulatedClock, ThreadContext
 from aiorts.errors import ReadTimeout, StateError, WriteTimeout
+from aiorts.events import StateChanged
 from aiorts.kernel.backlog import PeriodicConnector
 from aiorts.kernel.connector import Connector as PlainConnector
 from aiorts.kernel.listening import ConnectorEvent, Happening

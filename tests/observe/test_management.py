@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from aiorts import Catalogue, Component, ComponentAdded, ComponentRemoved, Event, ExternalContext, Kernel
+from aiorts import Catalogue, Component, ExternalContext, Kernel
 from aiorts.clock import SimulatedClock
 from aiorts.errors import AiortsError, PluginError
+from aiorts.events import ComponentAdded, ComponentRemoved, Event
 from aiorts.testing import simulate
 
 GOOD = "from aiorts import Component\nclass Good(Component):\n    '''A component.'''\n"

@@ -12,18 +12,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from aiorts import (
-    Component,
-    ExternalContext,
-    InPort,
-    Kernel,
-    OutPort,
-    Param,
-    PeriodicContext,
-    PortAdded,
-    SimulatedClock,
-)
+from aiorts import Component, ExternalContext, InPort, Kernel, OutPort, Param, PeriodicContext, SimulatedClock
 from aiorts.errors import BusyError, ClosedError
+from aiorts.events import PortAdded
 from aiorts.model.change import Change, Fresh
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble

@@ -15,30 +15,26 @@ from hypothesis import strategies as st
 import aiorts
 from aiorts import (
     AiortsError,
-    Chart,
     Component,
     Composite,
     EventContext,
     EventPort,
     ExternalContext,
-    Fresh,
-    History,
     InPort,
     Kernel,
-    MachineBefore,
     MultiModeComponent,
-    On,
     OutPort,
     Param,
     PeriodicContext,
     Provided,
     Required,
     SimulatedClock,
-    State,
     StateMachineComponent,
     ThreadContext,
 )
 from aiorts.errors import ServiceError
+from aiorts.events import Fresh, MachineBefore
+from aiorts.statechart import Chart, History, On, State
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble, TimedLong
 
@@ -439,7 +435,7 @@ def test_the_course_gets_everywhere() -> None:
     async def main(clock: SimulatedClock) -> None:
         async with Kernel() as kernel:
             course, seen = Course(kernel), dict[str, None]()
-            kernel.bus.subscribe(aiorts.Event, lambda event: seen.setdefault(type(event).__name__))
+            kernel.bus.subscribe(aiorts.events.Event, lambda event: seen.setdefault(type(event).__name__))
             await kernel.add(course.source)
             for number in range(8):
                 await course.add(number, 0)

@@ -9,7 +9,6 @@ import pytest
 
 from aiorts import (
     Component,
-    ComponentReloaded,
     EventContext,
     InPort,
     Kernel,
@@ -17,10 +16,9 @@ from aiorts import (
     OutPort,
     Param,
     PeriodicContext,
-    PortAdded,
-    PortRemoved,
     ThreadContext,
 )
+from aiorts.events import ComponentReloaded, PortAdded, PortRemoved
 from aiorts.testing import simulated
 from aiorts.types import Time, TimedDouble
 

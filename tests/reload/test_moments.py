@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, ComponentReloaded, Kernel, LifeCycleState, PeriodicContext, RealtimeContext, Supervision
+from aiorts import Component, Kernel, LifeCycleState, PeriodicContext, RealtimeContext, Supervision
 from aiorts.errors import (
     AiortsError,
     ClosedError,
@@ -17,6 +17,7 @@ from aiorts.errors import (
     StateError,
     TransitionTimeout,
 )
+from aiorts.events import ComponentReloaded
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:

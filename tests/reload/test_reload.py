@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from aiorts import ComponentReloaded, Kernel, LifeCycleState, PeriodicContext
+from aiorts import Kernel, LifeCycleState, PeriodicContext
+from aiorts.events import ComponentReloaded
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, ComponentReloaded, EventContext, Kernel, LifeCycleState, OutPort, PeriodicContext
+from aiorts import Component, EventContext, Kernel, LifeCycleState, OutPort, PeriodicContext
 from aiorts.errors import AiortsError, ComponentError, PluginError
+from aiorts.events import ComponentReloaded
 from aiorts.testing import simulated
 from aiorts.types import Time, TimedDouble
 

@@ -12,19 +12,17 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import (
-    After,
     Catalogue,
-    Chart,
     Component,
     Composite,
     InPort,
     Kernel,
     LifeCycleState,
     PeriodicContext,
-    State,
     StateMachineComponent,
 )
 from aiorts.errors import ComponentError, PluginError, StateError
+from aiorts.statechart import After, Chart, State
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble
 from campaign import cases
@@ -207,7 +205,8 @@ def test_a_member_of_a_composite_stays_a_member(groups: str, source: Make) -> No
 @simulated
 async def test_a_state_machine_that_runs_is_refused_and_one_at_rest_is_not(source: Make) -> None:
     file = source("""
-    from aiorts import Chart, State, StateMachineComponent, After
+    from aiorts import StateMachineComponent
+    from aiorts.statechart import Chart, State, After
 
     class Door(StateMachineComponent):
         chart = Chart(State("shut", After(1.0, to="open"), initial=True), State("open", After(1.0, to="shut")))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import CallFailed, Component, ExternalContext, Kernel, PeriodicContext, Provided, Required, ServiceCalled
+from aiorts import Component, ExternalContext, Kernel, PeriodicContext, Provided, Required
 from aiorts.clock import current_clock
 from aiorts.errors import (
     AiortsError,
@@ -18,6 +18,7 @@ from aiorts.errors import (
     ServiceTimeout,
     ServiceUnavailable,
 )
+from aiorts.events import CallFailed, ServiceCalled
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.testing import simulated
 from campaign import CAMPAIGN
@@ -356,7 +357,7 @@ async def test_calls_are_counted_and_told_to_those_who_ask() -> None:
 
     async with Kernel() as kernel:
         arm = await wired(kernel, Scripted(slowly))
-        from aiorts import Event
+        from aiorts.events import Event
 
         kernel.bus.subscribe(Event, everything.append)
         await arm.brake.proxy.stop()

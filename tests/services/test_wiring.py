@@ -9,21 +9,9 @@ from typing import Any, Protocol
 
 import pytest
 
-from aiorts import (
-    Component,
-    Connected,
-    Disconnected,
-    Event,
-    InPort,
-    Kernel,
-    OutPort,
-    PortAdded,
-    PortRemoved,
-    Provided,
-    Required,
-    ServicePort,
-)
+from aiorts import Component, InPort, Kernel, OutPort, Provided, Required, ServicePort
 from aiorts.errors import AiortsError, ClosedError, DeclarationError, InterfaceMismatch, ServiceError, WiringError
+from aiorts.events import Connected, Disconnected, Event, PortAdded, PortRemoved
 from aiorts.system import build, load, prepare
 from aiorts.testing import simulated
 from aiorts.testing.simulation import simulate

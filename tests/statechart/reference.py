@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from aiorts import After, Always, History, On, Parallel, State
+from aiorts.statechart import After, Always, History, On, Parallel, State
 
 
 class Ref:

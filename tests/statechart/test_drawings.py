@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from aiorts import After, Chart, EventContext, On, Parallel, State
+from aiorts import EventContext
 from aiorts.errors import DeclarationError
+from aiorts.statechart import After, Chart, On, Parallel, State
 from aiorts.testing import Rig
 from statechart.test_machines import Door, Noted, Player
 from statechart.test_random_charts import chart_of, charts

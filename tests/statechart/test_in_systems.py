@@ -12,21 +12,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aiorts import (
-    After,
-    Chart,
     EventContext,
     EventPort,
     Kernel,
     LifeCycleState,
-    On,
     OutPort,
     PeriodicContext,
     RealtimeContext,
-    State,
     StateMachineComponent,
     ThreadContext,
 )
 from aiorts.errors import HookTimeout
+from aiorts.statechart import After, Chart, On, State
 from aiorts.testing import Rig, check_component, simulate
 from aiorts.types import TimedDouble, TimedLong
 from statechart.test_machines import Buttons, Door, Player, Sorter, Told
@@ -78,7 +75,7 @@ def test_the_same_events_give_the_same_course_to_the_nanosecond(played: list[tup
         course: list[Any] = []
 
         async def main(clock: Any) -> None:
-            from aiorts import MachineChanged
+            from aiorts.events import MachineChanged
 
             async with Kernel() as kernel:
                 door = await kernel.add(Door("door0"))

@@ -7,29 +7,19 @@ from typing import Any
 import pytest
 
 from aiorts import (
-    After,
-    Always,
-    Chart,
-    End,
     EventContext,
     EventPort,
-    History,
     Kernel,
     LifeCycleState,
-    MachineAfter,
-    MachineBefore,
-    MachineChanged,
-    MachineEnded,
-    On,
     OutPort,
-    Parallel,
     Param,
     PeriodicContext,
-    State,
     StateMachineComponent,
     ThreadContext,
 )
 from aiorts.errors import DeclarationError, StateError
+from aiorts.events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
+from aiorts.statechart import After, Always, Chart, End, History, On, Parallel, State
 from aiorts.testing import Rig
 from aiorts.types import TimedBoolean, TimedDouble, TimedLong
 

@@ -11,8 +11,6 @@ from aiorts import (
     EventContext,
     Kernel,
     LifeCycleState,
-    MachineChanged,
-    ModeChanged,
     MultiModeComponent,
     Participant,
     PeriodicContext,
@@ -21,6 +19,7 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import ComponentError, DeclarationError, StateError, TransitionTimeout
+from aiorts.events import MachineChanged, ModeChanged
 from aiorts.testing import Rig, simulate, simulated
 from statechart.test_machines import Door
 

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from aiorts import After, Always, Chart, End, History, On, Parallel, State
 from aiorts.errors import DeclarationError, StateError
 from aiorts.model.interpreter import Machine, MachineEvent
+from aiorts.statechart import After, Always, Chart, End, History, On, Parallel, State
 from statechart.reference import Reference
 
 EVENTS = ("e0", "e1")

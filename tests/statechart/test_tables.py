@@ -7,21 +7,9 @@ from typing import Any
 
 import pytest
 
-from aiorts import (
-    After,
-    Always,
-    Chart,
-    ChartWarning,
-    End,
-    EventPort,
-    History,
-    On,
-    Parallel,
-    Param,
-    State,
-    StateMachineComponent,
-)
+from aiorts import EventPort, Param, StateMachineComponent
 from aiorts.errors import DeclarationError
+from aiorts.statechart import After, Always, Chart, ChartWarning, End, History, On, Parallel, State
 from aiorts.types import TimedBoolean, TimedDouble
 
 A = State("closed", On("button", to="open"), initial=True)

@@ -84,7 +84,7 @@ async def _observed(w: Any) -> None:
     async def slow(event: object) -> None:
         await asyncio.sleep(0.002)
 
-    w.kernel.bus.subscribe(aiorts.Event, slow)
+    w.kernel.bus.subscribe(aiorts.events.Event, slow)
     w.free.add_port("more", aiorts.InPort(aiorts.types.TimedDouble))
     await w.kernel.bus.aclose()
 

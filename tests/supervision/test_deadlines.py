@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from aiorts import Component, EventContext, HookFailed, Kernel, LifeCycleState, PeriodicContext, Supervision
+from aiorts import Component, EventContext, Kernel, LifeCycleState, PeriodicContext, Supervision
 from aiorts.errors import ComponentError, HookTimeout
+from aiorts.events import HookFailed
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:

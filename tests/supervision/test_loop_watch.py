@@ -18,8 +18,9 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, Kernel, LoopStall, PeriodicContext
+from aiorts import Component, EventContext, Kernel, PeriodicContext
 from aiorts.errors import ClosedError, ConfigurationError
+from aiorts.events import LoopStall
 from aiorts.testing import simulated
 
 pytestmark = pytest.mark.anyio

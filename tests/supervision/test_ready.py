@@ -10,16 +10,7 @@ from hypothesis import given
 from hypothesis import settings as budgeted
 from hypothesis import strategies as st
 
-from aiorts import (
-    Component,
-    EventContext,
-    Kernel,
-    LifeCycleState,
-    PeriodicContext,
-    SimulatedClock,
-    StartRule,
-    StateChanged,
-)
+from aiorts import Component, EventContext, Kernel, LifeCycleState, PeriodicContext, SimulatedClock, StartRule
 from aiorts.errors import (
     ClosedError,
     ComponentError,
@@ -28,6 +19,7 @@ from aiorts.errors import (
     StateError,
     TransitionTimeout,
 )
+from aiorts.events import StateChanged
 from aiorts.model.sequence import in_order
 from aiorts.testing import simulated
 from campaign import cases

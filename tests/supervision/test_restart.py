@@ -11,8 +11,6 @@ import pytest
 from aiorts import (
     Component,
     EventContext,
-    Helped,
-    HelpExhausted,
     InPort,
     Kernel,
     LifeCycleState,
@@ -24,6 +22,7 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import StateError
+from aiorts.events import Helped, HelpExhausted
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble
 

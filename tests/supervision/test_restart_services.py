@@ -12,7 +12,6 @@ import pytest
 from aiorts import (
     Component,
     EventContext,
-    Helped,
     InPort,
     Kernel,
     LifeCycleState,
@@ -24,6 +23,7 @@ from aiorts import (
     Supervision,
 )
 from aiorts.errors import ServiceFailed, ServiceUnavailable
+from aiorts.events import Helped
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
 

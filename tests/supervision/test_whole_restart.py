@@ -8,24 +8,22 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import (
-    Chart,
     Component,
     Composite,
     InPort,
     Kernel,
     LifeCycleState,
-    MachineChanged,
-    On,
     OutPort,
     Param,
     Participant,
     PeriodicContext,
     SimulatedClock,
-    State,
     StateMachineComponent,
     Supervision,
 )
 from aiorts.errors import DeclarationError, TransitionTimeout
+from aiorts.events import MachineChanged
+from aiorts.statechart import Chart, On, State
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble
 

@@ -14,13 +14,13 @@ from aiorts import (
     LifeCycleState,
     OutPort,
     Param,
-    ParameterChanged,
     PeriodicContext,
     Provided,
     Required,
     ServiceConnector,
     component,
 )
+from aiorts.events import ParameterChanged
 from aiorts.types import TimedDouble, TimedLong
 
 
