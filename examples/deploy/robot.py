@@ -37,6 +37,9 @@ class Controller(Component):
     async def on_execute(self) -> None:
         self.samples += len(self.inp.drain())
 
+    def on_deactivated(self) -> None:
+        print(f"controller has stopped after {'some' if self.samples else 'no'} samples", flush=True)
+
 
 async def main(seconds: float | None) -> int:
     async with Kernel("robot") as kernel:
@@ -58,7 +61,6 @@ async def main(seconds: float | None) -> int:
             kernel.loop.call_later(seconds, kernel.request_stop)
         status = await kernel.wait_stop_requested()
         samples = getattr(kernel.components["controller"], "samples", 0)
-    print(f"robot has stopped after {'some' if samples else 'no'} samples", flush=True)
     return status if samples else 1
 
 
