@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
-
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedString
+from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
 
 BEGIN = 1_700_000_000_000_000_000
 MS = 1_000_000

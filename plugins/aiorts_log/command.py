@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ __all__ = ("log",)
 _FILE: Final = click.Path(path_type=Path)
 _SHOWN: Final = 10
 _BLOCK: Final = 512
+_BROKEN_PIPE: Final = 141
 _SECONDS: Final = re.compile(r"\+?\d{1,12}(\.\d{1,9})?", re.ASCII)
 
 
@@ -59,7 +61,7 @@ def info(file: Path, check: bool, as_json: bool) -> int:
 @click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
 @click.option("--end", metavar="TIME", help="Up to there, without it; as --start.")
 @click.option("--log-time", is_flag=True, help='Add "log_time", when it was recorded, in ns.')
-def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, log_time: bool) -> None:
+def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, log_time: bool) -> int:
     """Print samples as JSON lines, in the order of their log time.
 
     The lines are those that filters read: aiorts log cat run.mcap | aiorts flexidump -p TimedDouble
@@ -69,8 +71,14 @@ def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, 
         samples = reader.samples(start=first, end=last, ports=ports or None)
         try:
             _write(_text_of(sample, log_time) for sample in samples)
+        except BrokenPipeError:  # whoever read has gone: no error, and nothing to say on the way out
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+            return _BROKEN_PIPE
         finally:
             samples.close()  # type: ignore[attr-defined]
+    return 0
 
 
 @log.command()
@@ -100,15 +108,18 @@ def salvage(source: Path, target: Path, overwrite: bool, as_json: bool) -> None:
 
 def _write(lines: Iterator[str]) -> None:
     """Lines in blocks: one call for each would cost more than to read it."""
-    stream, block = sys.stdout, []
+    stream = sys.stdout
+    block: list[str] = []
     try:
         for line in lines:
             block.append(line)
             if len(block) == _BLOCK:
-                stream.write("".join(block))
+                text = "".join(block)
                 block.clear()
+                stream.write(text)
     finally:
         stream.write("".join(block))
+        stream.flush()
 
 
 def _text_of(sample: RecordedSample, log_time: bool) -> str:

@@ -173,6 +173,8 @@ class RecordingReader:
         self._stop = found.stop
         self.torn, self.damage = found.torn, tuple(found.damage)
         self.clean = self.clean or found.ended
+        if found.ended and self.header.profile == "aiorts" and not self.fault:
+            self.fault = "its index is missing"
         if found.damage and not self.fault:
             gap = found.damage[0]
             self.fault = f"octet {gap.offset}: {gap.why}"
@@ -275,13 +277,16 @@ class RecordingReader:
         hole = self.damage[0].offset if self.damage else self.octets
         pieces = [piece for piece in self._pieces if piece.end >= first and piece.start < last]
         whole = [piece for piece in pieces if piece.offset < hole]
-        cls, new = RecordedSample, tuple.__new__
+        cls, new, count = RecordedSample, tuple.__new__, 0
         for message in merged(whole, self._load, self._source.limits.overlap, order == "time"):
             channel, sequence, log_time, publish_time, data = message
+            count += 1
             if first <= log_time < last and (port := wanted.get(channel)) is not None:
                 yield new(cls, (port, log_time, publish_time, sequence, data))
         if self.damage and (last == 2**64 or len(whole) < len(pieces)):
             raise self._damaged(hole, BadOctets(self.damage[0].why))
+        if len(whole) == len(self._pieces) and count != self.count:
+            raise self._damaged(0, BadOctets(f"its index counts {self.count} samples, there are {count}"))
 
     def records(self, **chosen: Any) -> Iterator[tuple[str, int, Any]]:
         """Port, log time and record of each sample; arguments and errors as of `samples`.
@@ -311,6 +316,8 @@ class RecordingReader:
         """Read everything; what is damaged, the torn end of a file that was not closed among it."""
         found = survey(self._source)
         gaps = [*found.damage, *([found.torn] if found.torn else [])]
+        if not gaps and {piece.offset for piece in found.pieces} != {piece.offset for piece in self._pieces}:
+            gaps.append(Gap(0, 0, "the index does not name every chunk"))
         if not gaps and found.summary.counts != {k: v for k, v in self._summary.counts.items() if v}:
             gaps.append(Gap(0, 0, "the index counts other samples than there are"))
         return tuple(gaps)

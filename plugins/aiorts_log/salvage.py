@@ -76,6 +76,7 @@ class _Salvage:
         self._gaps: list[Gap] = []
         self._next: dict[int, int] = {}
         self._skipped: dict[int, int] = {}
+        self._number: dict[int, int] = {}
 
     def run(self) -> SalvageReport:
         old, new = self._old, self._new
@@ -120,9 +121,10 @@ class _Salvage:
             if channel not in summary.channels:
                 unknown += 1
                 continue
-            if numbered:
+            if numbered:  # anew: what is missing is told now, and the new file is whole in itself
                 self._skipped[channel] = self._skipped.get(channel, 0) + max(0, sequence - self._next.get(channel, 0))
                 self._next[channel] = sequence + 1
+                sequence = self._number[channel] = self._number.get(channel, -1) + 1
             builder.add(channel, sequence, log_time, publish_time, data)
         if unknown:
             self._gaps.append(Gap(piece.offset, piece.length, f"{unknown} samples of ports that nothing defines"))

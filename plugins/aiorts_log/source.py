@@ -117,6 +117,7 @@ class Source:
             raise RecordingError(
                 f"{self.path}: written by {header.library[:60]}; this reads <= {MAJOR}; install a newer"
             )
+        self.minor = int(found[2]) if found is not None else 0
         return header, len(MAGIC) + HEAD.size + length
 
     def read(self, offset: int, length: int) -> bytes:

@@ -15,7 +15,6 @@ from aiorts_log.form import (
     CHANNEL,
     CHUNK,
     DATA_END,
-    FOOTER,
     HEAD,
     MESSAGE,
     MESSAGE_INDEX,
@@ -23,9 +22,10 @@ from aiorts_log.form import (
     SCHEMA,
     BadOctets,
     Channel,
+    Cursor,
     Schema,
 )
-from aiorts_log.source import Piece, Source
+from aiorts_log.source import MINOR, Piece, Source
 from aiorts_log.summary import Summary
 
 __all__ = ("Gap", "Survey", "survey")
@@ -33,7 +33,8 @@ __all__ = ("Gap", "Survey", "survey")
 _CANDIDATE: Final = re.compile(rb"\x06[\x00-\xff]{4}\x00{4}", re.DOTALL)
 _WINDOW: Final = 2**20
 _RUN: Final = 2**18
-_HARMLESS: Final = (MESSAGE_INDEX, METADATA)
+_IN_DATA: Final = (CHUNK, MESSAGE, SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+"""What stands in front of the summary. All else is of a newer version, or was something else once."""
 
 
 class Gap(NamedTuple):
@@ -54,6 +55,7 @@ class Survey:
         torn: what is broken behind the last of them; None when the data end as they should.
         ended: whether the writer said that the data are complete.
         stop: where the data end.
+        missing: by channel, how far the numbers of the samples are ahead of their count.
     """
 
     summary: Summary = field(default_factory=Summary)
@@ -62,19 +64,31 @@ class Survey:
     torn: Gap | None = None
     ended: bool = False
     stop: int = 0
+    missing: dict[int, int] = field(default_factory=dict)
 
-    def take(self, piece: Piece, content: Content) -> None:
-        """Count what a piece holds. BadOctets when it contradicts another one."""
+    def take(self, piece: Piece, content: Content) -> int:
+        """Count what a piece holds; returns how many samples are missing in front of it, if their numbers tell that.
+
+        Raises:
+            BadOctets: it contradicts another one.
+        """
         summary = self.summary
         for schema in content.schemas:
             summary.define(schema)
         for channel in content.channels:
             summary.define(channel=channel)
-        counts = summary.counts
+        counts, missing = summary.counts, 0
         for message in content.messages:
-            counts[message[0]] = counts.get(message[0], 0) + 1
+            number, sequence = message[0], message[1]
+            count = counts[number] = counts.get(number, 0) + 1
+            ahead = (sequence + 1 - count - self.missing.get(number, 0)) & 0xFFFF_FFFF
+            if ahead:
+                ahead -= 2**32 if ahead >= 2**31 else 0
+                self.missing[number] = self.missing.get(number, 0) + ahead
+                missing += ahead
         summary.skipped += content.skipped
         self.pieces.append(piece)
+        return missing
 
 
 def survey(source: Source) -> Survey:
@@ -91,6 +105,8 @@ class _Walk:
         self._suspect: tuple[int, str] | None = None
         """A chunk whose sum is wrong: its length, and so where it ends, may be wrong as well."""
         self._run: tuple[int, int] | None = None
+        self._is_own = source.header.profile == "aiorts"
+        self._may_be_newer = not self._is_own or source.minor > MINOR
 
     def survey(self) -> Survey:
         source, found = self._source, self._found
@@ -98,8 +114,8 @@ class _Walk:
         while at < source.size and not found.ended:
             try:
                 opcode, length = source.head(at)
-                if opcode > 0x7F or (opcode > DATA_END and self._suspect is not None):
-                    raise BadOctets(f"a record {opcode}, of a kind that there is not")
+                if opcode not in _IN_DATA and (opcode <= DATA_END or not self._may_be_newer):
+                    raise BadOctets(f"a record {opcode}, of a kind that does not stand there")
             except BadOctets as error:
                 at = self._broken(at, str(error))
                 continue
@@ -119,8 +135,9 @@ class _Walk:
             if opcode == CHUNK:
                 head, _ = self._source.chunk_head(at)
                 piece = Piece(head.start, head.end, at, length)
-                found.take(piece, self._source.load(piece))
+                missing = found.take(piece, self._source.load(piece))
                 self._trusted(at)
+                self._note_missing(at, missing)
             elif opcode == MESSAGE:
                 self._extend_run(at, length)
             elif opcode in (SCHEMA, CHANNEL):
@@ -132,10 +149,16 @@ class _Walk:
             elif opcode == ATTACHMENT:
                 self._source.attachment(at, length)
                 summary.attachments.append((at, length, None))
-            elif opcode in (DATA_END, FOOTER):
+            elif opcode == MESSAGE_INDEX:
+                cursor = Cursor(self._source.read(at + HEAD.size, min(6, length - HEAD.size)))
+                if cursor.u16() < 0 or cursor.u32() != length - HEAD.size - 6:
+                    raise BadOctets("an index that contradicts itself")
+            elif opcode == DATA_END:
+                if length != HEAD.size + 4:
+                    raise BadOctets(f"the end of the data has {length} octets")
                 self._trusted(at)
                 found.ended, found.stop = True, at
-            elif opcode not in _HARMLESS:
+            elif opcode != METADATA:
                 summary.skipped += 1
         except BadOctets as error:
             if opcode != CHUNK or self._suspect is not None:
@@ -147,6 +170,14 @@ class _Walk:
         if self._suspect is not None:
             self._note(self._suspect[0], at, self._suspect[1])
             self._suspect = None
+
+    def _note_missing(self, at: int, missing: int) -> None:
+        """A chunk whose own kind was damaged looks like something that may be skipped; the numbers behind it tell."""
+        last = self._found.pieces[-2] if len(self._found.pieces) > 1 else None
+        begin = last.offset + last.length if last is not None else self._source.begin
+        told = self._found.damage and self._found.damage[-1].offset >= begin
+        if self._is_own and missing > 0 and not told:
+            self._note(begin, at, f"{missing} samples are missing")
 
     def _broken(self, at: int, why: str) -> int:
         """The chain ends here: look for the next chunk that is whole."""

@@ -31,6 +31,7 @@ from aiorts_log.errors import RecordingError
 from aiorts_log.file import Existing, LogFile, part_path
 from aiorts_log.form import Attachment
 from aiorts_log.forms import encoder, name_of, schema_of
+from aiorts_log.info import GAP
 from aiorts_log.options import RecordingOptions, RecordingStatistics
 from aiorts_log.outfile import OutFile
 from aiorts_log.reader import END_NAME, METADATA_NAME
@@ -247,6 +248,9 @@ class RecordingWriter:
                 log_time = self._last
                 self._clamped += 1
             self._last = log_time
+            if builder.count and log_time - builder.end >= GAP:
+                self._end_chunk()  # so that the index shows the gap
+                builder = self._file.builder
             channel = port.channels.get(type(record)) or self._channel(port, type(record))
             sequence = port.next[channel]
             port.next[channel] = (sequence + 1) & 0xFFFF_FFFF
