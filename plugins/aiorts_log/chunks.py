@@ -27,6 +27,7 @@ __all__ = ("ChunkBuilder", "Content", "Message", "contents", "unpack")
 _SEPARATE: Final = 32_768
 """Octets from which a message is a part of its own: copying it together with others would cost more than it saves."""
 _FEW: Final = 64
+_HEAD: Final = MESSAGE_HEAD.pack
 
 
 class Message(NamedTuple):
@@ -68,19 +69,21 @@ class ChunkBuilder:
         self._parts.append(octets)
         self.octets += len(octets)
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
-        """Put in a message; log times never go back."""
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
+        """Put in a message; log times never go back. Returns how many octets there are now."""
         if not self.count:
             self.start = log_time
         self.end = log_time
-        length = len(data)
-        self._parts += (MESSAGE_HEAD.pack(MESSAGE, 22 + length, channel, sequence, log_time, publish_time), data)
-        where = self._where.get(channel)
-        if where is None:
-            where = self._where[channel] = []
-        where += (log_time, self.octets)
-        self.octets += 31 + length
+        length, at = len(data), self.octets
+        head = _HEAD(MESSAGE, 22 + length, channel, sequence & 0xFFFF_FFFF, log_time, publish_time)
+        self._parts += (head, data)
+        try:
+            self._where[channel] += (log_time, at)
+        except KeyError:
+            self._where[channel] = [log_time, at]
         self.count += 1
+        self.octets = at = at + 31 + length
+        return at
 
     def counts(self) -> dict[int, int]:
         """Messages by channel."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts import __version__
+import aiorts
 from aiorts_log.chunks import ChunkBuilder
 from aiorts_log.errors import RecordingError
 from aiorts_log.file import Existing, LogFile
@@ -37,7 +37,7 @@ _REPEAT: Final = 2**22
 
 def beginning() -> bytes:
     """The first octets of a recording made here."""
-    library = f"aiorts {__version__}, recording format {MAJOR}.{MINOR}"
+    library = f"aiorts {aiorts.__version__}, recording format {MAJOR}.{MINOR}"
     return MAGIC + record(HEADER, text("aiorts"), text(library))
 
 
