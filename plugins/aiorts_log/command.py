@@ -131,7 +131,11 @@ def _text_of(sample: RecordedSample, log_time: bool) -> str:
         except (WireError, RecordError):
             text = ""  # told as the octets it is
     if not text:
-        text = json_text({"port": port.name, "type": port.type_name, "data": _strict(port.plain(sample.data))})
+        try:
+            plain = _strict(port.plain(sample.data))
+        except RecursionError:
+            plain = None  # nested without end, by somebody who means no good
+        text = json_text({"port": port.name, "type": port.type_name, "data": plain})
     return f'{text[:-1]}, "log_time": {sample.log_time}}}\n' if log_time else f"{text}\n"
 
 

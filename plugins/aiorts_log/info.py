@@ -69,8 +69,9 @@ def info_of(reader: RecordingReader) -> RecordingInfo:
     )
     dropped: dict[str, int] = {}
     for ending in reader.endings:
-        for name, count in (ending.get("dropped") or {}).items() if isinstance(ending, dict) else ():
-            dropped[name] = dropped.get(name, 0) + int(count)
+        found = ending.get("dropped") if isinstance(ending, dict) else None
+        for name, count in found.items() if isinstance(found, dict) else ():
+            dropped[name] = dropped.get(name, 0) + (count if isinstance(count, int) else 0)
     header = reader.header
     return RecordingInfo(
         str(reader.path),

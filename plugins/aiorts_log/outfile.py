@@ -50,7 +50,7 @@ def continued(path: Path) -> tuple[Summary, int, int]:
     with RecordingReader(path) as reader:
         if reader.header.profile != "aiorts":
             raise RecordingError(f"{path}: was not made by aiorts and cannot be continued; name another file")
-        if reader.fault or reader.damage:
+        if reader.damage:
             raise RecordingError(
                 f"{path}: {reader.fault}; aiorts log salvage makes a whole one, which can be continued"
             )

@@ -122,6 +122,8 @@ class Source:
 
     def read(self, offset: int, length: int) -> bytes:
         """So many octets from there. BadOctets where the file has less."""
+        if self._file < 0:
+            raise RecordingError(f"{self.path}: is closed here; open it again")
         if length > self.limits.record:
             raise BadOctets(f"a record says it has {length} octets; at most {self.limits.record} are allowed")
         if offset + length > self.size:
@@ -192,5 +194,7 @@ class Source:
         return Attachment.take(self.read(offset, length)[HEAD.size :])
 
     def close(self) -> None:
-        """Let the file go."""
-        os.close(self._file)
+        """Let the file go; again it does nothing."""
+        file, self._file = self._file, -1
+        if file >= 0:
+            os.close(file)

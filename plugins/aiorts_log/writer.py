@@ -25,8 +25,8 @@ from time import monotonic, sleep
 from types import TracebackType
 from typing import Any, Final, Self
 
-from aiorts.errors import RecordError, WireError
-from aiorts.types import check_port_type, has_tm
+from aiorts.errors import AiortsError, RecordError
+from aiorts.types import check_port_type, has_tm, is_mutable, snapshot
 from aiorts_log.errors import RecordingError
 from aiorts_log.file import Existing, LogFile, part_path
 from aiorts_log.form import Attachment
@@ -40,6 +40,7 @@ from aiorts_log.weight import SMALL, weigher
 __all__ = ("RecordingWriter",)
 
 _TICK: Final = 0.02
+_LATEST: Final = 2**63
 _LOOK: Final = 64
 _HELD: Final = 0.002
 """Seconds of work after which the thread lets the interpreter go, looked at after so many samples: nobody else would
@@ -57,6 +58,7 @@ class _Port:
         self.metadata = metadata
         self.weigh = weigher(cls)
         self.stamped = has_tm(cls)
+        self.mutable = is_mutable(cls)
         self.seen: type | None = None
         """The class of the sample before; channel and sequence are those of its samples."""
         self.channel = 0
@@ -66,6 +68,8 @@ class _Port:
         self.offered = 0
         self.dropped = 0
         self.refused = 0
+        self.unfit = 0
+        """Refused at once, by the thread that offered it."""
         self.stored = 0
 
 
@@ -145,13 +149,28 @@ class RecordingWriter:
 
         Args:
             port: what `add_port` returned.
+            record: of the port's type or a subclass; one that can still change is copied.
             log_time: ns on a clock that does not go back; what goes back is given the time of the sample before.
 
         Returns:
-            False when it was dropped: there was no room in the queue, or the recording has ended.
+            False when it was dropped: there was no room in the queue, or the recording has ended; or refused.
+
+        Raises:
+            ValueError: the time is none.
         """
+        if type(log_time) is not int or not 0 <= log_time < _LATEST:
+            raise ValueError(f"log_time: expected nanoseconds, 0 <= log_time < 2**63, got {log_time!r}")
         one = self._ports[port]
         one.offered += 1
+        if not isinstance(record, one.cls):
+            one.unfit += 1
+            return False
+        if one.mutable:
+            try:
+                record = snapshot(record)
+            except RecordError:
+                one.unfit += 1
+                return False
         octets = SMALL if one.weigh is None else one.weigh(record)
         queue = self._queue
         if (
@@ -196,13 +215,13 @@ class RecordingWriter:
         """What became of the samples up to now."""
         ports, ended = self._ports, not self._thread.is_alive()
         stored = sum(port.stored for port in ports)
-        dropped = {p.name: p.offered - p.refused - p.stored if ended else p.dropped for p in ports}
+        dropped = {p.name: p.offered - p.refused - p.unfit - p.stored if ended else p.dropped for p in ports}
         return RecordingStatistics(
             sum(port.offered for port in ports),
             stored,
             min(self._durable, stored),
             {name: count for name, count in dropped.items() if count},
-            {port.name: port.refused for port in ports if port.refused},
+            {port.name: port.refused + port.unfit for port in ports if port.refused + port.unfit},
             self._clamped,
             self._octets_before + self._file.size,
             self._number + 1,
@@ -253,7 +272,7 @@ class RecordingWriter:
             self._taken_octets += octets
             try:
                 data = encode(record)
-            except (RecordError, WireError):
+            except AiortsError:
                 port.refused += 1
                 continue
             if log_time < last:

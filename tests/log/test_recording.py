@@ -305,6 +305,70 @@ def test_a_sample_that_cannot_travel_is_counted_and_the_others_go_on(tmp_path: P
     assert [value.number for _, _, value in read(path)] == [1, 3]
 
 
+def test_what_is_no_sample_of_the_port_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        port = writer.add_port("n", TimedLong)
+        for value in (TimedLong(1, 1), TimedDouble(2, 2.0), object(), None, TimedLong(3, 3)):
+            assert writer.write(port, value, 5) is isinstance(value, TimedLong)
+        wrong: Any
+        for wrong in (-1, 2**63, 1.5, None):
+            with pytest.raises(ValueError, match="log_time: expected nanoseconds"):
+                writer.write(port, TimedLong(4, 4), wrong)
+    assert writer.failure is None
+    assert writer.statistics.refused == {"n": 3}
+    assert [value.data for _, _, value in read(path)] == [1, 3]
+
+
+def test_a_sample_that_changes_later_is_recorded_as_it_was(tmp_path: Path) -> None:
+    @dataclasses.dataclass
+    class Changing:
+        number: int = 0
+
+    path = tmp_path / "run.mcap"
+    value = Changing()
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        port = writer.add_port("n", Changing)
+        for i in range(100):
+            value.number = i
+            writer.write(port, value, i)
+    assert [one.number for _, _, one in read(path)] == list(range(100))
+
+
+def test_samples_cannot_be_had_after_the_reader_was_closed(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    make(path, 300, chunk=1000)
+    with RecordingReader(path) as reader:
+        samples = reader.samples()
+        next(samples)
+    reader.close()
+    with pytest.raises(RecordingError, match="is closed here; open it again"):
+        list(samples)
+
+
+@pytest.mark.parametrize("left", [13, 40])
+def test_a_recorder_killed_while_it_closes_can_be_continued(tmp_path: Path, left: int) -> None:
+    path = tmp_path / "run.mcap"
+    expected = make(path, 30)
+    from aiorts_log.index import read_index
+    from aiorts_log.source import Limits, Source
+
+    source = Source(path, Limits())
+    found = read_index(source)
+    source.close()
+    assert found is not None
+    with path.open("rb+") as file:
+        file.truncate(found[1] + left)
+    assert read(path) == expected
+    with RecordingReader(path) as reader:
+        assert reader.fault == "its index is missing"
+    with RecordingWriter(path, RecordingOptions(min_free=0, existing="append")) as writer:
+        writer.write(writer.add_port("log", TimedString), TimedString(0, "more"), writer.floor)
+    assert read(path) == [*expected, ("log", expected[-1][1], TimedString(0, "more"))]
+    with RecordingReader(path) as reader:
+        assert (reader.fault, reader.check()) == ("", ())
+
+
 def test_a_subclass_has_a_schema_of_its_own(tmp_path: Path) -> None:
     @record
     class Base:
