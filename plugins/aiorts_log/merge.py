@@ -37,7 +37,7 @@ def merged(
     """(time of the next message, offset of its piece, its number, the messages, octets of the piece)"""
     total = 0
     for number, piece in enumerate(waiting):
-        while held and held[0][:2] < (piece.start, piece.offset):
+        while held and held[0][0] < piece.start:
             yield held[0][3][held[0][2]]
             total -= _advance(held)
         messages = load(piece)

@@ -35,6 +35,8 @@ _WINDOW: Final = 2**20
 _RUN: Final = 2**18
 _IN_DATA: Final = (CHUNK, MESSAGE, SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 """What stands in front of the summary. All else is of a newer version, or was something else once."""
+_IN_OURS: Final = (CHUNK, MESSAGE_INDEX, ATTACHMENT, DATA_END)
+"""What we put there: a chunk that a flipped bit made to something else is not to be mistaken for it."""
 
 
 class Gap(NamedTuple):
@@ -106,6 +108,7 @@ class _Walk:
         """A chunk whose sum is wrong: its length, and so where it ends, may be wrong as well."""
         self._run: tuple[int, int] | None = None
         self._is_own = source.header.profile == "aiorts"
+        self._may_stand = _IN_OURS if self._is_own else _IN_DATA
         self._may_be_newer = not self._is_own or source.minor > MINOR
 
     def survey(self) -> Survey:
@@ -114,7 +117,7 @@ class _Walk:
         while at < source.size and not found.ended:
             try:
                 opcode, length = source.head(at)
-                if opcode not in _IN_DATA and (opcode <= DATA_END or not self._may_be_newer):
+                if opcode not in self._may_stand and (opcode <= DATA_END or not self._may_be_newer):
                     raise BadOctets(f"a record {opcode}, of a kind that does not stand there")
             except BadOctets as error:
                 at = self._broken(at, str(error))

@@ -141,6 +141,7 @@ def test_what_is_printed_of_a_file_commands_no_terminal(tmp_path: Path, capsys: 
         out = run(capsys, command, path)[1]
         assert "\x1b" not in out
         assert "\x07" not in out
+        assert ("a\\x1b[2Jb\\n../../c" if command == "info" else "a\\u001b[2Jb\\n../../c") in out
     assert len(run(capsys, "cat", path)[1].splitlines()) == 1
 
 

@@ -256,11 +256,99 @@ def test_an_index_that_lies_is_found_out(tmp_path: Path) -> None:
         with frugal():
             got, error = outcome(lying)
         assert got == right[: len(got)]
-        assert error == "E-DAMAGED" or got == right
-    summary.chunks = [first, *summary.chunks[2:]]  # it leaves one out, and says so consistently
-    lying.write_bytes(whole[:stop] + b"".join(summary.put(stop)))
-    with RecordingReader(lying) as reader:
-        assert reader.check() != ()
+        if error == "":
+            with RecordingReader(lying) as reader:
+                assert "its index is damaged" in reader.fault
+                assert got == right
+    for chunks in ([first, *summary.chunks[2:]], [first, *summary.chunks[2:], summary.chunks[-1]]):
+        summary.chunks = chunks  # it leaves one out, and says so consistently
+        lying.write_bytes(whole[:stop] + b"".join(summary.put(stop)))
+        got, error = outcome(lying)
+        with RecordingReader(lying) as reader:
+            assert error == "E-DAMAGED" or "its index is damaged" in reader.fault
+            assert reader.check() != () or got == right
+
+
+@pytest.mark.fault("D08")
+def test_a_message_outside_the_time_of_its_chunk_is_damage(tmp_path: Path) -> None:
+    for log_time in (100, 10):
+        message = MESSAGE_HEAD.pack(5, 22, 1, 0, log_time, 0)
+        path = forged(tmp_path / "forged.mcap", chunk(channel() + message), record(DATA_END, bytes(4)))
+        assert outcome(path) == ([], "E-DAMAGED")
+    message = MESSAGE_HEAD.pack(5, 22, 1, 0, 9, 0)
+    path = forged(tmp_path / "forged.mcap", chunk(channel() + message), record(DATA_END, bytes(4)))
+    assert len(outcome(path)[0]) == 1
+
+
+@pytest.mark.fault("D08")
+def test_a_message_of_a_port_that_nothing_defines_is_damage(tmp_path: Path) -> None:
+    message = MESSAGE_HEAD.pack(5, 22, 7, 0, 9, 0)
+    path = forged(tmp_path / "forged.mcap", chunk(channel() + message), record(DATA_END, bytes(4)))
+    assert outcome(path) == ([], "E-DAMAGED")
+    report = salvage(path, tmp_path / "new.mcap")
+    assert "1 samples of ports that nothing defines" in report.lost[0].why
+
+
+@pytest.mark.fault("D06")
+def test_a_chunk_that_looks_like_something_else_is_missed(tmp_path: Path) -> None:
+    """One flipped bit makes it a record that may be skipped, or an end; without an index only the numbers tell."""
+    path, flipped = tmp_path / "run.mcap", tmp_path / "flipped.mcap"
+    make(path, 120, chunk=2048)
+    right, _ = outcome(path)
+    with RecordingReader(path) as reader:
+        pieces = reader.pieces
+    octets = bytearray(path.read_bytes()[: pieces[-1].offset + pieces[-1].length])
+    for piece in (pieces[3], pieces[-1]):
+        for kind in (*range(16), 0x16, 0x26, 0x46, 0x86):
+            if kind == CHUNK:
+                continue
+            octets[piece.offset] = kind
+            flipped.write_bytes(octets)
+            found, error = outcome(flipped)
+            assert found == right[: len(found)]
+            assert len(found) < len(right)
+            with RecordingReader(flipped) as reader:
+                assert error == "E-DAMAGED" or (not reader.clean and reader.torn is not None)
+        octets[piece.offset] = CHUNK
+
+
+@pytest.mark.fault("D06")
+def test_a_chunk_that_is_not_there_any_more_is_missed(tmp_path: Path) -> None:
+    """As after a copy that lost a block: everything that is left is whole, and the numbers of the samples tell."""
+    path, less, new = tmp_path / "run.mcap", tmp_path / "less.mcap", tmp_path / "new.mcap"
+    make(path, 120, chunk=2048)
+    right, _ = outcome(path)
+    with RecordingReader(path) as reader:
+        gone, behind, last = reader.pieces[3], reader.pieces[4], reader.pieces[-1]
+    octets = path.read_bytes()
+    less.write_bytes(octets[: gone.offset] + octets[behind.offset : last.offset + last.length])
+    found, error = outcome(less)
+    assert (found == right[: len(found)], error) == (True, "E-DAMAGED")
+    report = salvage(less, new)
+    kept, _ = outcome(new)
+    assert sum(report.missing.values()) == len(right) - len(kept) > 0
+    assert "samples are missing" in report.lost[0].why
+
+
+@pytest.mark.fault("D06")
+def test_figures_of_an_index_that_is_damaged_are_not_told(tmp_path: Path) -> None:
+    path, flipped = tmp_path / "run.mcap", tmp_path / "flipped.mcap"
+    make(path, 100, chunk=2048)
+
+    def figures(path: Path) -> tuple[object, ...]:
+        with RecordingReader(path) as reader:
+            names = [(n, p.type_name, p.count, dict(p.metadata), p.schema) for n, p in reader.ports.items()]
+            return reader.count, reader.start, reader.end, len(reader.pieces), names
+
+    right = figures(path)
+    octets = bytearray(path.read_bytes())
+    begin = octets.rindex(HEAD.pack(DATA_END, 4))
+    chance = random.Random(2)
+    for place in range(begin, len(octets)) if CAMPAIGN else chance.sample(range(begin, len(octets)), 200):
+        octets[place] ^= 1 << chance.randrange(8)
+        flipped.write_bytes(octets)
+        octets[:] = path.read_bytes()
+        assert figures(flipped) == right
 
 
 @pytest.mark.fault("D09")
