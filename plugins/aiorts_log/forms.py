@@ -123,10 +123,10 @@ def _kind_schema(kind: Any, as_json: bool) -> dict[str, Any]:
 
 
 def _enum_schema(enumeration: Any, as_json: bool) -> dict[str, Any]:
-    names = list(enumeration.__members__)
+    values: dict[str, Any] = {name: member.value for name, member in enumeration.__members__.items()}
     if as_json or not issubclass(enumeration, int):
-        return {"type": "string", "enum": names}
-    return {"type": "integer", "enum": [int(enumeration[name]) for name in names], "x-names": names}
+        return {"type": "string", "enum": list(values)}
+    return {"type": "integer", "enum": list(values.values()), "x-names": list(values)}
 
 
 def _number(spelling: str) -> dict[str, Any]:
