@@ -24,6 +24,7 @@ OWN: Final = {
     "context": ("aiorts.bench.context", "How punctual each kind of execution context is."),
     "codec": ("aiorts.bench.codec", "Records to bytes and back."),
     "record": ("aiorts.bench.record", "Building, checking and converting records."),
+    "log": ("aiorts.bench.log", "Recording: samples into a file, beside bare writers of the same."),
     "service": ("aiorts.bench.service", "Calls through service ports, beside coroutines and queues."),
     "scale": ("aiorts.bench.scale", "One to ten thousand components and connectors."),
     "startup": ("aiorts.bench.startup", "Importing aiorts, starting its command, a first system."),

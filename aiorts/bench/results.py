@@ -55,6 +55,7 @@ PARTS: Final = (
     Part("context", rounds=7, scale=3.0, extra={"paper": True}),
     Part("codec"),
     Part("record"),
+    Part("log"),
     Part("service"),
     Part("scale"),
     Part("startup", rounds=15),

@@ -64,6 +64,11 @@ CODES: Final[dict[str, Code]] = {
         "A number out of range of the target, text that is no number.",
         "Scale it, or say what is to happen: --overflow saturate, --round floor, --nan 0.",
     ),
+    "E-DAMAGED": Code(
+        "Octets of a recording are not what was written; nothing behind the place is given.",
+        "The disk, the copy or the machine lost something; the line names the octet.",
+        "aiorts log salvage FILE NEW gets everything that is whole, and says what is lost.",
+    ),
     "E-DECLARE": Code(
         "A component class or a record type is written wrongly.",
         "A hook with other arguments, a default outside its bounds, a field that cannot travel.",
@@ -123,6 +128,11 @@ CODES: Final[dict[str, Code]] = {
         "A value does not fit the field it was given for.",
         "A wrong type, a number out of range, an unknown or missing field.",
         "aiorts inspect TYPE shows the fields; the line says what was expected and got.",
+    ),
+    "E-RECORDING": Code(
+        "A recording cannot be read, made or continued.",
+        "It is no recording, is there already, another recorder has it, or the disk is full.",
+        "The line names the file and the reason; aiorts log info FILE shows what a recording holds.",
     ),
     "E-SELECT": Code(
         "A selection names an input that FlexiSelect does not have.",

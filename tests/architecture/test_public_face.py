@@ -53,3 +53,4 @@ def test_version_is_the_one_of_the_package() -> None:
 def test_package_is_marked_as_typed() -> None:
     assert (ROOT / "aiorts" / "py.typed").is_file()
     assert (ROOT / "plugins" / "aiorts_flexi" / "py.typed").is_file()
+    assert (ROOT / "plugins" / "aiorts_log" / "py.typed").is_file()

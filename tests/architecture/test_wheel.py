@@ -73,9 +73,10 @@ def elsewhere(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_wheel_holds_package_and_plugins_and_nothing_else(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.split("/")[0] for name in names}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"aiorts", "aiorts_flexi"}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"aiorts", "aiorts_flexi", "aiorts_log"}
     assert "aiorts/py.typed" in names
     assert "aiorts_flexi/py.typed" in names
+    assert "aiorts_log/py.typed" in names
     assert not [name for name in names if "roomba" in name or name.endswith((".csv", ".txt.gz"))]
     assert [name for name in names if name.endswith("licenses/LICENSE")]
 
@@ -83,7 +84,7 @@ def test_wheel_holds_package_and_plugins_and_nothing_else(wheel: Path) -> None:
 @pytest.mark.row(2)
 @pytest.mark.row(3)
 def test_installed_wheel_runs_elsewhere(elsewhere: Path, tmp_path: Path) -> None:
-    code = "import aiorts, aiorts_flexi; print(aiorts.__file__, aiorts_flexi.__file__)"
+    code = "import aiorts, aiorts_flexi, aiorts_log; print(aiorts.__file__, aiorts_flexi.__file__, aiorts_log.__file__)"
     places = run(elsewhere / "python", "-I", "-c", code, cwd=tmp_path).split()
     assert all(str(elsewhere.parent) in place for place in places)
     assert run(elsewhere / "aiorts", "--version", cwd=tmp_path).strip().endswith("0.1.0")

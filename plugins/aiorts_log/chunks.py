@@ -1,0 +1,188 @@
+"""One chunk of a recording: built record by record, and taken apart again after its sum was checked. Pure.
+
+A chunk is the unit of trust: it is written in one piece, and nothing in it is believed before its checksum was right.
+"""
+
+from __future__ import annotations
+
+import zlib
+from typing import Final, NamedTuple
+
+from aiorts_log.form import (
+    CHANNEL,
+    HEAD,
+    MESSAGE,
+    MESSAGE_HEAD,
+    SCHEMA,
+    BadOctets,
+    Channel,
+    ChunkHead,
+    ChunkPlace,
+    Schema,
+    message_index,
+)
+
+__all__ = ("ChunkBuilder", "Content", "Message", "contents", "unpack")
+
+_SEPARATE: Final = 32_768
+"""Octets from which a message is a part of its own: copying it together with others would cost more than it saves."""
+_FEW: Final = 64
+_HEAD: Final = MESSAGE_HEAD.pack
+
+
+class Message(NamedTuple):
+    """A message as it lies in a chunk."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+class Content(NamedTuple):
+    """What a chunk holds."""
+
+    messages: list[Message]
+    schemas: list[Schema]
+    channels: list[Channel]
+    skipped: int
+    """Records of kinds that this version does not know."""
+
+
+class ChunkBuilder:
+    """Collects what the next chunk will hold."""
+
+    __slots__ = ("_parts", "_where", "count", "end", "octets", "start")
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._where: dict[int, list[int]] = {}
+        self.count = 0
+        self.octets = 0
+        self.start = 0
+        self.end = 0
+
+    def define(self, definition: Schema | Channel) -> None:
+        """Put in how messages are to be read."""
+        octets = definition.put()
+        self._parts.append(octets)
+        self.octets += len(octets)
+
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
+        """Put in a message; log times never go back. Returns how many octets there are now."""
+        if not self.count:
+            self.start = log_time
+        self.end = log_time
+        length, at = len(data), self.octets
+        head = _HEAD(MESSAGE, 22 + length, channel, sequence & 0xFFFF_FFFF, log_time, publish_time)
+        self._parts += (head, data)
+        try:
+            self._where[channel] += (log_time, at)
+        except KeyError:
+            self._where[channel] = [log_time, at]
+        self.count += 1
+        self.octets = at = at + 31 + length
+        return at
+
+    def counts(self) -> dict[int, int]:
+        """Messages by channel."""
+        return {channel: len(where) // 2 for channel, where in self._where.items()}
+
+    def take(self, offset: int) -> tuple[list[bytes], ChunkPlace]:
+        """The octets of the chunk and of the indexes behind it, in parts, if it lies at `offset`; begins a new one."""
+        parts = self._parts
+        if len(parts) > _FEW:
+            parts = _joined(parts)
+        crc = 0
+        for part in parts:
+            crc = zlib.crc32(part, crc)
+        head = ChunkHead(self.start, self.end, self.octets, crc, "", self.octets, 0).put()
+        length = len(head) + self.octets
+        indexes, places, at = [], {}, offset + length
+        for channel, where in self._where.items():
+            indexes.append(message_index(channel, where, len(where) // 2))
+            places[channel] = at
+            at += len(indexes[-1])
+        place = ChunkPlace(
+            self.start, self.end, offset, length, places, at - offset - length, "", self.octets, self.octets
+        )
+        taken = [head, *parts, *indexes]
+        self.__init__()  # type: ignore[misc]
+        return taken, place
+
+
+def _joined(parts: list[bytes]) -> list[bytes]:
+    """The same octets in few parts, without copying the large ones."""
+    joined: list[bytes] = []
+    small: list[bytes] = []
+    for part in parts:
+        if len(part) < _SEPARATE:
+            small.append(part)
+        else:
+            joined += (b"".join(small), part)
+            small = []
+    return [*joined, b"".join(small)]
+
+
+def unpack(head: ChunkHead, octets: bytes, at: int) -> tuple[bytes, int]:
+    """Where the records of a chunk begin, and in which octets; of the size and with the sum that its head says.
+
+    Args:
+        octets: in which the stored records begin at `at` and end with the octets.
+
+    Raises:
+        BadOctets: they are not what the head says.
+    """
+    if len(octets) - at != head.stored:
+        raise BadOctets(f"a chunk says it stores {head.stored} octets, {len(octets) - at} are there")
+    if head.compression:
+        from aiorts_log.compression import decompress
+
+        octets, at = decompress(head.compression, memoryview(octets)[at:], head.uncompressed), 0
+    elif head.stored != head.uncompressed:
+        raise BadOctets(f"a chunk of {head.stored} octets says it has {head.uncompressed}")
+    if head.crc and zlib.crc32(memoryview(octets)[at:]) != head.crc:
+        raise BadOctets("the checksum of a chunk is not right")
+    return octets, at
+
+
+def contents(octets: bytes, at: int = 0, *, start: int = 0, end: int = 2**64 - 1) -> Content:
+    """What stands in the checked records of a chunk (or in a run of records outside one).
+
+    Args:
+        octets: in which the records begin at `at`.
+        start: no message may be earlier.
+        end: nor later: what the head and the index say of a chunk has to be so.
+
+    Raises:
+        BadOctets: they are no records one behind the other, or a time is not within.
+    """
+    found = Content([], [], [], 0)
+    messages, skipped = found.messages, 0
+    take, size, stop = MESSAGE_HEAD.unpack_from, HEAD.size, len(octets)
+    new, cls = tuple.__new__, Message
+    while at < stop:
+        if octets[at] == MESSAGE and stop - at >= 31:
+            _, length, channel, sequence, log_time, publish_time = take(octets, at)
+            after = at + size + length
+            if after > stop or length < 22:
+                raise BadOctets(f"a message says it has {length} octets, {stop - at - size} follow")
+            if not start <= log_time <= end:
+                raise BadOctets("a message is outside the time that its chunk says")
+            messages.append(new(cls, (channel, sequence, log_time, publish_time, octets[at + 31 : after])))
+        else:
+            if stop - at < size:
+                raise BadOctets(f"{stop - at} octets are no record")
+            opcode, length = HEAD.unpack_from(octets, at)
+            after = at + size + length
+            if after > stop or opcode in (0, MESSAGE):
+                raise BadOctets(f"a record {opcode} says it has {length} octets, {stop - at - size} follow")
+            if opcode == SCHEMA:
+                found.schemas.append(Schema.take(octets[at + size : after]))
+            elif opcode == CHANNEL:
+                found.channels.append(Channel.take(octets[at + size : after]))
+            else:
+                skipped += 1
+        at = after
+    return found._replace(skipped=skipped)

@@ -1,0 +1,244 @@
+"""How the records of a port stand in a recording: the message encoding, and a schema that explains it to any reader.
+
+"msgpack" is what `aiorts.wire` makes of a record, explained by a JSON Schema whose `x-array` tells arrays; "json" is
+an object that opens in Foxglove as it is (encodings "json" and "jsonschema").
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import struct
+from collections.abc import Callable
+from typing import Any, Final, Literal, TypeAlias
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import RecordError, WireError
+from aiorts.types import all_types, describe, from_plain, full_name, to_plain
+from aiorts.wire import FORMAT, MsgpackCodec
+from aiorts_log.form import Schema
+
+__all__ = ("ENCODINGS", "Encoding", "encoder", "known_type", "plain_of", "schema_of", "taker")
+
+Encoding: TypeAlias = Literal["msgpack", "json"]
+ENCODINGS: Final = ("msgpack", "json")
+SCHEMA_ENCODING: Final = "jsonschema"
+ELEMENTS: Final = ("bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f16", "f32", "f64", "c64", "c128")
+"""By code, from 1. Part of the format of `aiorts.wire`; written into every schema, so that a reader needs no table."""
+_CODES: Final = {"bool": "?", "i8": "b", "i16": "h", "i32": "i", "i64": "q", "u8": "B", "u16": "H", "u32": "I"}
+_STRUCT: Final = {**_CODES, "u64": "Q", "f16": "e", "f32": "f", "f64": "d"}
+_PLAIN: Final[dict[str, type]] = {cls.__name__: cls for cls in (bool, int, float, str, bytes)}
+_PREFIX: Final = "aiorts.types."
+_LONGEST: Final = 4096
+"""Items of a list or map of a type that is not known here: a frame of nested lists must not take the memory."""
+_LAYOUT: Final = {
+    "what": "a binary with x-array holds an array of numbers",
+    "head": "octet 0: code of the element type; octet 1: dimensions; octets 2-7: zero; then one u64 for each length",
+    "body": "the elements in C order",
+    "byte order": "little-endian",
+    "codes": dict(enumerate(ELEMENTS, start=1)),
+}
+_DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
+
+
+def name_of(cls: type) -> str:
+    """The name of a type in recordings: bare for aiorts' own records, full for all others, the same for ever."""
+    return full_name(cls).removeprefix(_PREFIX)
+
+
+def known_type(name: str) -> type | None:
+    """The type of that name, if something that is loaded defines it; nothing is ever imported for a recording."""
+    types = all_types()
+    return _PLAIN.get(name) or types.get(_PREFIX + name) or types.get(name)
+
+
+def schema_of(number: int, cls: type, encoding: Encoding) -> Schema:
+    """The schema record of a port's type."""
+    name = name_of(cls)
+    fields = _type_schema(cls, encoding == "json")
+    document: dict[str, Any] = {"$schema": _DRAFT, "title": name}
+    if encoding == "json":
+        if cls in _PLAIN.values():
+            fields = {"type": "object", "properties": {"value": fields}, "required": ["value"]}
+        document |= {"description": 'Numbers that are not finite are "NaN", "Infinity", "-Infinity".', **fields}
+    else:
+        document |= {
+            "description": "MessagePack: a list of the version of this form, the name of the type, and the value.",
+            "type": "array",
+            "prefixItems": [{"const": FORMAT}, {"const": name}, fields],
+            "items": False,
+            "x-array-layout": _LAYOUT,
+        }
+    return Schema(number, name, SCHEMA_ENCODING, json.dumps(document, separators=(",", ":")).encode())
+
+
+def _type_schema(cls: type, as_json: bool) -> dict[str, Any]:
+    if cls in _PLAIN.values():
+        return _SCALARS[cls.__name__](as_json)
+    fields = describe(cls).fields
+    return {
+        "type": "object",
+        "properties": {field.name: _kind_schema(field.kind, as_json) for field in fields},
+        "required": [field.name for field in fields],
+        "additionalProperties": False,
+    }
+
+
+def _octets(as_json: bool) -> dict[str, Any]:
+    return {"type": "string", "contentEncoding": "base64" if as_json else "binary"}
+
+
+def _kind_schema(kind: Any, as_json: bool) -> dict[str, Any]:
+    """The schema of one field; what a kind is shows in what it has."""
+    spelling = str(kind.spelling)
+    if hasattr(kind, "columns"):
+        if as_json:
+            return {"type": "array", "items": _type_schema(kind.cls, True)}
+        return {**_octets(False), "x-array": {"element": kind.element, "dimensions": 2, "columns": list(kind.columns)}}
+    if hasattr(kind, "structure"):
+        return _type_schema(kind.cls, as_json)
+    if hasattr(kind, "enumeration"):
+        return _enum_schema(kind.enumeration, as_json)
+    if hasattr(kind, "items"):
+        return {"type": "array", "prefixItems": [_kind_schema(item, as_json) for item in kind.items], "items": False}
+    if hasattr(kind, "item"):
+        return {"type": "array", "items": _kind_schema(kind.item, as_json)}
+    if spelling.startswith("ndarray"):
+        if as_json:
+            text = {"dtype": {"type": "string"}, "shape": {"type": "array", "items": {"type": "integer"}}}
+            return {"type": "object", "properties": {**text, "data": _octets(True)}}
+        return {**_octets(False), "x-array": {"element": kind.element}}
+    if spelling.startswith("seq["):
+        if as_json:
+            return _octets(True) if kind.element == "u8" else {"type": "array", "items": _number(str(kind.element))}
+        return {**_octets(False), "x-array": {"element": kind.element, "dimensions": 1}}
+    if spelling == "map":
+        note = "scalars" if as_json else "scalars; a binary is an array as x-array-layout tells, a list has one binary"
+        return {"type": "object", "description": note, **({} if as_json else {"additionalProperties": {"x-array": {}}})}
+    if spelling == "stamp":
+        return {"type": "integer", "description": "nanoseconds since the epoch"}
+    return _SCALARS[spelling](as_json) if spelling in _SCALARS else _number(spelling)
+
+
+def _enum_schema(enumeration: Any, as_json: bool) -> dict[str, Any]:
+    values: dict[str, Any] = {name: member.value for name, member in enumeration.__members__.items()}
+    if as_json or not issubclass(enumeration, int):
+        return {"type": "string", "enum": list(values)}
+    return {"type": "integer", "enum": list(values.values()), "x-names": list(values)}
+
+
+def _number(spelling: str) -> dict[str, Any]:
+    if spelling == "bool":
+        return {"type": "boolean"}
+    return {"type": "number" if spelling[0] in "fc" else "integer", "x-number": spelling}
+
+
+_SCALARS: Final[dict[str, Callable[[bool], dict[str, Any]]]] = {
+    "bool": lambda _: {"type": "boolean"},
+    "int": lambda _: {"type": "integer"},
+    "float": lambda _: {"type": "number"},
+    "str": lambda _: {"type": "string"},
+    "char": lambda _: {"type": "string", "maxLength": 1},
+    "wchar": lambda _: {"type": "string", "maxLength": 1},
+    "bytes": _octets,
+}
+
+
+def encoder(encoding: Encoding) -> Callable[[Any], bytes]:
+    """What makes octets of a record. RecordError or LimitError when it cannot."""
+    if encoding == "msgpack":
+        return MsgpackCodec().encode
+    to_text = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode
+
+    def encode(record: Any) -> bytes:
+        plain = to_plain(record)
+        return to_text(plain if hasattr(type(record), "__dataclass_fields__") else {"value": plain}).encode()
+
+    return encode
+
+
+def taker(cls: type, encoding: str) -> Callable[[bytes], Any]:
+    """What makes a record of `cls` of octets. WireError or RecordError when they are none."""
+    if encoding == "msgpack":
+        decode = MsgpackCodec().decode
+        return lambda data: decode(data, cls)
+
+    def take(data: bytes) -> Any:
+        try:
+            plain = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise WireError(f"no JSON: {str(error)[:80]}") from None
+        if cls in _PLAIN.values():
+            if not isinstance(plain, dict) or set(plain) != {"value"}:
+                raise WireError('expected an object with "value" alone')
+            plain = plain["value"]
+        return from_plain(cls, plain)
+
+    return take
+
+
+def plain_of(data: bytes, encoding: str, schema: Schema | None) -> Any:
+    """A message of a type that is not known here, as plain data that JSON can carry, as far as it explains itself."""
+    try:
+        if encoding == "json":
+            return json.loads(data)
+        if encoding == "msgpack":
+            found = msgpack.unpackb(
+                data,
+                raw=False,
+                strict_map_key=True,
+                max_array_len=min(_LONGEST, len(data)),
+                max_map_len=min(_LONGEST, len(data)),
+                max_ext_len=0,
+            )
+            return _plain(found, _explained(schema))
+    except (ValueError, TypeError, RecursionError, msgpack.UnpackException, WireError, RecordError):
+        pass  # told as the octets it is
+    return {"encoding": encoding, "octets": base64.b64encode(data).decode("ascii")}
+
+
+def _explained(schema: Schema | None) -> dict[str, Any]:
+    if schema is None or schema.encoding != SCHEMA_ENCODING:
+        return {}
+    try:
+        found = json.loads(schema.data)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _plain(value: Any, schema: Any) -> Any:
+    schema = schema if isinstance(schema, dict) else {}
+    if isinstance(value, bytes):
+        return _array(value) if "x-array" in schema else base64.b64encode(value).decode("ascii")
+    if isinstance(value, dict):
+        inner, rest = schema.get("properties"), schema.get("additionalProperties")
+        inner = inner if isinstance(inner, dict) else {}
+        return {str(key): _plain(item, inner.get(key, rest)) for key, item in value.items()}
+    if isinstance(value, list):
+        first, rest = schema.get("prefixItems"), schema.get("items")
+        first = first if isinstance(first, list) else []
+        plain = [_plain(item, first[i] if i < len(first) else rest) for i, item in enumerate(value)]
+        return plain[2] if len(plain) == 3 and first and "x-array-layout" in schema else plain
+    if isinstance(value, float) and not math.isfinite(value):
+        return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
+def _array(octets: bytes) -> Any:
+    """The numbers of an array as lists; its octets when it is not what its head says."""
+    head = 8 + 8 * (octets[1] if len(octets) > 1 else 0)
+    if len(octets) < max(head, 8) or not 1 <= octets[0] <= len(ELEMENTS) or octets[1] > 8:
+        raise WireError("no array")
+    shape = struct.unpack_from(f"<{octets[1]}Q", octets, 8)
+    element = ELEMENTS[octets[0] - 1]
+    code = _STRUCT.get(element)
+    count = math.prod(shape)
+    if code is None or count * struct.calcsize(f"<{code}") != len(octets) - head:
+        raise WireError("no array")
+    flat: list[Any] = [_plain(one, None) for one in struct.unpack_from(f"<{count}{code}", octets, head)]
+    for length in reversed(shape[1:]):
+        flat = [flat[i : i + length] for i in range(0, len(flat), length)] if length else []
+    return flat if shape else flat[0]

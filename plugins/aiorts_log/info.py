@@ -1,0 +1,108 @@
+"""What a recording holds, in figures: taken from its index, so that it costs nothing to ask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+from aiorts_log.reader import RecordingReader
+from aiorts_log.survey import Gap
+
+__all__ = ("PortInfo", "RecordingInfo", "info_of")
+
+GAP: Final = 1_000_000_000
+"""Nanoseconds without any sample from which it is told; the writer begins a new chunk after such a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortInfo:
+    """A port: `rate` is samples in a second over the whole recording, None for fewer than two."""
+
+    name: str
+    type: str
+    encoding: str
+    count: int
+    rate: float | None
+    unknown: str
+    """Why its samples cannot become records here; "" when they can."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """A recording in figures; times in nanoseconds.
+
+    Attributes:
+        gaps: begin and end of each time of a second or more without samples.
+        torn: the broken end of a recording that was not closed.
+        fault: what else is wrong; "" when nothing is known to be.
+        dropped: samples that were offered to the writer and found no room, by port.
+    """
+
+    path: str
+    octets: int
+    made_by: str
+    closed: bool
+    count: int
+    start: int
+    end: int
+    chunks: int
+    ports: tuple[PortInfo, ...]
+    gaps: tuple[tuple[int, int], ...]
+    dropped: dict[str, int]
+    torn: Gap | None
+    fault: str
+    skipped: int
+    metadata: tuple[Any, ...]
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first sample to the last."""
+        return (self.end - self.start) / 1e9
+
+
+def info_of(reader: RecordingReader) -> RecordingInfo:
+    """The figures of an open recording. DamagedError when what is said of the system is damaged."""
+    seconds = (reader.end - reader.start) / 1e9
+    ports = tuple(
+        PortInfo(name, port.type_name, port.encoding, port.count, _rate(port.count, seconds), port.unknown)
+        for name, port in reader.ports.items()
+    )
+    dropped: dict[str, int] = {}
+    for ending in reader.endings:
+        found = ending.get("dropped") if isinstance(ending, dict) else None
+        for name, count in found.items() if isinstance(found, dict) else ():
+            dropped[name] = dropped.get(name, 0) + (count if isinstance(count, int) else 0)
+    header = reader.header
+    return RecordingInfo(
+        str(reader.path),
+        reader.octets,
+        header.library or header.profile,
+        reader.clean,
+        reader.count,
+        reader.start,
+        reader.end,
+        len(reader.pieces),
+        ports,
+        _gaps(reader),
+        dropped,
+        reader.torn,
+        reader.fault,
+        reader.skipped,
+        reader.metadata,
+    )
+
+
+def _rate(count: int, seconds: float) -> float | None:
+    return (count - 1) / seconds if count > 1 and seconds > 0 else None
+
+
+def _gaps(reader: RecordingReader) -> tuple[tuple[int, int], ...]:
+    gaps = []
+    last: int | None = None
+    for piece in sorted(reader.pieces):
+        if not piece.end:
+            continue  # definitions alone
+        if last is not None and piece.start - last >= GAP:
+            gaps.append((last, piece.start))
+        last = piece.end if last is None else max(last, piece.end)
+    return tuple(gaps)

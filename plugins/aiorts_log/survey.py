@@ -1,0 +1,249 @@
+"""Reads a recording from its beginning, believing no index: what is whole, what is damaged, where it breaks off.
+
+It is what opens a file that was not closed, and what `salvage` goes by. Every chunk is checked; none is kept.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from aiorts_log.chunks import Content
+from aiorts_log.form import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    BadOctets,
+    Channel,
+    Cursor,
+    Schema,
+)
+from aiorts_log.source import MINOR, Piece, Source
+from aiorts_log.summary import Summary
+
+__all__ = ("Gap", "Survey", "survey")
+
+_CANDIDATE: Final = re.compile(rb"\x06[\x00-\xff]{4}\x00{4}", re.DOTALL)
+_WINDOW: Final = 2**20
+_RUN: Final = 2**18
+_IN_DATA: Final = (CHUNK, MESSAGE, SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+"""What stands in front of the summary. All else is of a newer version, or was something else once."""
+_IN_OURS: Final = (CHUNK, MESSAGE_INDEX, ATTACHMENT, DATA_END)
+"""What we put there: a chunk that a flipped bit made to something else is not to be mistaken for it."""
+
+
+class Gap(NamedTuple):
+    """Octets of which nothing can be had."""
+
+    offset: int
+    length: int
+    why: str
+
+
+@dataclass(slots=True)
+class Survey:
+    """What a file really holds.
+
+    Attributes:
+        pieces: every chunk that is whole, in the order of the file.
+        damage: what is broken between them.
+        torn: what is broken behind the last of them; None when the data end as they should.
+        ended: whether the writer said that the data are complete.
+        stop: where the data end.
+        missing: by channel, how far the numbers of the samples are ahead of their count.
+    """
+
+    summary: Summary = field(default_factory=Summary)
+    pieces: list[Piece] = field(default_factory=list)
+    damage: list[Gap] = field(default_factory=list)
+    torn: Gap | None = None
+    ended: bool = False
+    stop: int = 0
+    missing: dict[int, int] = field(default_factory=dict)
+
+    def take(self, piece: Piece, content: Content) -> int:
+        """Count what a piece holds; returns how many samples are missing in front of it, if their numbers tell that.
+
+        Raises:
+            BadOctets: it contradicts another one.
+        """
+        summary = self.summary
+        for schema in content.schemas:
+            summary.define(schema)
+        for channel in content.channels:
+            summary.define(channel=channel)
+        counts, missing = summary.counts, 0
+        for message in content.messages:
+            number, sequence = message[0], message[1]
+            count = counts[number] = counts.get(number, 0) + 1
+            ahead = (sequence + 1 - count - self.missing.get(number, 0)) & 0xFFFF_FFFF
+            if ahead:
+                ahead -= 2**32 if ahead >= 2**31 else 0
+                self.missing[number] = self.missing.get(number, 0) + ahead
+                missing += ahead
+        summary.skipped += content.skipped
+        self.pieces.append(piece)
+        return missing
+
+
+def survey(source: Source) -> Survey:
+    """Read all of a file."""
+    return _Walk(source).survey()
+
+
+class _Walk:
+    """One way through a file."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._found = Survey()
+        self._suspect: tuple[int, str] | None = None
+        """A chunk whose sum is wrong: its length, and so where it ends, may be wrong as well."""
+        self._run: tuple[int, int] | None = None
+        self._is_own = source.header.profile == "aiorts"
+        self._may_stand = _IN_OURS if self._is_own else _IN_DATA
+        self._may_be_newer = not self._is_own or source.minor > MINOR
+
+    def survey(self) -> Survey:
+        source, found = self._source, self._found
+        at = source.begin
+        while at < source.size and not found.ended:
+            try:
+                opcode, length = source.head(at)
+                if opcode not in self._may_stand and (opcode <= DATA_END or not self._may_be_newer):
+                    raise BadOctets(f"a record {opcode}, of a kind that does not stand there")
+            except BadOctets as error:
+                at = self._broken(at, str(error))
+                continue
+            if opcode != MESSAGE:
+                self._end_run(at)
+            at = self._step(opcode, at, length)
+        self._end_run(min(at, source.size))
+        if self._suspect is not None:
+            self._note(self._suspect[0], at, self._suspect[1])
+        self._split_tail()
+        return found
+
+    def _step(self, opcode: int, at: int, length: int) -> int:
+        """Take the record there; returns where the next one is looked for."""
+        found, summary = self._found, self._found.summary
+        try:
+            if opcode == CHUNK:
+                head, _ = self._source.chunk_head(at)
+                piece = Piece(head.start, head.end, at, length)
+                missing = found.take(piece, self._source.load(piece))
+                self._trusted(at)
+                self._note_missing(at, missing)
+            elif opcode == MESSAGE:
+                self._extend_run(at, length)
+            elif opcode in (SCHEMA, CHANNEL):
+                content = self._source.read(at + HEAD.size, length - HEAD.size)
+                if opcode == SCHEMA:
+                    summary.define(Schema.take(content))
+                else:
+                    summary.define(channel=Channel.take(content))
+            elif opcode == ATTACHMENT:
+                self._source.attachment(at, length)
+                summary.attachments.append((at, length, None))
+            elif opcode == MESSAGE_INDEX:
+                cursor = Cursor(self._source.read(at + HEAD.size, min(6, length - HEAD.size)))
+                if cursor.u16() < 0 or cursor.u32() != length - HEAD.size - 6:
+                    raise BadOctets("an index that contradicts itself")
+            elif opcode == DATA_END:
+                if length != HEAD.size + 4:
+                    raise BadOctets(f"the end of the data has {length} octets")
+                self._trusted(at)
+                found.ended, found.stop = True, at
+            elif opcode != METADATA:
+                summary.skipped += 1
+        except BadOctets as error:
+            if opcode != CHUNK or self._suspect is not None:
+                return self._broken(at, str(error))
+            self._suspect = at, str(error)
+        return at + length
+
+    def _trusted(self, at: int) -> None:
+        if self._suspect is not None:
+            self._note(self._suspect[0], at, self._suspect[1])
+            self._suspect = None
+
+    def _note_missing(self, at: int, missing: int) -> None:
+        """A chunk whose own kind was damaged looks like something that may be skipped; the numbers behind it tell."""
+        last = self._found.pieces[-2] if len(self._found.pieces) > 1 else None
+        begin = last.offset + last.length if last is not None else self._source.begin
+        told = self._found.damage and self._found.damage[-1].offset >= begin
+        if self._is_own and missing > 0 and not told:
+            self._note(begin, at, f"{missing} samples are missing")
+
+    def _broken(self, at: int, why: str) -> int:
+        """The chain ends here: look for the next chunk that is whole."""
+        self._end_run(at)
+        begin, why = self._suspect or (at, why)
+        self._suspect = None
+        after = self._next_chunk(begin + 1)
+        self._note(begin, after, why)
+        return after
+
+    def _note(self, begin: int, after: int, why: str) -> None:
+        self._found.damage.append(Gap(begin, min(after, self._source.size) - begin, why))
+
+    def _next_chunk(self, at: int) -> int:
+        """Where the next whole chunk stands, or the end of the file."""
+        source = self._source
+        while at < source.size:
+            window = source.read(at, min(_WINDOW, source.size - at))
+            for match in _CANDIDATE.finditer(window):
+                if self._is_chunk(at + match.start()):
+                    return at + match.start()
+            at += max(1, len(window) - HEAD.size + 1)
+            if len(window) < _WINDOW:
+                break
+        return source.size
+
+    def _is_chunk(self, at: int) -> bool:
+        try:
+            head, length = self._source.chunk_head(at)
+            self._source.load(Piece(head.start, head.end, at, length))
+        except BadOctets:
+            return False
+        return bool(head.crc)
+
+    def _extend_run(self, at: int, length: int) -> None:
+        if self._run is None:
+            self._run = at, at
+        begin = self._run[0]
+        self._run = begin, at + length
+        if at + length - begin > _RUN:
+            self._end_run(at + length)
+
+    def _end_run(self, at: int) -> None:
+        if self._run is None:
+            return
+        (begin, end), self._run = self._run, None
+        piece = Piece(0, 0, begin, end - begin, chunk=False)
+        try:
+            content = self._source.load(piece)
+        except BadOctets as error:
+            self._note(begin, end, str(error))
+            return
+        times = [message.log_time for message in content.messages]
+        self._found.take(piece._replace(start=min(times), end=max(times)), content)
+
+    def _split_tail(self) -> None:
+        """What is broken behind the last whole piece of a file that was not ended is its torn end."""
+        found = self._found
+        last = found.pieces[-1].offset if found.pieces else self._source.begin - 1
+        tail = [gap for gap in found.damage if gap.offset > last]
+        if not found.ended:
+            found.stop = tail[0].offset if tail else self._source.size
+        if found.ended or not tail:
+            return
+        found.damage = found.damage[: len(found.damage) - len(tail)]
+        found.torn = Gap(tail[0].offset, self._source.size - tail[0].offset, tail[0].why)

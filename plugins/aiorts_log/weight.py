@@ -1,0 +1,59 @@
+"""How many octets a waiting record holds, about: enough to bound the memory of a queue, and nothing for small types."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from aiorts.types import describe
+
+__all__ = ("SMALL", "weigher")
+
+SMALL: Final = 256
+"""What is counted for a record besides what can grow without limit."""
+_GROWS: Final = ("seq[", "ndarray", "map", "str", "bytes")
+
+
+def weigher(cls: type) -> Callable[[Any], int] | None:
+    """What weighs records of a type; None when all of them are small."""
+    if cls in (str, bytes):
+        return lambda value: SMALL + len(value)
+    if not hasattr(cls, "__dataclass_fields__"):
+        return None
+    fields = [field for field in describe(cls).fields if _grows(field.kind)]
+    if not fields:
+        return None
+    names = tuple(field.name for field in fields)
+
+    def weigh(record: Any) -> int:
+        return SMALL + sum(_octets(getattr(record, name)) for name in names)
+
+    return weigh
+
+
+def _grows(kind: Any) -> bool:
+    if hasattr(kind, "structure"):
+        return any(_grows(field.kind) for field in kind.structure.fields)
+    if hasattr(kind, "columns") or hasattr(kind, "item"):
+        return True
+    if hasattr(kind, "items"):
+        return any(_grows(item) for item in kind.items)
+    return str(kind.spelling).startswith(_GROWS)
+
+
+def _octets(value: Any) -> int:
+    octets = getattr(value, "nbytes", None)
+    if octets is not None:
+        return int(octets)
+    array = getattr(value, "array", None)
+    if array is not None:
+        return int(array.nbytes)
+    if isinstance(value, str | bytes):
+        return len(value)
+    if hasattr(value, "values") and hasattr(value, "keys"):
+        return sum(map(_octets, value.values()))
+    if isinstance(value, tuple | list):
+        return sum(map(_octets, value))
+    if hasattr(type(value), "__dataclass_fields__"):
+        return SMALL + sum(_octets(getattr(value, name)) for name in type(value).__dataclass_fields__)
+    return 16

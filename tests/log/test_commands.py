@@ -1,0 +1,192 @@
+"""`aiorts log`: info, cat and salvage, and what they say when they cannot."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from aiorts.cli.app import run_command
+from aiorts.types import TimedString
+from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
+from log_parts import BEGIN, MS, make, read
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    capsys.readouterr()
+    status = run_command(["log", *map(str, arguments)])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    make(path, 101)
+    status, out, err = run(capsys, "info", path)
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith(f"{path}: 303 samples of 3 ports, ")
+    assert lines[1].startswith("  from 2023-11-14 22:13:20.000 UTC for 0.100 s, in ")
+    assert lines[2].split() == ["pid0.command", "TimedDouble", "101", "1000", "Hz"]
+    assert len(lines) == 5
+    status, out, _ = run(capsys, "info", path, "--json", "--check")
+    found = json.loads(out)
+    assert (status, found["samples"], found["seconds"], found["closed"], found["damage"]) == (0, 303, 0.1, True, [])
+    assert found["ports"][2] == {
+        "name": "log",
+        "type": "TimedString",
+        "encoding": "msgpack",
+        "samples": 101,
+        "rate": pytest.approx(1000.0),
+        "unknown": "",
+    }
+    assert found["metadata"][0]["kernel"] == "test"
+    assert "all checksums are right" in run(capsys, "info", "--check", path)[1]
+
+
+@pytest.mark.fault("D14")
+def test_info_tells_gaps_and_drops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0, queue_octets=1000)) as writer:
+        port = writer.add_port("n", TimedString)
+        writer.write(port, TimedString(0, "a"), BEGIN)
+        assert writer.flush(10.0)
+        writer.write(port, TimedString(0, "b"), BEGIN + 1500 * MS)
+        writer.write(port, TimedString(0, "c" * 2000), BEGIN + 1600 * MS)
+    _, out, _ = run(capsys, "info", path)
+    assert "  no sample for 1.500 s from +0.000 s\n" in out
+    assert "  dropped of n: 1 sample that found no room\n" in out
+
+
+@pytest.mark.fault("D01")
+def test_info_says_that_a_recording_was_not_closed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    make(path, 100)
+    with RecordingReader(path) as reader:
+        last = reader.pieces[-1]
+    with path.open("rb+") as file:
+        file.truncate(last.offset + last.length + 16)
+        status, out, _ = run(capsys, "info", path)
+        assert (status, "not closed cleanly: 300 samples, lost: what was not yet written" in out) == (0, True)
+        file.truncate(last.offset + last.length - 1)
+    status, out, _ = run(capsys, "info", path)
+    assert status == 0
+    assert f"; {last.length - 1} octets at its end are of no use" in out
+    assert run(capsys, "info", path, "--json")[1].count('"closed": false') == 1
+
+
+@pytest.mark.fault("D06")
+def test_damage_is_found_and_named_and_salvaged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, new = tmp_path / "run.mcap", tmp_path / "new.mcap"
+    expected = make(path, 300, chunk=2000)
+    with RecordingReader(path) as reader:
+        hit = reader.pieces[9]
+    octets = bytearray(path.read_bytes())
+    octets[hit.offset + 99] ^= 2
+    path.write_bytes(octets)
+    status, out, _ = run(capsys, "info", "--check", path)
+    assert status == 1
+    assert f"octets from octet {hit.offset}: the checksum of a chunk is not right" in out
+    status, out, err = run(capsys, "cat", path)
+    assert status == 2
+    assert err.startswith("aiorts: E-DAMAGED: ")
+    assert f"damaged at octet {hit.offset}" in err
+    assert err.endswith("aiorts log salvage gets what is whole\n")
+    given = len(out.splitlines())
+    assert given == sum(one[1] < hit.start for one in expected) or 0 < given < 900
+    status, out, err = run(capsys, "salvage", path, new)
+    assert (status, err) == (0, "")
+    assert f"from octet {hit.offset}" in out
+    kept = read(new)
+    assert f"{new}: {len(kept)} samples of 3 ports" in out
+    assert 860 < len(kept) < 900
+    assert [one for one in expected if one in kept] == kept
+    status, _, err = run(capsys, "salvage", path, new)
+    assert (status, "is there already" in err) == (2, True)
+    assert run(capsys, "salvage", path, path, "--overwrite")[2].startswith("aiorts: E-RECORDING: ")
+    document = json.loads(run(capsys, "salvage", path, new, "--overwrite", "--json")[1])
+    assert sum(document["samples"].values()) == len(kept)
+    assert sum(document["missing"].values()) == 900 - len(kept)
+
+
+def test_cat_prints_lines_that_filters_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    make(path, 20)
+    status, out, err = run(capsys, "cat", path)
+    assert (status, err) == (0, "")
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert len(lines) == 60
+    assert lines[0] == {"port": "pid0.command", "type": "TimedDouble", "tm": BEGIN - 5, "data": 0.0}
+    assert lines[1]["data"] == [0.0, -0.0, 1e300, 0.0, 5.0, 6.0]
+    out = run(capsys, "cat", path, "--port", "log", "--start", "+0.005", "--end", "+0.0080")[1]
+    assert [json.loads(line)["data"] for line in out.splitlines()] == ["line 5", "line 6", "line 7"]
+    out = run(capsys, "cat", path, "--port", "log", "--end", "1700000000.001", "--log-time")[1]
+    assert [json.loads(line)["log_time"] for line in out.splitlines()] == [BEGIN]
+    for wrong in ("soon", "-1", "1e3", "+", "1.0000000001"):
+        status, _, err = run(capsys, "cat", path, f"--start={wrong}")
+        assert (status, err.startswith("aiorts: E-CONFIG: --start: expected +SECONDS")) == (2, True)
+    status, _, err = run(capsys, "cat", path, "--port", "logg")
+    assert (status, "no port 'logg'; there are" in err) == (2, True)
+
+
+def test_what_is_printed_of_a_file_commands_no_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        port = writer.add_port("a\x1b[2Jb\n../../c", TimedString)
+        writer.write(port, TimedString(0, "\x1b]0;title\x07"), BEGIN)
+    for command in ("info", "cat"):
+        out = run(capsys, command, path)[1]
+        assert "\x1b" not in out
+        assert "\x07" not in out
+        assert ("a\\x1b[2Jb\\n../../c" if command == "info" else "a\\u001b[2Jb\\n../../c") in out
+    assert len(run(capsys, "cat", path)[1].splitlines()) == 1
+
+
+@pytest.mark.fault("D09")
+def test_what_is_no_recording_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text").write_text("hello")
+    for command in (["info"], ["cat"], ["salvage"]):
+        for path in (tmp_path / "text", tmp_path / "absent", tmp_path):
+            more = [tmp_path / "new"] if command == ["salvage"] else []
+            status, out, err = run(capsys, *command, path, *more)
+            assert (status, out) == (2, "")
+            assert err.startswith(f"aiorts: E-RECORDING: {path}: ")
+            assert err.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_reader_that_goes_away_is_no_error(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    make(path, 2000)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "aiorts", "log", "cat", str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    assert process.stdout.readline().startswith(b'{"port"')
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait(30) == 141  # what a shell says of SIGPIPE
+
+
+def test_compressed_chunks_without_the_library_name_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mcap = pytest.importorskip("mcap.writer")
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = mcap.Writer(file, compression=mcap.CompressionType.ZSTD)
+        writer.start()
+        writer.add_message(writer.register_channel("a", "json", 0), 1, b"{}" * 100, 1)
+        writer.finish()
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    status, _, err = run(capsys, "cat", path)
+    assert status == 2
+    assert err == (
+        "aiorts: E-EXTRA: a recording with compressed chunks needs zstandard, which is not installed; "
+        'pip install "aiorts[log]"\n'
+    )
