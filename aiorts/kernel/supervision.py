@@ -3,8 +3,9 @@
 For each supervised component there is at most one task, only while it is in error. A reset runs `on_reset` and
 activates again. A restart puts a new instance of the same name in the old one's place: configuration, contexts, place
 in their order and in a composite, and connectors are as they were; what was queued in these is dropped as disconnected,
-and calls in progress end with ServiceUnavailable. Those whom a composite deactivated for its error are then activated
-again; who was deactivated on purpose stays off.
+and calls in progress end with ServiceUnavailable. The connectors are new objects that count from 0; the old ones keep
+their counts. Those whom a composite deactivated for its error are then activated again; who was deactivated on purpose
+stays off.
 """
 
 from __future__ import annotations
