@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.errors import StateError, WiringError
-from aiorts.kernel import composition_check, membership
+from aiorts.kernel import comeback, composition_check
 from aiorts.kernel.bus import Event, PortAdded, PortRemoved, StateChanged
 from aiorts.kernel.component import Component
 from aiorts.model.composition import ErrorPolicy, Export, derived, flow_order, shown
@@ -293,6 +293,8 @@ class Composed(Component):
 
     def _rt_member_entered(self, member: Member) -> None:
         """A member has another state; in the thread of its context."""
+        if member.state is not LifeCycleState.INACTIVE:
+            member.stopped_for = frozenset()
         context = self._rt_running_context
         if context is None or context is not member.context or member.component not in self.parts:
             return  # one that is on trial: what it does is told when it has joined
@@ -300,7 +302,7 @@ class Composed(Component):
         composite: Composed | None = self
         while failed and composite is not None:
             if composite.errors is ErrorPolicy.STOP:
-                membership.stop_the_others(composite, context)
+                comeback.stop_the_others(composite, context, member.component.name)
             failed = composite.state is LifeCycleState.ERROR
             composite = None if composite.own_schedule else composite._rt_composite
         self._rt_tell_state()

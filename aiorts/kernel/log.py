@@ -63,12 +63,14 @@ class LogFields(NamedTuple):
 
 
 class _Folded:
-    """One template of the last second: when a line was emitted and how many were not since."""
+    """One template of the last second: when a line was emitted, what it said, and how many were not since."""
 
-    __slots__ = ("count", "emitted_ns")
+    __slots__ = ("count", "emitted_ns", "text")
 
-    def __init__(self, emitted_ns: int) -> None:
+    def __init__(self, emitted_ns: int, template: str) -> None:
         self.emitted_ns = emitted_ns
+        self.text = template[:_TEMPLATE_SHOWN]
+        """As it was emitted, once that is known: it is filled in outside of the lock, what is logged is the user's."""
         self.count = 0
 
 
@@ -220,11 +222,11 @@ class ComponentLog:
     def flush(self) -> None:
         """Emit what was counted and not yet told; the kernel calls it when it closes."""
         with self._lock:
-            pending = [(key, folded.count) for key, folded in self._keys.items() if folded.count]
+            pending = [(key[0], folded) for key, folded in self._keys.items() if folded.count]
             self._keys.clear()
             dropped, self._dropped = self._dropped, 0
-        for (level, template), count in pending:
-            self._emit_count(level, template, count)
+        for level, folded in pending:
+            self._emit_count(level, folded)
         if dropped:
             self._emit_dropped(dropped)
 
@@ -248,11 +250,13 @@ class ComponentLog:
                 return
             repeated = self._keys.pop(key).count if folded is not None else 0
             old = self._forget_old(now)
-            self._keys[key] = _Folded(now)
-        for (old_level, template), count in old:
-            if self._afford(now, _LINE_BYTES + min(len(template), _TEMPLATE_SHOWN), count):
-                self._emit_count(old_level, template, count)
-        self._kept.append((now, level, _text(key[1], args)[:_KEPT_LENGTH], self._fields().hook))
+            emitted = self._keys[key] = _Folded(now, key[1])
+        for old_level, silent in old:
+            if self._afford(now, _LINE_BYTES + len(silent.text), silent.count):
+                self._emit_count(old_level, silent)
+        said = _text(key[1], args)
+        emitted.text = said[:_TEMPLATE_SHOWN]
+        self._kept.append((now, level, said[:_KEPT_LENGTH], self._fields().hook))
         attached = _attached_bytes(exc_info, stack_info)
         traceback = 2 + 3 * (attached // _FRAME_BYTES) if attached else 0
         if self._afford(now, _line_bytes(key[1], args) + attached, 1 + repeated, traceback):
@@ -267,8 +271,8 @@ class ComponentLog:
                 extra=self._attributes(repeated, extra),
             )
 
-    def _forget_old(self, now: int) -> list[tuple[_Key, int]]:
-        """Take out the templates that fell silent, and the oldest when there are too many; return what they counted."""
+    def _forget_old(self, now: int) -> list[tuple[int, _Folded]]:
+        """Take out the templates that fell silent, and the oldest when there are too many; return level and counts."""
         counted = []
         while self._keys:
             key, folded = next(iter(self._keys.items()))
@@ -276,7 +280,7 @@ class ComponentLog:
                 break
             del self._keys[key]
             if folded.count:
-                counted.append((key, folded.count))
+                counted.append((key[0], folded))
         return counted
 
     def _afford(self, now: int, size: int, lines: int, traceback: int = 0) -> bool:
@@ -297,9 +301,9 @@ class ComponentLog:
             return self._shared.afford(now, size, traceback, self._fields().component)
         return fits
 
-    def _emit_count(self, level: int, template: str, count: int) -> None:
-        text = f"{template[:_TEMPLATE_SHOWN]}{_times(count)}"
-        self.logger.log(level, "%s", text, extra=self._attributes(count, None))
+    def _emit_count(self, level: int, folded: _Folded) -> None:
+        text = f"{folded.text}{_times(folded.count)}"
+        self.logger.log(level, "%s", text, extra=self._attributes(folded.count, None))
 
     def _emit_dropped(self, count: int) -> None:
         line = "1 line" if count == 1 else f"{count} lines"

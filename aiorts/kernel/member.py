@@ -64,6 +64,7 @@ class Member:
         "ready",
         "rung",
         "started",
+        "stopped_for",
         "times",
         "triggered",
         "updates",
@@ -92,6 +93,8 @@ class Member:
         """The hook that runs now, while one runs."""
         self.finishing = False
         self.started = False
+        self.stopped_for: frozenset[str] = frozenset()
+        """The components for whose error its composite deactivated it."""
         self.ready = False
         self.in_ports: list[InPort[Any]] = []
         self.rung: list[InPort[Any]] = []

@@ -16,7 +16,6 @@ from aiorts.errors import ComponentError, StateError, TransitionTimeout, said
 from aiorts.kernel import composition_check, lanes
 from aiorts.kernel.bus import MemberAdded, MemberRemoved
 from aiorts.kernel.homes import arrange, go_home, leave_home
-from aiorts.kernel.life import Action
 from aiorts.kernel.tasks import kernel_task
 from aiorts.kernel.unfold import is_composite, unfolded
 from aiorts.model.composition import ErrorPolicy, Export
@@ -39,7 +38,6 @@ __all__ = (
     "leave",
     "leave_home",
     "start",
-    "stop_the_others",
     "transition",
 )
 
@@ -332,6 +330,8 @@ def _transition(composite: Composed, context: Context, event: Event, done: Done)
         return
     if event is Event.DEACTIVATE:
         members.reverse()
+        for member in members:
+            member.stopped_for = frozenset()  # from now on they are off because somebody wants it
     told: list[BaseException] = []
     begun: list[Member] = []
     for member in members:
@@ -347,11 +347,6 @@ def _transition(composite: Composed, context: Context, event: Event, done: Done)
     if told and event is Event.ACTIVATE and stops:
         yield from _deactivate(reversed(begun))
     done(told[0] if told else None)
-
-
-def stop_the_others(composite: Composed, context: Context) -> None:
-    """A member is in error: deactivate the others before the next cycle; in the thread of the context."""
-    context._submit(Action(lambda: _deactivate(m for p in reversed(composite.parts) for m in p._rt_members)))
 
 
 def _deactivate(members: Iterable[Member]) -> Steps:

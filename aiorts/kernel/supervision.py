@@ -3,7 +3,9 @@
 For each supervised component there is at most one task, only while it is in error. A reset runs `on_reset` and
 activates again. A restart puts a new instance of the same name in the old one's place: configuration, contexts, place
 in their order and in a composite, and connectors are as they were; what was queued in these is dropped as disconnected,
-and calls in progress end with ServiceUnavailable.
+and calls in progress end with ServiceUnavailable. The connectors are new objects that count from 0; the old ones keep
+their counts. Those whom a composite deactivated for its error are then activated again; who was deactivated on purpose
+stays off.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from aiorts.errors import ClosedError, DeclarationError, said
 from aiorts.kernel.bus import ComponentRemoved, Event, StateChanged
+from aiorts.kernel.comeback import bring_back, stopped_with
 from aiorts.kernel.service_port import ServiceConnector
 from aiorts.kernel.standing import Standing, instance_of, reset_whole, standing_of
 from aiorts.kernel.tasks import current_task, kernel_task
@@ -37,6 +40,7 @@ __all__ = ("Helped", "HelpExhausted", "Supervised", "Supervisor")
 _LOG = logging.getLogger("aiorts.kernel")
 _ERROR: Final = LifeCycleState.ERROR
 _INACTIVE: Final = LifeCycleState.INACTIVE
+_HELPED: Final = {"reset": "was reset", "restart": "was restarted"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +199,10 @@ class Supervisor:
                     error = raised
                     continue
                 if not _in_error(one.component):
+                    back = await bring_back(one.component)
+                    if back:
+                        _LOG.info("%s: %s; active again with it: %s", one.name, _HELPED[action], ", ".join(back))
+                if not _in_error(one.component):
                     kernel.bus.publish(Helped(one.name, action, one.attempts))
                     return
                 error = one.component.last_error
@@ -208,6 +216,10 @@ class Supervisor:
         if policy.restart == "reset" and one.component._rt_abandoned is not None:
             what = "a reset cannot help"
         state = "is gone" if gone else "stays in error"
+        composite = one.component._rt_composite if one._place is None else one._place.standing.composite
+        stopped = stopped_with(one.component, composite)
+        if stopped:
+            state += f", its composite {stopped} stays stopped,"
         _LOG.error("%s: %s; it %s and is left alone: %s", one.name, what, state, _said(error))
         self._kernel.bus.publish(HelpExhausted(one.name, one.attempts, policy.window, error))
         if gone:

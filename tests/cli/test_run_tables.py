@@ -164,6 +164,18 @@ def test_a_source_that_waits_for_nobody_who_comes_says_for_whom(folder: Path) ->
     assert "source: not started: after 2.0 s still not sink error: it is active" in done.stderr
 
 
+@pytest.mark.parametrize("action", ["reset", "restart"])
+def test_a_composite_that_stops_as_a_whole_goes_on_when_its_member_was_helped(folder: Path, action: str) -> None:
+    text = SYSTEM.replace('errors = "isolate"', 'errors = "stop"').replace("params.fails = 2\n", "")
+    text = text.replace('active = "stiff"\n', 'active = "stiff"\nparams.fails = 2\n')
+    text = text.replace("[components.two.supervision]", "[components.one.supervision]").replace("reset", action)
+    (folder / "system.toml").write_text(text)
+    done = aiorts(folder, "run", "system.toml", "--simulate", "--strict")
+    assert done.stdout.splitlines()[-3:] == ["one active: gain 5", "two active: gain 7", "sink: 105"]
+    assert done.returncode == 0
+    assert done.stderr.count("ValueError: too warm") == 1
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="timerfd")
 def test_what_blocks_the_loop_is_named_and_may_end_the_process(folder: Path) -> None:
     done = aiorts(folder, "run", "blocked.toml")

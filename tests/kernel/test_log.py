@@ -154,7 +154,7 @@ def test_repeats_of_a_line_that_fell_silent_are_told_with_any_later_line(bench: 
         bench.log.warning("late by %d", 3)
     bench.now = 2 * SECOND
     bench.log.info("all well")
-    assert bench.out.lines == ["late by 3", "late by %d (repeated 3 times)", "all well"]
+    assert bench.out.lines == ["late by 3", "late by 3 (repeated 3 times)", "all well"]
     assert bench.out.records[1].levelno == logging.WARNING
 
 
@@ -164,6 +164,19 @@ def test_flush_tells_what_is_pending_once(bench: Bench) -> None:
     bench.log.flush()
     bench.log.flush()
     assert bench.out.lines == ["100 % full", "100 % full (repeated 1 time)"]
+
+
+def test_what_is_pending_is_told_with_the_text_of_the_line_it_repeats(bench: Bench) -> None:
+    for _ in range(3):
+        bench.log.error("b.on_activated failed: %s", OSError("100 % full"))
+        bench.log.info("%(joint)s at %(angle).1f", {"joint": "elbow", "angle": 1.5})
+        bench.log.warning("very %s", "x" * 1000)
+    bench.log.flush()
+    assert bench.out.lines[3:] == [
+        "b.on_activated failed: 100 % full (repeated 2 times)",
+        "elbow at 1.5 (repeated 2 times)",
+        f"very {'x' * 195} (repeated 2 times)",
+    ]
 
 
 def test_message_that_is_no_text_is_folded_by_its_text(bench: Bench) -> None:
@@ -294,7 +307,7 @@ def test_lines_from_several_threads_are_all_accounted_for(bench: Bench) -> None:
     for thread in threads:
         thread.join()
     bench.log.flush()
-    assert bench.out.lines == ["same 0", "same %d (repeated 1999 times)"]
+    assert bench.out.lines == ["same 0", "same 0 (repeated 1999 times)"]
 
 
 @pytest.fixture
