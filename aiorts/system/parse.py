@@ -203,8 +203,8 @@ class _Reader(EntryReader):
         texts = (to,) if isinstance(to, str) else self._texts((*key, "to"), to) if to is not None else ()
         if to is not None and not isinstance(to, str) and to == []:
             self._say((*key, "to"), "expected at least one port")
-        writer = self._get(key, table, "from", str, missing="")
-        if writer:
+        writer = self._get(key, table, "from", str, missing=None)
+        if writer is not None:
             self._check_port((*key, "from"), writer, components)
         for place, path in enumerate(texts):
             self._check_port((*key, "to") if isinstance(to, str) else (*key, "to", place), path, components)
@@ -214,6 +214,9 @@ class _Reader(EntryReader):
         return ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
 
     def _check_port(self, key: Key, path: str, components: Mapping[str, Any]) -> None:
+        if not path:
+            self._say(key, "is empty; write COMPONENT.PORT")
+            return
         try:
             parsed = PortPath.parse(path)
         except InvalidNameError as error:
