@@ -269,6 +269,11 @@ CODES: Final[dict[str, Code]] = {
         "It is written wrongly, or belongs to another middleware; or the name fits no path.",
         "Write it as the message says, or take it away.",
     ),
+    "W-START": Code(
+        "The time of --for was over before everything was started.",
+        "What a component's start waits for (start.after, start.wait) takes longer.",
+        "Give --for more seconds, or look at why those named first are not active.",
+    ),
     "W-TURNED": Code(
         "A connection of a system file names the in-port first.",
         "from and to were exchanged.",

@@ -219,3 +219,12 @@ def test_an_option_that_does_nothing_is_told_once(folder: Path) -> None:
         f"aiorts: W-OPTION: system.toml:{line}:8: connections[1] (arm.inner to two.input): "
         "buffer.lenght is no option that is known; did you mean 'buffer.length'?"
     ]
+
+
+@pytest.mark.parametrize(("seconds", "told"), [("0.25", True), ("0.75", False)])
+def test_the_seconds_of_for_count_while_a_start_is_waited_for(folder: Path, seconds: str, told: bool) -> None:
+    done = aiorts(folder, "run", "system.toml", "--simulate", "--for", seconds)
+    assert done.returncode == 0
+    assert ("source active" in done.stdout) is not told  # its start waits for half a second
+    line = f"aiorts: W-START: --for {seconds}: over before everything was started; not active: source"
+    assert (line in done.stderr.splitlines()) is told
