@@ -100,3 +100,54 @@ members = ["source"]
 kind = "event"
 members = ["middle", "sink"]
 """
+TABLES = """\
+schema = 1
+[watch_loop]
+limit = 2
+policy = "exit"
+[components.source]
+type = "parts.py:Source"
+active = "slow"
+sets.slow.rate_limit = 2
+[components.source.supervision]
+restart = "reset"
+backoff = 0.5
+budget = 3
+deadlines = {on_execute = 0.1}
+[components.source.start]
+after = ["arm active", "sink"]
+wait = 0.25
+[components.one]
+type = "parts.py:Middle"
+[components.one.sets.stiff]
+gain = 5.0
+[components.two]
+type = "parts.py:Middle"
+[components.sink]
+type = "parts.py:Sink"
+[composites.arm]
+members = ["one", "hand"]
+exported = {"one.input" = "command", "hand.*" = "{component}_{port}"}
+errors = "isolate"
+[composites.hand]
+members = ["two"]
+exported = ["two.*"]
+order = "dataflow"
+[[connections]]
+from = "source.out"
+to = "arm.command"
+[[connections]]
+from = "one.output"
+to = "hand.input"
+[[connections]]
+from = "arm.hand_output"
+to = "sink.input"
+[contexts.loop]
+kind = "periodic"
+rate = 100.0
+members = ["arm", "sink"]
+[contexts.fast]
+kind = "periodic"
+rate = 10.0
+members = ["source"]
+"""

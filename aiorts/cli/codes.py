@@ -191,8 +191,8 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-TRANSITION": Code(
         "A life-cycle request did not take effect in time.",
-        "A hook of the component is still running.",
-        "Look at what the hook waits for; give the request a longer time-out.",
+        "A hook of the component is still running; or what its start waits for (start.after) did not come about.",
+        "Look at what the hook waits for, and whether who is waited for is active; give a longer time-out.",
     ),
     "E-TYPE": Code(
         "A value of the wrong type or shape was written to a port; nothing was sent.",
@@ -273,6 +273,16 @@ CODES: Final[dict[str, Code]] = {
         "A component alone waits for data that cannot come: none of its in-ports has a connection.",
         "aiorts run connects nothing to a component alone.",
         "Run it as a filter, in a system file, or periodically with --rate.",
+    ),
+    "W-OPTION": Code(
+        "A connection has an option that does nothing.",
+        "It is written wrongly, or belongs to another middleware; or the name fits no path.",
+        "Write it as the message says, or take it away.",
+    ),
+    "W-START": Code(
+        "The time of --for was over before everything was started.",
+        "What a component's start waits for (start.after, start.wait) takes longer.",
+        "Give --for more seconds, or look at why those named first are not active.",
     ),
     "W-TURNED": Code(
         "A connection of a system file names the in-port first.",

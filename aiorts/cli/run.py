@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,9 @@ def run(
             return 2
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
+        if log.levels.default <= logging.WARNING:
+            for text in found.doubts:
+                log.tell("W-OPTION", text, level="warning")
         return execute(
             found.make,
             len(found.names),

@@ -35,7 +35,7 @@ from aiorts.errors import (
     UnknownTypeError,
     WiringError,
 )
-from aiorts.events import ComponentAdded, HookFailed
+from aiorts.events import ComponentAdded, ContextStarted, HookFailed
 from aiorts.system import wait_finished
 
 __all__ = ("Construct", "Options", "checked", "execute", "log_of")
@@ -150,7 +150,9 @@ async def _session(run: _Run) -> int:
         run.log.attach(kernel)
         if run.watched is not None:
             run.watched.begin(kernel)
-        built, error = await _unless_stopped(kernel, run.construct(kernel))
+        over = _over(kernel, options.duration)
+        stack.callback(over.cancel)
+        built, error = await _unless_stopped(kernel, run.construct(kernel), over)
         if error is not None:
             run.log.failed(error)
             if debugger is not None:
@@ -162,9 +164,11 @@ async def _session(run: _Run) -> int:
                 run.watched.made(kernel)
             if run.unfed_advice and options.duration is None and (hint := unfed(kernel, run.unfed_advice)):
                 run.warn("W-UNFED", hint)
-            status = await _until_end(kernel, run)
+            status = await _until_end(kernel, run, over)
             for line in dropped(kernel, every=options.tell_drops or run.log.levels.default <= logging.INFO):
                 run.warn("W-DROPPED", line)
+        elif over.done() and not over.cancelled():
+            run.warn("W-START", f"--for {options.duration:g}: over before everything was started; {_not_yet(kernel)}")
         failed = _failed(kernel)
         if failed and status == 0 and options.strict:
             status = 3
@@ -197,12 +201,34 @@ def _freeze_when_made(kernel: Kernel, components: int) -> None:
     kernel.bus.subscribe(ComponentAdded, count)
 
 
-async def _unless_stopped(kernel: Kernel, work: Any) -> tuple[bool, BaseException | None]:
-    """Whether the work was done before somebody asked for the end, and what it raised."""
+def _over(kernel: Kernel, duration: float | None) -> asyncio.Future[None]:
+    """Done `duration` seconds after the first context runs: what a start waits for counts, what is made before not."""
+    running = asyncio.Event()
+    unsubscribe = kernel.bus.subscribe(ContextStarted, lambda _event: running.set())
+
+    async def count() -> None:
+        try:
+            await running.wait()
+        finally:
+            unsubscribe()
+        await (asyncio.Event().wait() if duration is None else kernel.sleep(duration))
+
+    return asyncio.ensure_future(count())
+
+
+def _not_yet(kernel: Kernel) -> str:
+    names = [name for name, one in kernel.components.items() if LifeCycleState.INACTIVE in one.states.values()]
+    return f"not active: {', '.join(names[:10]) or 'none'}"
+
+
+async def _unless_stopped(kernel: Kernel, work: Any, over: asyncio.Future[None]) -> tuple[bool, BaseException | None]:
+    """Whether the work was done before the end was asked for or the time was over, and what it raised."""
     doing = asyncio.ensure_future(work)
     stopping = asyncio.ensure_future(kernel.wait_stop_requested())
-    await asyncio.wait({doing, stopping}, return_when=asyncio.FIRST_COMPLETED)
+    await asyncio.wait({doing, stopping, over}, return_when=asyncio.FIRST_COMPLETED)
     done = doing.done()
+    if stopping.done():
+        over.cancel()  # that the end takes a while is not told as a start that did
     for task in (doing, stopping):
         task.cancel()
     await asyncio.wait({doing, stopping}, timeout=2.5)
@@ -210,12 +236,10 @@ async def _unless_stopped(kernel: Kernel, work: Any) -> tuple[bool, BaseExceptio
     return done and error is None, error
 
 
-async def _until_end(kernel: Kernel, run: _Run) -> int:
+async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None]) -> int:
     """Wait until it ends, or is to end; 1 when samples were lost at its end."""
     finishing = asyncio.ensure_future(wait_finished(kernel))
-    waiting = {finishing, asyncio.ensure_future(kernel.wait_stop_requested())}
-    if run.options.duration is not None:
-        waiting.add(asyncio.ensure_future(kernel.sleep(run.options.duration)))
+    waiting: set[asyncio.Future[Any]] = {finishing, asyncio.ensure_future(kernel.wait_stop_requested()), over}
     done, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
     for task in waiting - done:
         task.cancel()

@@ -6,7 +6,7 @@ Everything is loaded and checked here, before a kernel is opened.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -18,7 +18,9 @@ from aiorts import Catalogue, Component, EventContext, InPort, Kernel, PeriodicC
 from aiorts.cli.plugins_option import catalogue_of
 from aiorts.cli.single import component_class
 from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
+from aiorts.model.options import doubts
 from aiorts.system import ClockEntry, SystemFile, WatchEntry, build, construct, load, prepare
+from aiorts.system.places import Key
 from aiorts.system.whole import NOTHING_RUNS
 
 __all__ = ("DEFAULT_RATE", "Target", "find_target")
@@ -43,6 +45,8 @@ class Target:
     watch_loop: WatchEntry = _WATCH
     unfed: str = ""
     """Of a component alone: what to do when it waits for data that cannot come."""
+    doubts: tuple[str, ...] = ()
+    """Of a system file: what it says that does nothing."""
 
 
 def find_target(text: str, changes: Sequence[str], folders: Sequence[Path], rate: float | None) -> Target:
@@ -138,7 +142,14 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path]) -> Targe
         system.clock,
         _activated(system),
         system.watch_loop,
+        doubts=tuple(f"{system.at(*key, of_key=True)}: {text}" for key, text in _doubts(system)),
     )
+
+
+def _doubts(system: SystemFile) -> Iterator[tuple[Key, str]]:
+    for connection in system.connections:
+        for option, text in doubts(connection.options):
+            yield ("connections", connection.number - 1, *option.split(".")), f"{connection.place}: {text}"
 
 
 def _activated(system: SystemFile) -> tuple[str, ...]:

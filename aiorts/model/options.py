@@ -2,23 +2,33 @@
 
 aiorts' own keys are those of `Kernel.connect`. OpenRTM's keys, with or without the prefix `dataport.`, are aliases;
 the side-specific ones win: `inport.buffer.*` is the reader's buffer, `outport.buffer.*` the backlog. A key with a dot
-that is unknown is kept and reported; one without is a typing mistake and refused.
+that is unknown is kept, and `doubts` reports it; one without is a typing mistake and refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from difflib import get_close_matches
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
-from aiorts.errors import WiringError
+from aiorts.errors import InvalidNameError, WiringError
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
+from aiorts.model.names import check_name
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
 
-__all__ = ("DEFAULT_LENGTH", "MAX_LENGTH", "PORT_KEYS", "SERVICE_KEYS", "connector_profile", "is_yes")
+__all__ = (
+    "DEFAULT_LENGTH",
+    "MAX_LENGTH",
+    "OWN_KEYS",
+    "PORT_KEYS",
+    "SERVICE_KEYS",
+    "connector_profile",
+    "doubts",
+    "is_yes",
+)
 
 DEFAULT_LENGTH: Final = 8
 MAX_LENGTH: Final = 1_000_000
@@ -75,7 +85,7 @@ PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate")
 SERVICE_KEYS: Final = ("mapping", "strict")
 """Options of service ports; for data ports they mean nothing, and whoever connects those says so."""
 
-_OWN: Final = (
+OWN_KEYS: Final = (
     "dataflow",
     "subscription",
     "push",
@@ -194,7 +204,7 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
             used.add(alias)
             own[key] = plain[alias]
     for key in plain:
-        if key in _OWN:
+        if key in OWN_KEYS:
             used.add(key)
             own[key] = plain[key]
     extra: dict[str, str] = {}
@@ -203,8 +213,8 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
         if key in used or key in SERVICE_KEYS:
             continue
         if "." not in given and key not in _KNOWN_KEPT:
-            near = get_close_matches(key, (*_OWN, *SERVICE_KEYS), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(_OWN)}"
+            near = get_close_matches(key, (*OWN_KEYS, *SERVICE_KEYS), n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(OWN_KEYS)}"
             raise WiringError(f"{where}: unknown option {given!r}{hint}")
         extra[given] = str(value)
     for key, words in _VALUES.items():
@@ -217,6 +227,44 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
 _KNOWN_KEPT: Final = frozenset(
     {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "sync_readwrite", "fsm_event_name"}
 )
+
+
+_KEPT_BEGINNINGS: Final = (
+    "buffer.read.timeout",
+    "serializer.",
+    "corba_cdr.",
+    "corba_any.",
+    "direct.",
+    "shared_memory.",
+    "interface_option.",
+    "port.",
+)
+"""Of OpenRTM's keys that tell others something: its transports, its tools."""
+
+
+def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Options that are taken and do nothing: the key as it was given, and what is to be said of it."""
+    known = {alias for alias, _ in _ALIASES} | _KNOWN_KEPT
+    for given in options:
+        key = given.removeprefix("dataport.")
+        bare = key.removeprefix("inport.").removeprefix("outport.")
+        kept = bare in _KNOWN_KEPT or bare.startswith(_KEPT_BEGINNINGS)
+        if "." not in given or key in known or key in OWN_KEYS or kept or key.partition(".")[0] in SERVICE_KEYS:
+            continue
+        near = get_close_matches(key, sorted(known | {*OWN_KEYS}), n=1)
+        before = given.removesuffix(key)
+        yield (
+            given,
+            f"{given} is no option that is known; "
+            + (f"did you mean {before + near[0]!r}?" if near else "it is kept and does nothing: take it away"),
+        )
+    name = options.get("name")
+    if isinstance(name, str):
+        try:
+            check_name(name, "connector")
+        except InvalidNameError as error:
+            # A program may call it what it likes; but no command finds it by this.
+            yield "name", f"{error}; choose another, or take it away"
 
 
 class _Reader:

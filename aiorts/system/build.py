@@ -23,7 +23,7 @@ from aiorts.kernel.unfold import unfolded
 from aiorts.model.lifecycle import LifeCycleState
 from aiorts.model.sequence import in_order
 from aiorts.system.check import of_draft
-from aiorts.system.families import inner_first, readers_first, root
+from aiorts.system.families import inner_first, readers_first, root, unstartable
 from aiorts.system.joints import end_key
 from aiorts.system.parse import spelled
 from aiorts.system.places import Key
@@ -61,6 +61,8 @@ def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint
     """
     found = survey(system, catalogue)
     _check_declared(found)
+    for key, text in unstartable(system):
+        found.say(key, SystemFileError(text))
     if found.faults:
         first = found.faults[0]
         where = (

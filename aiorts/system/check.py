@@ -59,13 +59,13 @@ def check_text(
     said = [_of_mistake(mistake) for mistake in mistakes]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
     # Of a component that the file says too little of, ports are not asked for: that would be said twice.
-    found.bad_params |= {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == ("components",)}
+    found.bad_params |= _marred(mistakes, "components")
     said += [
         Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
         for fault in found.faults
     ]
     drafts = _drafts(found)
-    composed = compositions(system, drafts, {str(one.key[1]) for one in mistakes if one.key[:1] == ("composites",)})
+    composed = compositions(system, drafts, _marred(mistakes, "composites"))
     said += composed.said
     said += [of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
     every = {**drafts, **composed.drafts}
@@ -78,6 +78,11 @@ def check_text(
     known = {name: one for name, one in drafts.items() if name not in vague}
     said += whole_findings(found, known, whole=not mistakes)
     return in_order(_found(path, system.text, one) for one in said)
+
+
+def _marred(mistakes: Iterable[Mistake], table: str) -> set[str]:
+    """The names in a table of tables that something is wrong with; of the table itself that has been said."""
+    return {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == (table,) and mistake.key[1:]}
 
 
 def _drafts(found: Survey) -> dict[str, Draft]:

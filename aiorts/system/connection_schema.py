@@ -104,5 +104,5 @@ def connection_schema(name: str) -> dict[str, Any]:
             **{key: {"description": "OpenRTM's name of an option."} for key in _ALIASES},
         },
         # OpenRTM's keys have dots, which are tables in TOML: `buffer.length = 4`.
-        "additionalProperties": {"type": "object"},
+        "additionalProperties": {"type": "object", "minProperties": 1},
     }

@@ -12,7 +12,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
-from aiorts.errors import AiortsError
+from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.model.composition import ErrorPolicy, exports, groups_of
 from aiorts.model.names import check_name
 from aiorts.model.sequence import StartRule, in_order
@@ -177,7 +177,7 @@ class EntryReader(Reading):
         good = {}
         for number, (pattern, shown) in enumerate(pairs):
             where: Key = (*key, pattern if isinstance(given, dict) else number)
-            rules = self._try(where, lambda pattern=pattern, shown=shown: exports({pattern: shown}, str(key[1])))
+            rules = self._try(where, lambda pattern=pattern, shown=shown: self._rule(pattern, shown, key))
             if rules is None:
                 continue
             if not any(fnmatchcase(member, rules[0].component) for member in members):
@@ -186,6 +186,11 @@ class EntryReader(Reading):
             else:
                 good[pattern] = shown
         return good
+
+    def _rule(self, pattern: Any, shown: Any, key: Key) -> Any:
+        if not isinstance(pattern, str):
+            raise ConfigurationError(f'expected text such as "arm.force", got {pattern!r:.80}; write COMPONENT.PORT')
+        return exports({pattern: shown}, str(key[1]))
 
     def _families(self, composites: dict[str, CompositeEntry]) -> None:
         """Refuse a member of two composites, and one that would be a member of itself."""
@@ -247,6 +252,4 @@ def _texts(groups: Any) -> Any:
 
 
 def _refuse(groups: Any) -> Any:
-    from aiorts.errors import ConfigurationError
-
     raise ConfigurationError(f'expected a text such as "a,b|c,d", or lists of names, got {groups!r:.80}')

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from aiorts.model.sequence import ADDED
 from aiorts.system.places import Key
 from aiorts.system.values import CompositeEntry, ContextEntry, SystemFile
 
-__all__ = ("inner_first", "misplaced", "owners", "parts", "readers_first", "root", "with_parts")
+__all__ = ("inner_first", "misplaced", "owners", "parts", "readers_first", "root", "unstartable", "with_parts")
 
 
 def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:
@@ -82,6 +83,27 @@ def misplaced(
                 yield key, f"{member!r} runs in {homes[outer]} already, as a part of {outer}; take it away here"
             elif member in composites and homes[member] != context.name:
                 yield key, f"{member!r} runs in {homes[member]} already; a composite is in one context"
+
+
+def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
+    """Rules of starting that no run can carry out, since somebody is in no context: the key, and what is wrong."""
+    run = {
+        part
+        for context in system.contexts.values()
+        for member in context.members
+        for part in parts(system.composites, member)
+    }
+    for entry in system.components.values():
+        if entry.start is None:
+            continue
+        key: Key = ("components", entry.name, "start")
+        if entry.name not in run:
+            yield key, f"{entry.name} is in no context and cannot be started; name it among the members of one"
+        for number, condition in enumerate(entry.start.conditions):
+            inside = parts(system.composites, condition.component, everybody=True)
+            if condition.state != ADDED and not run.intersection(inside):
+                what = f"waits for {str(condition)!r} for ever: {condition.component} is in no context"
+                yield (*key, "after", number), f"{what}; name it among the members of one"
 
 
 def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> list[str]:

@@ -10,6 +10,7 @@ from aiorts.errors import SystemFileError, WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port, ServicePort
 from aiorts.kernel.service_wiring import fault_of
 from aiorts.kernel.wiring import pair_faults
+from aiorts.model.options import doubts
 from aiorts.system.adapt import adaptation
 from aiorts.system.draft import Draft
 from aiorts.system.findings import Said
@@ -34,6 +35,8 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
             ports.append(port)
             if said is not None:
                 yield said
+        for option, text in doubts(connection.options):
+            yield Said("warning", "W-OPTION", (*_key(connection), *option.split(".")), text, of_key=option != "name")
         known = [port for port in ports if port is not None]
         if len(known) == len(ports):
             yield from _ends(found, drafts, connection, known)

@@ -209,7 +209,13 @@ def _file(system: SystemFile, name: str) -> Path:
     for folder in system.plugin_paths:
         path = (folder / name).resolve()
         if not path.is_relative_to(root):
-            raise SystemFileError(f"{name!r} is outside the system file's folder; move the file below it")
+            link = next((one for one in (folder / name, *(folder / name).parents) if one.is_symlink()), None)
+            what = f"{name!r} is outside the system file's folder; move the file below it"
+            if link is not None:
+                what = f"{name!r}: {link} is a link to {link.resolve()}, outside the system file's folder; " + (
+                    "put the file itself below it"
+                )
+            raise SystemFileError(what)
         if path.is_file():
             return path
     near = get_close_matches(

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from aiorts.errors import InvalidNameError, SystemFileError
 from aiorts.model.names import Path as PortPath
+from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
 from aiorts.system.entries import EntryReader
 from aiorts.system.families import misplaced
 from aiorts.system.places import Key
@@ -203,17 +204,35 @@ class _Reader(EntryReader):
         texts = (to,) if isinstance(to, str) else self._texts((*key, "to"), to) if to is not None else ()
         if to is not None and not isinstance(to, str) and to == []:
             self._say((*key, "to"), "expected at least one port")
-        writer = self._get(key, table, "from", str, missing="")
-        if writer:
+        writer = self._get(key, table, "from", str, missing=None)
+        if writer is not None:
             self._check_port((*key, "from"), writer, components)
         for place, path in enumerate(texts):
             self._check_port((*key, "to") if isinstance(to, str) else (*key, "to", place), path, components)
+        options = {word: value for word, value in table.items() if word not in ("from", "to")}
+        self._no_tables(key, options)
         if len(self.mistakes) > before:
             return None
-        options = {word: value for word, value in table.items() if word not in ("from", "to")}
         return ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
 
+    def _no_tables(self, key: Key, options: Mapping[str, Any]) -> None:
+        """Refuse a table where an option wants a value, and one that holds nothing."""
+        for word, value in options.items():
+            if not isinstance(value, dict):
+                continue
+            if len(key) == 2 and word in OWN_KEYS:
+                dotted = [f"{word}_{inner}" for inner in value if f"{word}_{inner}" in OWN_KEYS]
+                remedy = f"did you mean {dotted[0]!r}?" if dotted else f"write {word} = VALUE"
+                self._say((*key, word), f"expected a value, got the table {value!r:.60}; {remedy}")
+            elif not value and word not in SERVICE_KEYS:
+                self._say((*key, word), "is an empty table and says nothing; take it away", of_key=True)
+            else:
+                self._no_tables((*key, word), value)
+
     def _check_port(self, key: Key, path: str, components: Mapping[str, Any]) -> None:
+        if not path:
+            self._say(key, "is empty; write COMPONENT.PORT")
+            return
         try:
             parsed = PortPath.parse(path)
         except InvalidNameError as error:

@@ -70,7 +70,10 @@ class Reading:
         return value
 
     def _tables(self, top: dict[str, Any], key: str, word: str) -> dict[str, dict[str, Any]]:
-        tables: dict[str, Any] = self._get((), top, key, dict, {})
+        tables = top.get(key, {})
+        if not isinstance(tables, dict):
+            self._say((key,), f"expected tables such as [{key}.NAME], got {tables!r:.60}; write [{key}.NAME]")
+            return {}
         good = {}
         for name, table in tables.items():
             try:

@@ -14,7 +14,7 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Dataflow, Subscription
 from aiorts.model.profile import ConnectorProfile
 from aiorts.system.draft import Draft
-from aiorts.system.families import parts, root
+from aiorts.system.families import parts, root, unstartable
 from aiorts.system.findings import Said
 from aiorts.system.survey import Survey
 from aiorts.system.values import ConnectionEntry
@@ -34,6 +34,8 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
         yield Said("warning", "W-EMPTY", ("schema",), text, of_key=True)
     if whole:
         yield from _unused(found)
+        for key, text in unstartable(found.system):
+            yield Said("error", SystemFileError.code, key, text)
         yield from _open_ports(found, drafts)
     yield from _too_many(found)
     yield from _mutable(found, drafts)

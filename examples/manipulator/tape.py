@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from aiorts import Component, ExternalContext, InPort, OutPort, Param
+from aiorts.errors import ConfigurationError
 from aiorts.types import TimedDouble
 
 
@@ -19,6 +20,9 @@ class Tape(Component):
     drives = Param("loop", doc="the external context to tick")
 
     def on_initialize(self) -> None:
+        if not Path(self.path).is_file():
+            text = f"{self.name}.path = {self.path!r}: no file; record one, then --set {self.name}.path=run.csv"
+            raise ConfigurationError(text)
         lines = Path(self.path).read_text().splitlines()
         self.rows = [tuple(map(float, line.split(",")[:3])) for line in lines]
 

@@ -219,3 +219,24 @@ def test_nothing_of_it_in_simulated_time(folder: Path) -> None:
         subprocess.run(command, cwd=folder, env=environment, check=True, timeout=60, capture_output=True)
         with pytest.raises(BlockingIOError):
             ours.recv(1000)
+
+
+def test_an_option_that_does_nothing_is_told_once(folder: Path) -> None:
+    text = SYSTEM.replace('to = "two.input"\n', 'to = "two.input"\nbuffer.lenght = 5\n')
+    (folder / "system.toml").write_text(text)
+    done = aiorts(folder, "run", "system.toml", "--simulate")
+    line = text.split("\n").index("buffer.lenght = 5") + 1
+    assert done.returncode == 0, done.stderr
+    assert [one for one in done.stderr.splitlines() if "W-OPTION" in one] == [
+        f"aiorts: W-OPTION: system.toml:{line}:8: connections[1] (arm.inner to two.input): "
+        "buffer.lenght is no option that is known; did you mean 'buffer.length'?"
+    ]
+
+
+@pytest.mark.parametrize(("seconds", "told"), [("0.25", True), ("0.75", False)])
+def test_the_seconds_of_for_count_while_a_start_is_waited_for(folder: Path, seconds: str, told: bool) -> None:
+    done = aiorts(folder, "run", "system.toml", "--simulate", "--for", seconds)
+    assert done.returncode == 0
+    assert ("source active" in done.stdout) is not told  # its start waits for half a second
+    line = f"aiorts: W-START: --for {seconds}: over before everything was started; not active: source"
+    assert (line in done.stderr.splitlines()) is told

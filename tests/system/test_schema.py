@@ -109,7 +109,7 @@ def test_thirty_broken_ones_do_not_validate(old: str, new: str) -> None:
 
 
 def test_it_has_every_option_of_a_connection_and_no_other() -> None:
-    assert set(OPTIONS) == set(options._OWN)
+    assert set(OPTIONS) == set(options.OWN_KEYS)
     for key, one in OPTIONS.items():
         for word in one.get("enum", ()):
             if word != "periodic":

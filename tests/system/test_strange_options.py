@@ -1,0 +1,95 @@
+"""Options of a connection that nobody knows, and tables in the place of values: check says so, and run once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from aiorts import Kernel
+from aiorts.errors import SystemFileError
+from aiorts.system import build, check, load
+from system_parts import CHAIN
+
+Write = Callable[..., Path]
+
+
+def with_option(line: str) -> str:
+    return CHAIN.replace("[[connections]]\n", f"[[connections]]\n{line}\n", 1)
+
+
+@pytest.mark.parametrize(
+    ("line", "cause", "remedy", "quoted"),
+    [
+        (
+            'dataport.subscription_typ = "new"',
+            "dataport.subscription_typ is no option that is known",
+            "did you mean 'dataport.subscription_type'?",
+            "subscription_typ",
+        ),
+        (
+            "inport.buffer.lenght = 500",
+            "inport.buffer.lenght is no option that is known",
+            "did you mean 'inport.buffer.length'?",
+            "lenght",
+        ),
+        ("foo.bar = 1", "foo.bar is no option that is known", "it is kept and does nothing: take it away", "bar"),
+        ('name = ""', "connector name '': is empty", "choose another, or take it away", '""'),
+        ('name = "a.b"', "connector name 'a.b': ", "choose another, or take it away", '"a.b"'),
+    ],
+)
+def test_an_option_that_does_nothing_is_a_warning_with_its_place(
+    write: Write, line: str, cause: str, remedy: str, quoted: str
+) -> None:
+    (found,) = (one for one in check(write(with_option(line))) if one.severity != "note")
+    assert (found.severity, found.code, found.remedy) == ("warning", "W-OPTION", remedy)
+    assert found.cause.startswith(cause)
+    assert found.quote[found.column - 1 : found.column - 1 + found.width] == quoted
+
+
+@pytest.mark.parametrize(
+    ("line", "cause", "remedy"),
+    [
+        ("push.rate = 10", "expected a value, got the table {'rate': 10}", "did you mean 'push_rate'?"),
+        ("out_length = {value = 16}", "expected a value, got the table {'value': 16}", "write out_length = VALUE"),
+        ("subscription = {}", "expected a value, got the table {}", "write subscription = VALUE"),
+        ("timeout = {x = 1}", "expected a value, got the table {'x': 1}", "write timeout = VALUE"),
+        ("buffer = {}", "is an empty table and says nothing", "take it away"),
+        ("inport = {buffer = {}}", "is an empty table and says nothing", "take it away"),
+    ],
+)
+def test_a_table_in_the_place_of_a_value_is_refused(write: Write, line: str, cause: str, remedy: str) -> None:
+    path = write(with_option(line))
+    (found,) = (one for one in check(path) if one.severity == "error")
+    assert (found.line, found.cause, found.remedy) == (with_option(line).split("\n").index(line) + 1, cause, remedy)
+    with pytest.raises(SystemFileError):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'dataport.interface_type = "corba_cdr"',
+        'dataport.inport.marshaling_type = "cdr"',
+        'dataport.serializer.cdr.endian = "little,big"',
+        'dataport.buffer.read.timeout = "1.0"',
+        'dataport.interface_option.ros.topic = "chatter"',
+        'dataport.fsm_event_name = "go"',
+        'port.port_type = "DataInPort"',
+        "dataport.publisher.skip_count = 0",
+        "outport.buffer.length = 4",
+        "buffer = {length = 4}",
+        'name = "wire-1"',
+    ],
+)
+def test_a_key_of_openrtm_is_taken_without_a_word_and_built(write: Write, line: str) -> None:
+    path = write(with_option(line))
+    assert [one for one in check(path) if one.severity != "note"] == []
+
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(path))
+
+    asyncio.run(main())
