@@ -171,7 +171,7 @@ class _Reload(Changeover):
                 ready.add(old)
                 heir = Succession(self._kernel, old, code)
                 self._heirs.append(heir)
-                await heir.prepare()
+                await heir.prepare(self._timeout)
                 await asyncio.sleep(0)  # many of them must not hold the loop for long
                 self._kernel._require_open("reload")
 

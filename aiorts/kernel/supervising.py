@@ -95,8 +95,8 @@ class Supervising:
             kind: a class, "Pid", "pid.py:Pid", or a name that a plugin offers; there are instances of it.
             cycles: the new code has proved itself after so many cycles of each context, 0 at once,
             seconds: or after so many seconds of the kernel's clock.
-            timeout: seconds of the kernel's clock in which every context has to come to the end of a cycle, and
-                `on_reload` has to return; None is for ever.
+            timeout: seconds of the kernel's clock in which `on_initialize` of each new instance has to return, every
+                context to come to the end of a cycle, and `on_reload` to return; None is for ever.
             import_timeout: seconds of real time that running the file may take.
 
         Raises:

@@ -280,6 +280,32 @@ def test_a_hand_over_that_never_ends_is_cancelled_and_taken_back(body: str, runs
     run()
 
 
+@pytest.mark.parametrize("ignores", [False, True])
+@simulated
+async def test_an_on_initialize_that_never_returns_keeps_nobody_from_reloading(ignores: bool, source: Make) -> None:
+    file, other = source(SLOW), source(SLOW.replace("Slow", "Other"))
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("Slow"), "slow")
+        one = await kernel.create(other.get("Other"), "other")
+        await kernel.start(PeriodicContext(rate=10.0), old, one, activate=True)
+        hangs = "await self.sleep(1e6)"
+        if ignores:
+            hangs = "while True:\n            try:\n                await self.sleep(1e6)\n"
+            hangs += "            except BaseException:\n                pass"
+        file.replace("await self.sleep(0.05)\n\n    async def on_execute", hangs + "\n\n    async def on_execute")
+        began = kernel.clock.monotonic_ns()
+        with pytest.raises(PluginError, match="slow: on_initialize of the new code raised Hook"):
+            await kernel.reload("Slow", timeout=2.0)
+        assert 2e9 <= kernel.clock.monotonic_ns() - began < 5e9
+        assert kernel.components["slow"] is old
+        other.replace(*NEW)
+        await kernel.reload("Other")
+        assert kernel.components["other"].version == 2  # type: ignore[attr-defined]
+        file.write(SLOW.replace(*NEW))
+        await kernel.reload("Slow")
+        assert kernel.components["slow"].version == 2  # type: ignore[attr-defined]
+
+
 @simulated
 async def test_a_file_that_never_ends_is_left_behind(source: Make) -> None:
     file = source(SLOW)
