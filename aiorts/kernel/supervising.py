@@ -89,7 +89,7 @@ class Supervising:
         back, attributes of the old instance included. A caller that is cancelled does not end it.
 
         Only the file itself is read anew, not what it imports. Other types in it keep their code; what is created
-        afterwards is made of the new.
+        afterwards is made of the new, by a supervised restart, too, if its factory is the class or a `partial` of it.
 
         Args:
             kind: a class, "Pid", "pid.py:Pid", or a name that a plugin offers; there are instances of it.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -18,6 +19,7 @@ from aiorts.errors import (
     TransitionTimeout,
 )
 from aiorts.events import ComponentReloaded
+from aiorts.system.setting import Setting
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:
@@ -371,6 +373,45 @@ async def test_a_supervised_component_stays_supervised(source: Make) -> None:
         assert again is not new
         assert again.version == 2
         assert context.members == (again,)
+
+
+@pytest.mark.parametrize("good", [True, False])
+@simulated
+async def test_a_supervised_restart_makes_the_code_of_the_day_whatever_sets_it_up(good: bool, source: Make) -> None:
+    file = source(SLOW)
+
+    def set_up(name: str, *, kind: type[Component], pause: float) -> Component:
+        made = kind(name)
+        made._rt_put({"pause": pause})
+        return made
+
+    async with Kernel() as kernel:
+        cls = file.get("Slow")
+        factories: dict[str, Any] = {
+            "class": cls,
+            "arguments": partial(Setting({"pause": 0.5}).make, cls),
+            "nested": partial(partial(set_up, pause=0.5), kind=cls),
+            "itself": partial(cls),
+        }
+        for name, factory in factories.items():
+            component = await kernel.create(cls, name)
+            kernel.supervise(component, Supervision("restart", backoff=0.1), factory=factory)
+        context = await kernel.start(PeriodicContext(rate=10.0), *kernel.components.values(), activate=True)
+        for number in (2, 3):
+            file.write(SLOW.replace("version = 1", f"version = {number}"))
+            if good:
+                await kernel.reload("Slow")
+            else:
+                file.replace("# execute", "1 / 0")
+                with pytest.raises(ComponentError):
+                    await kernel.reload("Slow")
+        for member in tuple(context._members):
+            context._life.task_failed(member, ValueError("failed"))
+        await kernel.sleep(5.0)
+        versions = {name: one.version for name, one in kernel.components.items()}  # type: ignore[attr-defined]
+        assert versions == dict.fromkeys(factories, 3 if good else 1)
+        assert {one.state for one in kernel.components.values()} == {ACTIVE}
+        assert kernel.components["arguments"].pause == 0.0  # type: ignore[attr-defined]
 
 
 @simulated
