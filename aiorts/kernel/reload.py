@@ -16,9 +16,9 @@ from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import ConfigurationError, StateError
+from aiorts.errors import AiortsError, ConfigurationError, StateError
 from aiorts.kernel.bus import HookFailed
-from aiorts.kernel.changeover import Changeover, resolve
+from aiorts.kernel.changeover import Changeover, Group, resolve
 from aiorts.kernel.fresh_code import FreshCode, find_type, read_anew
 from aiorts.kernel.reload_events import Reloaded
 from aiorts.kernel.succession import Succession, retire
@@ -79,6 +79,8 @@ def check_replaceable(component: Component) -> None:
     component.kernel._roster.check_settled(component)
     if component._rt_abandoned is not None:
         why = "one of its hooks was left behind and still runs the old code; remove it"
+    elif component in component.kernel._roster.taken_back:
+        why = "its code was taken back, and a hook of it has not returned; wait for that"
     elif component._rt_composes:
         why = "is a composite; reload its members"
     elif component._rt_host.realtime:
@@ -223,13 +225,50 @@ class _Reload(Changeover):
             waited = [one for one in (group.came, group.back) if one is not None and not kernel._closed]
             if waited:
                 await asyncio.wait(waited, timeout=_GOING_BACK)
-            for heir in reversed(group.heirs):
-                if not heir.new._rt_members:
-                    heir.undo()  # its context has stopped meanwhile
-                    self._pass_back(group)
+            self._take_back_stopped(group)
+        self._leave_late(error)
         for heir in self._heirs:
-            if heir.switched or heir.homeless:
-                await retire(kernel, heir.old, heir.new)
+            if not heir.late:
+                await self._end_one(heir)
+
+    def _take_back_stopped(self, group: Group) -> None:
+        for heir in reversed(group.heirs):
+            if not heir.new._rt_members:
+                heir.undo()  # its context has stopped meanwhile
+                self._pass_back(group)
+
+    async def _end_one(self, heir: Succession) -> None:
+        """The one of the two that has no place."""
+        if heir.switched or heir.homeless:
+            await retire(self._kernel, heir.old, heir.new)
+        elif heir.made is not None:
+            await retire(self._kernel, heir.made, finalize=heir.initialized)
+
+    def _leave_late(self, error: BaseException) -> None:
+        """Where a hook of the new code has not returned, the old one comes back when it does: none is ended before."""
+        roster, names = self._kernel._roster, []
+        for group in self._groups:
+            driver = None if group.context is None else group.context._driver
+            if driver is None or not any(heir.switched for heir in group.heirs):
                 continue
-            if heir.made is not None:
-                await retire(kernel, heir.made, finalize=heir.initialized)
+            for heir in group.heirs:
+                heir.late = True
+                roster.taken_back.add(heir.new)
+                names.append(heir.old.name)
+            task = kernel_task(self._kernel.loop, self._end_late(group, driver.ended), "aiorts reload")
+            roster.renewing.add(task)
+            task.add_done_callback(roster.renewing.discard)
+            task.add_done_callback(_log_error)
+        if names and isinstance(error, AiortsError):
+            text = f"{error}; but {', '.join(names)} still runs the new code until its hook returns"
+            error.args = (text,)
+
+    async def _end_late(self, group: Group, stopped: asyncio.Future[None]) -> None:
+        for moved in (group.came, group.back):
+            if moved is not None:
+                waited: list[asyncio.Future[Any]] = [moved, stopped]
+                await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
+        self._take_back_stopped(group)
+        for heir in group.heirs:
+            self._kernel._roster.taken_back.discard(heir.new)
+            await self._end_one(heir)

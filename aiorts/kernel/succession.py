@@ -55,6 +55,8 @@ class Succession(Heir):
         self.switched = False
         self.homeless = False
         """Whether it was removed in between: there is no place to go back to."""
+        self.late = False
+        """Whether it is taken back only when a hook of the new one returns."""
         self.began: dict[Context, int] = {}
         """Ticks of its contexts when it was put in place."""
         self.began_ns = 0

@@ -86,7 +86,8 @@ class Supervising:
         which is told the old one; no other transition hook runs. Tasks of the old one are cancelled, and its
         `on_finalize` runs at the end: what `on_reload` takes over for good it takes away from the old one. It returns
         when the new code has done its first cycles without a failure; whatever fails before that has everything taken
-        back, attributes of the old instance included. A caller that is cancelled does not end it.
+        back, attributes of the old instance included; where a hook of the new code runs on, 10 s are waited, and then
+        the old code comes back when that hook returns. A caller that is cancelled does not end it.
 
         Only the file itself is read anew, not what it imports. Other types in it keep their code; what is created
         afterwards is made of the new, by a supervised restart, too, if its factory is the class or a `partial` of it.

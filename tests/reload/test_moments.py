@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -499,3 +500,67 @@ async def test_what_follows_from_a_failure_ends_when_the_code_that_failed_is_tak
         ticks = second.ticks
         await kernel.sleep(0.1)
         assert second.ticks >= ticks + 9
+
+
+SINGLE = """
+class Single(Component):
+    version = 1
+    runs = 0
+
+    def __init__(self, name=""):
+        super().__init__(name)
+        self.ends = 0
+
+    async def on_execute(self):
+        self.runs += 1
+        assert not self.ends
+        # execute
+
+    def on_finalize(self):
+        self.ends += 1
+"""
+
+
+@pytest.mark.parametrize("then", ["returns", "removed", "closed", "stopped"])
+def test_where_a_hook_of_the_new_code_runs_on_each_instance_is_ended_once_and_only_after_it(
+    then: str, source: Make
+) -> None:
+    file, made = source(SINGLE), []
+
+    @simulated
+    async def run() -> None:
+        async with Kernel() as kernel:
+            olds = [await kernel.create(file.get("Single"), name) for name in ("a", "b")]
+            contexts = [await kernel.start(PeriodicContext(rate=50.0), old, activate=True) for old in olds]
+            made.extend(olds)
+            await kernel.sleep(0.1)
+            file.replace(*NEW)
+            file.replace("# execute", "await self.sleep(30.0 if self.name == 'a' else 0.1); assert self.name == 'a'")
+            with pytest.raises(ComponentError, match=r"b.on_execute .*but a still runs the new code") as raised:
+                await kernel.reload("Single", seconds=5.0)
+            assert "b still" not in str(raised.value)
+            late: Any = kernel.components["a"]
+            made.append(late)
+            assert (late.version, kernel.components["b"]) == (2, olds[1])
+            assert [one.ends for one in made] == [0, 0, 0]
+            with pytest.raises(StateError, match="a: cannot be reloaded: its code was taken back"):
+                await kernel.reload(file.get("Single"))
+            if then == "removed":
+                with suppress(AiortsError):
+                    await kernel.remove(late)
+            elif then == "stopped":
+                await contexts[0].stop()
+            elif then == "returns":
+                await kernel.sleep(40.0)
+                assert kernel.components["a"] is olds[0]
+                runs = olds[0].runs
+                await kernel.sleep(1.0)
+                assert olds[0].runs >= runs + 45
+                assert [one.ends for one in made] == [0, 0, 1]
+                file.write(SINGLE.replace(*NEW))
+                await kernel.reload("Single")
+                assert [one.ends for one in made] == [1, 1, 1]
+                made.extend(kernel.components.values())
+
+    run()
+    assert [one.ends for one in made] == [1] * len(made)
