@@ -12,6 +12,7 @@ import asyncio
 import logging
 import math
 import sys
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -20,6 +21,7 @@ from aiorts.errors import AiortsError, ConfigurationError, StateError
 from aiorts.kernel.bus import HookFailed
 from aiorts.kernel.changeover import Changeover, Group, resolve
 from aiorts.kernel.fresh_code import FreshCode, find_type, read_anew
+from aiorts.kernel.life import Action, Call
 from aiorts.kernel.reload_events import Reloaded
 from aiorts.kernel.succession import Succession, retire
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of
@@ -28,6 +30,8 @@ from aiorts.model.lifecycle import LifeCycleState
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.life import Steps
+    from aiorts.kernel.member import Member
 
 __all__ = ("reload",)
 
@@ -230,6 +234,24 @@ class _Reload(Changeover):
         for heir in self._heirs:
             if not heir.late:
                 await self._end_one(heir)
+            if heir.tasks and not heir.homeless:
+                anew = "on_deactivated and on_activated of the old code are run, to start them anew"
+                _say_more(error, f"these tasks of {heir.old.name} had been ended: {', '.join(heir.tasks)}; {anew}")
+        await self._start_anew([heir for heir in self._heirs if not heir.late])
+
+    async def _start_anew(self, heirs: Iterable[Succession]) -> None:
+        """What the old code had started was ended for the new code's sake: it starts it again, without a gap."""
+        waited = []
+        for heir in heirs:
+            if heir.tasks and not heir.homeless and self._kernel.components.get(heir.old.name) is heir.old:
+                for member in heir.old._rt_members:
+                    if member.active and member.context.running:
+                        done = self._kernel.loop.create_future()
+                        told = partial(self._tell, done)
+                        member.context._submit(Action(partial(_anew, member, told), told))
+                        waited.append(done)
+        if waited:
+            await asyncio.wait(waited, timeout=_GOING_BACK)
 
     def _take_back_stopped(self, group: Group) -> None:
         for heir in reversed(group.heirs):
@@ -259,9 +281,8 @@ class _Reload(Changeover):
             roster.renewing.add(task)
             task.add_done_callback(roster.renewing.discard)
             task.add_done_callback(_log_error)
-        if names and isinstance(error, AiortsError):
-            text = f"{error}; but {', '.join(names)} still runs the new code until its hook returns"
-            error.args = (text,)
+        if names:
+            _say_more(error, f"but {', '.join(names)} still runs the new code until its hook returns")
 
     async def _end_late(self, group: Group, stopped: asyncio.Future[None]) -> None:
         for moved in (group.came, group.back):
@@ -272,3 +293,22 @@ class _Reload(Changeover):
         for heir in group.heirs:
             self._kernel._roster.taken_back.discard(heir.new)
             await self._end_one(heir)
+        await self._start_anew(group.heirs)
+
+
+def _anew(member: Member, told: Callable[[BaseException | None], None]) -> Steps:
+    """Stays active: the ports take samples all the while."""
+    try:
+        for hook in ("on_deactivated", "on_activated"):
+            if not member.active or member.left:
+                return
+            error = yield Call(member, hook)
+            if error is not None:
+                member.context._life.failed(member, hook, error)
+    finally:
+        told(None)
+
+
+def _say_more(error: BaseException, text: str) -> None:
+    if isinstance(error, AiortsError):
+        error.args = (f"{error}; {text}",)

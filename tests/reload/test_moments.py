@@ -511,6 +511,9 @@ class Single(Component):
         super().__init__(name)
         self.ends = 0
 
+    def on_activated(self):
+        self.task = asyncio.get_running_loop().create_task(self.sleep(1e6))
+
     async def on_execute(self):
         self.runs += 1
         assert not self.ends
@@ -553,6 +556,7 @@ def test_where_a_hook_of_the_new_code_runs_on_each_instance_is_ended_once_and_on
             elif then == "returns":
                 await kernel.sleep(40.0)
                 assert kernel.components["a"] is olds[0]
+                assert [old.task.done() for old in olds] == [False, False]
                 runs = olds[0].runs
                 await kernel.sleep(1.0)
                 assert olds[0].runs >= runs + 45
