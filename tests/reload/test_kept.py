@@ -610,3 +610,63 @@ async def test_old_code_that_cannot_start_anew_is_in_error(source: Make) -> None
         await kernel.sleep(0.1)
         assert context.state(old) is ERROR
         assert isinstance(old.last_error, AssertionError)
+
+
+@pytest.mark.anyio
+async def test_in_a_thread_no_sample_is_refused_between_a_failure_and_the_return_of_the_old_code(source: Make) -> None:
+    file = source("""
+    import time
+
+    class Threaded(Component):
+        data = InPort(TimedDouble)
+        fails = Param(False)
+
+        def __init__(self, name=""):
+            super().__init__(name)
+            self.got = []
+
+        def on_execute(self):
+            if self.fails:
+                raise ValueError("asked for")
+            # execute
+            self.got += [sample.data for sample in self.data.drain()]
+
+        def on_aborting(self, error):
+            time.sleep(0.1)
+    """)
+    async with Kernel() as kernel:
+        writer = await kernel.create(Writer, "writer")
+        old = await kernel.create(file.get("Threaded"), "threaded")
+        connector = await kernel.connect(writer.out, old.data, length=100_000)
+        context = await kernel.start(ThreadContext(rate=200.0), old, activate=True)
+        file.replace("# execute", "raise ValueError('bad')")
+        reload = asyncio.ensure_future(kernel.reload("Threaded"))
+        number = 0
+        while not reload.done():
+            writer.out.write_nowait(sample(number))
+            number += 1
+            await asyncio.sleep(0.001)
+        with pytest.raises(ComponentError, match="ValueError: bad"):
+            await reload
+        for _ in range(500):
+            if len(old.got) == number:
+                break
+            await asyncio.sleep(0.01)
+        assert old.got == [float(each) for each in range(number)]
+        assert connector.statistics.dropped == {}
+        file.replace("raise ValueError('bad')", "pass")
+        for _ in range(2):  # later failures have it refuse as ever, of the old code and of new code that has stayed
+            component: Any = kernel.components["threaded"]
+            await component.configure(fails=True)
+            for _ in range(500):
+                if context.state(component) is ERROR:
+                    break
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.02)
+            refused = connector.statistics.dropped.get("inactive", 0)
+            writer.out.write_nowait(sample(number))
+            assert connector.statistics.dropped["inactive"] == refused + 1
+            await component.configure(fails=False)
+            await context.reset(component)
+            await context.activate(component)
+            await kernel.reload("Threaded")
