@@ -212,10 +212,9 @@ class Changeover:
         advice = ""
         if isinstance(error, AttributeError) and hook != _HOOK and error.obj is heir.new:
             advice = "; a reload runs no on_activated: what is made there is taken over in on_reload(self, old)"
-        ended = f"; these tasks of it had been ended: {', '.join(heir.tasks)}" if heir.tasks else ""
         told = ComponentError(
             f"{heir.code.origin}: {heir.old.name}.{hook} of the new code failed: {cause_of(error)}{advice}; "
-            f"the old code is in force again{ended}"
+            "the old code is in force again"
         )
         told.__cause__ = error
         return told

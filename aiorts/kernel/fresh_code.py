@@ -50,7 +50,7 @@ class Origin:
 
     def is_of(self, cls: type) -> bool:
         """Whether a class is of this type: of this very code, or of an earlier or later reading of it."""
-        return (cls.__module__, cls.__qualname__) == (self.module, self.name)
+        return _key(cls) == (self.module, self.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +94,12 @@ def find_type(kernel: Kernel, kind: type[Component] | str) -> Origin:
     Raises:
         PluginError: there is none, there are several (all are named), or it does not come from a file.
     """
-    used = {(cls.__module__, cls.__qualname__): cls for cls in map(type, kernel.components.values())}
+    used = {_key(cls): cls for cls in map(type, kernel.components.values())}
     if isinstance(kind, str):
         found = [cls for cls in used.values() if _is_meant(kernel, kind, cls)]
         what = repr(kind)
     elif isinstance(kind, type) and issubclass(kind, Component):
-        found = [used[key]] if (key := (kind.__module__, kind.__qualname__)) in used else []
+        found = [used[key]] if (key := _key(kind)) in used else []
         what = kind.__qualname__
     else:
         raise PluginError(f"reload({kind!r:.80}): expected a component class, its name, or a text as 'pid.py:Pid'")
@@ -123,7 +123,7 @@ def _is_meant(kernel: Kernel, kind: str, cls: type) -> bool:
     for offer in kernel.plugins.extensions("components").get(kind, ()):
         module, _, attribute = offer.target.partition(":")
         if attribute.strip().split(" ")[0] == cls.__qualname__ and (
-            module.strip() == cls.__module__
+            module.strip() == _key(cls)[0]
             or (offer.folder is not None and _same_file(str(offer.folder / module.strip()), file_of(cls)))
         ):
             return True
@@ -139,7 +139,7 @@ def _same_file(wanted: str, file: Path | None) -> bool:
 
 def file_of(cls: type) -> Path | None:
     """The source file of the module that a class is of; None where there is none."""
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    file = getattr(sys.modules.get(_key(cls)[0]), "__file__", None)
     return Path(file).resolve() if isinstance(file, str) and file.endswith(".py") else None
 
 
@@ -149,7 +149,12 @@ def _origin(cls: type[Component]) -> Origin:
         raise PluginError(f"{cls.__module__}.{name}: its code comes from no Python file; it cannot be read anew")
     if "<locals>" in name:
         raise PluginError(f"{path}: {name} is made by a function; only a class of the module itself can be read anew")
-    return Origin(cls.__module__, name, path, readings_of(cls))
+    return Origin(_key(cls)[0], name, path, readings_of(cls))
+
+
+def _key(cls: type) -> tuple[str, str]:
+    """Module and name of a class, of one that has not proved itself, too: the module of that has a name of its own."""
+    return vars(cls).get("_rt_module", cls.__module__), cls.__qualname__
 
 
 def readings_of(cls: type) -> int:
@@ -259,6 +264,7 @@ def _fresh(origin: Origin, module: ModuleType) -> FreshCode:
     for value in vars(module).values():
         if _is_own(value, module):
             value._rt_readings = readings
+            value._rt_module = origin.module
     return FreshCode(origin, module, cls, readings)
 
 

@@ -60,8 +60,8 @@ class Heir:
 
     # -- making it -------------------------------------------------------------------------------------------------
 
-    async def prepare(self) -> None:
-        """Construct the new instance and run its `on_initialize`, while the old one goes on.
+    async def prepare(self, timeout: float | None = None) -> None:
+        """Construct the new instance and run its `on_initialize`, at most for `timeout` seconds; the old one goes on.
 
         Raises:
             PluginError: it cannot be made; says why, with file and line.
@@ -86,7 +86,7 @@ class Heir:
         self._adopt_group()
         self._check_thread(where)
         new._rt_kernel = new._rt_host.kernel = kernel
-        error = await run_alone(kernel, new, "on_initialize", None)
+        error = await run_alone(kernel, new, "on_initialize", None, limit=timeout)
         if error is not None:
             raise PluginError(f"{where}: on_initialize of the new code raised {cause_of(error)}") from error
         self.initialized = True

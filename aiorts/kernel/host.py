@@ -59,6 +59,7 @@ class PortHost:
         "stopping",
         "thread_id",
         "threaded",
+        "trial",
         "turns",
     )
 
@@ -76,6 +77,8 @@ class PortHost:
         """Whether the component runs in a real-time thread, which waits for nobody."""
         self.retired = False
         """Whether the component has left its last context: plain code may read its ports, but nobody waits for that."""
+        self.trial: tuple[object, ...] = ()
+        """Members whose component takes samples even in error: new code that failed, until the old one is back."""
         self.stopping = False
         """Whether that thread is asked to end: what blocks there gives up."""
         self.blocking: Blocking | None = None

@@ -19,7 +19,7 @@ _ABSENT: Final[tuple[int, Callable[..., Any]]] = (HookKind.ABSENT, lambda *_erro
 """For every hook that nobody wrote."""
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
-_ACTIVE = LifeCycleState.ACTIVE
+_ACTIVE, _ERROR = LifeCycleState.ACTIVE, LifeCycleState.ERROR
 
 
 class HookTimes:
@@ -220,4 +220,5 @@ def is_open(component: Component) -> bool:
     members = component._rt_members
     if not members:
         return component._rt_kernel is None or not component._rt_kernel._closed
-    return any(member.state is _ACTIVE for member in members)
+    trial = component._rt_host.trial
+    return any(member.state is _ACTIVE or (member.state is _ERROR and member in trial) for member in members)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
@@ -28,8 +29,7 @@ def pass_on_references(kernel: Kernel, old: Component, new: Component) -> None:
     one = None if supervisor is None else supervisor.supervised.get(new.name)
     if one is not None and one.component is old:
         one.component = new
-        if one._factory is type(old):
-            one._factory = type(new)
+        one._factory = _makes(one._factory, type(old), type(new))
     composite = new._rt_composite
     if composite is not None:
         _in_composite(composite, old, new)
@@ -49,6 +49,16 @@ def pass_on_distant_references(kernel: Kernel, pairs: Mapping[Component, Compone
         participants = getattr(machine, "_participants", None)
         if participants and not pairs.keys().isdisjoint(participants):
             machine._participants = _all_renewed(participants, pairs)
+
+
+def _makes(factory: Any, old: type[Component], new: type[Component]) -> Any:
+    """The factory with the new class in the place of the old one: that class itself, or a `partial` over it."""
+    if isinstance(factory, type):
+        return new if (factory.__module__, factory.__qualname__) == (old.__module__, old.__qualname__) else factory
+    if type(factory) is not partial:
+        return factory
+    words = {name: _makes(word, old, new) for name, word in factory.keywords.items()}
+    return partial(_makes(factory.func, old, new), *(_makes(word, old, new) for word in factory.args), **words)
 
 
 def _renewed(those: Iterable[Component], old: Component, new: Component) -> tuple[Component, ...]:

@@ -12,14 +12,16 @@ import asyncio
 import logging
 import math
 import sys
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import ConfigurationError, StateError
+from aiorts.errors import AiortsError, ConfigurationError, StateError
 from aiorts.kernel.bus import HookFailed
-from aiorts.kernel.changeover import Changeover, resolve
+from aiorts.kernel.changeover import Changeover, Group, resolve
 from aiorts.kernel.fresh_code import FreshCode, find_type, read_anew
+from aiorts.kernel.life import Action, Call
 from aiorts.kernel.reload_events import Reloaded
 from aiorts.kernel.succession import Succession, retire
 from aiorts.kernel.tasks import current_task, kernel_task, owner_of
@@ -28,6 +30,8 @@ from aiorts.model.lifecycle import LifeCycleState
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.life import Steps
+    from aiorts.kernel.member import Member
 
 __all__ = ("reload",)
 
@@ -79,6 +83,8 @@ def check_replaceable(component: Component) -> None:
     component.kernel._roster.check_settled(component)
     if component._rt_abandoned is not None:
         why = "one of its hooks was left behind and still runs the old code; remove it"
+    elif component in component.kernel._roster.taken_back:
+        why = "its code was taken back, and a hook of it has not returned; wait for that"
     elif component._rt_composes:
         why = "is a composite; reload its members"
     elif component._rt_host.realtime:
@@ -171,7 +177,7 @@ class _Reload(Changeover):
                 ready.add(old)
                 heir = Succession(self._kernel, old, code)
                 self._heirs.append(heir)
-                await heir.prepare()
+                await heir.prepare(self._timeout)
                 await asyncio.sleep(0)  # many of them must not hold the loop for long
                 self._kernel._require_open("reload")
 
@@ -223,13 +229,86 @@ class _Reload(Changeover):
             waited = [one for one in (group.came, group.back) if one is not None and not kernel._closed]
             if waited:
                 await asyncio.wait(waited, timeout=_GOING_BACK)
-            for heir in reversed(group.heirs):
-                if not heir.new._rt_members:
-                    heir.undo()  # its context has stopped meanwhile
-                    self._pass_back(group)
+            self._take_back_stopped(group)
+        self._leave_late(error)
         for heir in self._heirs:
-            if heir.switched or heir.homeless:
-                await retire(kernel, heir.old, heir.new)
+            if not heir.late:
+                await self._end_one(heir)
+            if heir.tasks and not heir.homeless:
+                anew = "on_deactivated and on_activated of the old code are run, to start them anew"
+                _say_more(error, f"these tasks of {heir.old.name} had been ended: {', '.join(heir.tasks)}; {anew}")
+        await self._start_anew([heir for heir in self._heirs if not heir.late])
+
+    async def _start_anew(self, heirs: Iterable[Succession]) -> None:
+        """What the old code had started was ended for the new code's sake: it starts it again, without a gap."""
+        waited = []
+        for heir in heirs:
+            if heir.tasks and not heir.homeless and self._kernel.components.get(heir.old.name) is heir.old:
+                for member in heir.old._rt_members:
+                    if member.active and member.context.running:
+                        done = self._kernel.loop.create_future()
+                        told = partial(self._tell, done)
+                        member.context._submit(Action(partial(_anew, member, told), told))
+                        waited.append(done)
+        if waited:
+            await asyncio.wait(waited, timeout=_GOING_BACK)
+
+    def _take_back_stopped(self, group: Group) -> None:
+        for heir in reversed(group.heirs):
+            if not heir.new._rt_members:
+                heir.undo()  # its context has stopped meanwhile
+                self._pass_back(group)
+
+    async def _end_one(self, heir: Succession) -> None:
+        """The one of the two that has no place."""
+        if heir.switched or heir.homeless:
+            await retire(self._kernel, heir.old, heir.new)
+        elif heir.made is not None:
+            await retire(self._kernel, heir.made, finalize=heir.initialized)
+
+    def _leave_late(self, error: BaseException) -> None:
+        """Where a hook of the new code has not returned, the old one comes back when it does: none is ended before."""
+        roster, names = self._kernel._roster, []
+        for group in self._groups:
+            driver = None if group.context is None else group.context._driver
+            if driver is None or not any(heir.switched for heir in group.heirs):
                 continue
-            if heir.made is not None:
-                await retire(kernel, heir.made, finalize=heir.initialized)
+            for heir in group.heirs:
+                heir.late = True
+                roster.taken_back.add(heir.new)
+                names.append(heir.old.name)
+            task = kernel_task(self._kernel.loop, self._end_late(group, driver.ended), "aiorts reload")
+            roster.renewing.add(task)
+            task.add_done_callback(roster.renewing.discard)
+            task.add_done_callback(_log_error)
+        if names:
+            _say_more(error, f"but {', '.join(names)} still runs the new code until its hook returns")
+
+    async def _end_late(self, group: Group, stopped: asyncio.Future[None]) -> None:
+        for moved in (group.came, group.back):
+            if moved is not None:
+                waited: list[asyncio.Future[Any]] = [moved, stopped]
+                await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
+        self._take_back_stopped(group)
+        for heir in group.heirs:
+            self._kernel._roster.taken_back.discard(heir.new)
+            await self._end_one(heir)
+        await self._start_anew(group.heirs)
+
+
+def _anew(member: Member, told: Callable[[BaseException | None], None]) -> Steps:
+    """Stays active: the ports take samples all the while."""
+    try:
+        for hook in ("on_deactivated", "on_activated"):
+            if not member.active or member.left:
+                return
+            error = yield Call(member, hook)
+            if error is not None:
+                member.context._life.failed(member, hook, error)
+    finally:
+        told(None)
+
+
+def _say_more(error: BaseException, text: str) -> None:
+    if isinstance(error, AiortsError):
+        error.args = (f"{error}; {text}",)

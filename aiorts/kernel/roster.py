@@ -57,6 +57,8 @@ class Roster:
         """Reloads that have not come to their end."""
         self.renewal = asyncio.Lock()
         """Held by the one whose turn it is."""
+        self.taken_back: set[Component] = set()
+        """Instances whose code was taken back, and that stay in their place until a hook of theirs returns."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 

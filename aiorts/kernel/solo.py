@@ -23,26 +23,39 @@ __all__ = ("run_alone",)
 
 
 async def run_alone(
-    kernel: Kernel, component: Component, hook: str, budget: StopBudget | None, *args: Any
+    kernel: Kernel,
+    component: Component,
+    hook: str,
+    budget: StopBudget | None,
+    *args: Any,
+    limit: float | None = None,
 ) -> BaseException | None:
     """Run one hook; what it raised, or None.
 
     With a budget it is cancelled when that is used up, without when the kernel closes; and when the caller is
     cancelled, whose cancellation goes on once the hook has ended.
+
+    Args:
+        limit: seconds after which it is cancelled where there is no budget; None for none.
     """
     watched = kernel.bus.hooks_wanted
     if watched:
         kernel.bus.publish(HookBefore(component.name, "", hook))
     error = None
     if component._rt_hook_kinds[hook] != HookKind.ABSENT:
-        error = await _contain(kernel, component, hook, budget, args)
+        error = await _contain(kernel, component, hook, budget, args, limit)
     if watched:
         kernel.bus.publish(HookAfter(component.name, "", hook, error))
     return error
 
 
 async def _contain(
-    kernel: Kernel, component: Component, hook: str, budget: StopBudget | None, args: tuple[Any, ...]
+    kernel: Kernel,
+    component: Component,
+    hook: str,
+    budget: StopBudget | None,
+    args: tuple[Any, ...],
+    limit: float | None,
 ) -> BaseException | None:
     where = f"{component.name}.{hook}"
     task = kernel_task(kernel.loop, _run(component, hook, args), f"aiorts {where}")
@@ -51,19 +64,19 @@ async def _contain(
     waited: list[asyncio.Future[Any]] = [task] if budget is not None else [task, closing]
     try:
         await asyncio.wait(
-            waited, timeout=None if budget is None else budget.limit, return_when=asyncio.FIRST_COMPLETED
+            waited, timeout=limit if budget is None else budget.limit, return_when=asyncio.FIRST_COMPLETED
         )
     except asyncio.CancelledError:
         await see_through(kernel_task(kernel.loop, _cancel(task, StopBudget(kernel.loop, 0.0)), f"aiorts end {where}"))
         raise
     if task.done():
         return task.result()
-    rest = budget or closing.result()
+    rest = budget or (closing.result() if closing.done() else StopBudget(kernel.loop, 0.0))
     ended = await see_through(kernel_task(kernel.loop, _cancel(task, rest), f"aiorts end {where}"))
     if not ended:
         component._rt_abandoned = HookAbandoned(f"{where}: ignored {CANCELLATIONS} cancellations; it was left behind")
         return component._rt_abandoned
-    if budget is None:
+    if budget is None and closing.done():
         return ClosedError(f"{where}: the kernel closed before it returned; it was cancelled")
     return HookTimeout(f"{where}: did not return in time; it was cancelled")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,6 +21,7 @@ from aiorts.kernel.heir import Heir
 from aiorts.kernel.hooks import HookKind
 from aiorts.kernel.host import PortHost
 from aiorts.kernel.leftovers import leftovers
+from aiorts.kernel.life import Action
 from aiorts.kernel.ports import InPort, OutPort, Port, ServiceEnd, Turns
 from aiorts.kernel.references import pass_on_references
 from aiorts.kernel.reload_events import ComponentReloaded, Dropped
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.context import Context
     from aiorts.kernel.fresh_code import FreshCode
     from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.life import Steps
     from aiorts.kernel.member import Member
     from aiorts.model.sets import ConfigurationState
 
@@ -55,6 +58,8 @@ class Succession(Heir):
         self.switched = False
         self.homeless = False
         """Whether it was removed in between: there is no place to go back to."""
+        self.late = False
+        """Whether it is taken back only when a hook of the new one returns."""
         self.began: dict[Context, int] = {}
         """Ticks of its contexts when it was put in place."""
         self.began_ns = 0
@@ -107,6 +112,7 @@ class Succession(Heir):
                 setattr(new, name, getattr(old, name))
         self._said = {port: {word: getattr(port, word) for word in words} for port, words in self._words.items()}
         old._rt_successor = new
+        host.trial = tuple(member for member in new._rt_members if member.state is LifeCycleState.ACTIVE)
         self.switched = True
         self._put(new, old, ports, self._words)
         _change_ports(new, self._gone, self._fresh)
@@ -122,6 +128,7 @@ class Succession(Heir):
             return
         self.switched = False
         old, new, members = self.old, self.new, self.new._rt_members
+        new._rt_host.trial = ()
         leaving = self.kernel._roster._leaving
         if self._is_gone() or (new in leaving and not members):
             self.homeless = True  # it is ended where it is, and the old one after it
@@ -256,6 +263,7 @@ class Succession(Heir):
         None: it was removed meanwhile.
         """
         old, new, kernel = self.old, self.new, self.kernel
+        self._end_trial()
         if self._is_gone():
             self._end_gone()
             return None
@@ -281,6 +289,14 @@ class Succession(Heir):
         )
         kernel.bus.publish(event)
         return event
+
+    def _end_trial(self) -> None:
+        """Who goes to error takes no more samples; a thread that is just about it looks again after that."""
+        host = self.new._rt_host
+        members, host.trial = host.trial, ()
+        for member in self.new._rt_members:
+            if member in members:
+                member.context._submit(Action(partial(_look_at_ports, member)))
 
     def _is_gone(self) -> bool:
         return self.kernel.components.get(self.old.name) is not self.new
@@ -310,6 +326,11 @@ class Succession(Heir):
         there = self.new.ports.get(port.name)
         why = "the new code has no such port" if there is None else f"the new code has {there!r} in its place"
         return Dropped("port", port.name, why, tuple(connector.name for connector in connectors), unread)
+
+
+def _look_at_ports(member: Member) -> Steps:
+    member.context._set_ports_open(member)
+    yield from ()
 
 
 def _rebind(member: Member, component: Component) -> None:

@@ -83,20 +83,23 @@ class Supervising:
         Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
         order and life-cycle state, parameters in force and sets, and the connectors and unread samples of the ports
         that its code still has. `on_initialize` of the new one runs before, beside the old one; then its `on_reload`,
-        which is told the old one; no other transition hook runs. Tasks of the old one are cancelled, and its
-        `on_finalize` runs at the end: what `on_reload` takes over for good it takes away from the old one. It returns
+        which is told the old one; no other transition hook runs. Tasks of the old one are cancelled (beside
+        the new one's they would take each other's samples), and its `on_finalize` runs at the end: what `on_reload`
+        takes over for good it takes away from the old one. It returns
         when the new code has done its first cycles without a failure; whatever fails before that has everything taken
-        back, attributes of the old instance included. A caller that is cancelled does not end it.
+        back, attributes of the old instance included; where a hook of the new code runs on, 10 s are waited, and then
+        the old code comes back when that hook returns. If tasks of it had been cancelled, its `on_deactivated` and
+        `on_activated` are run, to start them anew, while it stays active. A caller that is cancelled ends nothing.
 
         Only the file itself is read anew, not what it imports. Other types in it keep their code; what is created
-        afterwards is made of the new.
+        afterwards is made of the new, by a supervised restart, too, if its factory is the class or a `partial` of it.
 
         Args:
             kind: a class, "Pid", "pid.py:Pid", or a name that a plugin offers; there are instances of it.
             cycles: the new code has proved itself after so many cycles of each context, 0 at once,
             seconds: or after so many seconds of the kernel's clock.
-            timeout: seconds of the kernel's clock in which every context has to come to the end of a cycle, and
-                `on_reload` has to return; None is for ever.
+            timeout: seconds of the kernel's clock in which `on_initialize` of each new instance has to return, every
+                context to come to the end of a cycle, and `on_reload` to return; None is for ever.
             import_timeout: seconds of real time that running the file may take.
 
         Raises:

@@ -18,7 +18,8 @@ from aiorts import (
     PeriodicContext,
     ThreadContext,
 )
-from aiorts.events import ComponentReloaded, PortAdded, PortRemoved
+from aiorts.errors import ComponentError
+from aiorts.events import ComponentReloaded, PortAdded, PortRemoved, StateChanged
 from aiorts.testing import simulated
 from aiorts.types import Time, TimedDouble
 
@@ -528,3 +529,144 @@ async def test_a_task_of_the_old_code_that_fails_when_it_is_ended_is_not_the_new
         await kernel.reload("Tasked", cycles=200, seconds=5.0)
         assert kernel.components["tasked"] is not old
         assert kernel.components["tasked"].state is ACTIVE
+
+
+TASKED = """
+class Tasked(Component):
+    data = InPort(TimedDouble)
+
+    def __init__(self, name=""):
+        super().__init__(name)
+        self.got = []
+        self.told = []
+        self.task = None
+
+    def on_activated(self):
+        self.told.append("activated")
+        # activated
+        self.task = asyncio.get_running_loop().create_task(self.work(), name="work")
+
+    async def on_deactivated(self):
+        self.told.append("deactivated")
+        self.task.cancel()
+        await asyncio.wait([self.task])
+
+    async def work(self):
+        async for sample in self.data:
+            self.got.append(sample.data)
+
+    async def on_reload(self, old):
+        await self.sleep(0.05)
+        # reload
+
+    def on_execute(self):
+        pass  # execute
+"""
+
+
+@pytest.mark.parametrize("fault", ["# reload", "# execute"])
+def test_tasks_of_old_code_that_comes_back_are_started_anew_and_no_sample_is_lost(fault: str, source: Make) -> None:
+    @simulated
+    async def run() -> None:
+        file = source(TASKED)
+        states: list[StateChanged] = []
+        async with Kernel() as kernel:
+            writer = await kernel.create(Writer, "writer")
+            old = await kernel.create(file.get("Tasked"), "tasked")
+            idle = await kernel.create(file.get("Tasked"), "idle")
+            connector = await kernel.connect(writer.out, old.data, length=1000)
+            context = await kernel.start(PeriodicContext(rate=100.0), old, activate=True)
+            kernel.bus.subscribe(StateChanged, states.append)
+            file.replace(fault, "\n        1 / 0")
+            file.replace('self.told.append("deactivated")', "raise ValueError(3)")
+            reload = asyncio.ensure_future(kernel.reload("Tasked"))
+            for number in range(300):
+                writer.out.write_nowait(sample(number))
+                await kernel.sleep(0.01)
+            with pytest.raises(ComponentError, match="these tasks of tasked had been ended: work; on_deact") as told:
+                await reload
+            assert "idle" not in str(told.value)
+            assert kernel.components["tasked"] is old
+            assert old.told == ["activated", "deactivated", "activated"]
+            assert idle.told == []
+            assert not old.task.done()
+            assert old.got == [float(number) for number in range(300)]
+            assert connector.statistics.dropped == {}
+            assert context.state(old) is ACTIVE
+            assert states == []
+
+    run()
+
+
+@simulated
+async def test_old_code_that_cannot_start_anew_is_in_error(source: Make) -> None:
+    file = source(TASKED.replace("# activated", "assert self.told == ['activated']"))
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("Tasked"), "tasked")
+        context = await kernel.start(PeriodicContext(rate=100.0), old, activate=True)
+        file.replace("# reload", "1 / 0")
+        with pytest.raises(ComponentError, match="had been ended: work"):
+            await kernel.reload("Tasked")
+        await kernel.sleep(0.1)
+        assert context.state(old) is ERROR
+        assert isinstance(old.last_error, AssertionError)
+
+
+@pytest.mark.anyio
+async def test_in_a_thread_no_sample_is_refused_between_a_failure_and_the_return_of_the_old_code(source: Make) -> None:
+    file = source("""
+    import time
+
+    class Threaded(Component):
+        data = InPort(TimedDouble)
+        fails = Param(False)
+
+        def __init__(self, name=""):
+            super().__init__(name)
+            self.got = []
+
+        def on_execute(self):
+            if self.fails:
+                raise ValueError("asked for")
+            # execute
+            self.got += [sample.data for sample in self.data.drain()]
+
+        def on_aborting(self, error):
+            time.sleep(0.1)
+    """)
+    async with Kernel() as kernel:
+        writer = await kernel.create(Writer, "writer")
+        old = await kernel.create(file.get("Threaded"), "threaded")
+        connector = await kernel.connect(writer.out, old.data, length=100_000)
+        context = await kernel.start(ThreadContext(rate=200.0), old, activate=True)
+        file.replace("# execute", "raise ValueError('bad')")
+        reload = asyncio.ensure_future(kernel.reload("Threaded"))
+        number = 0
+        while not reload.done():
+            writer.out.write_nowait(sample(number))
+            number += 1
+            await asyncio.sleep(0.001)
+        with pytest.raises(ComponentError, match="ValueError: bad"):
+            await reload
+        for _ in range(500):
+            if len(old.got) == number:
+                break
+            await asyncio.sleep(0.01)
+        assert old.got == [float(each) for each in range(number)]
+        assert connector.statistics.dropped == {}
+        file.replace("raise ValueError('bad')", "pass")
+        for _ in range(2):  # later failures have it refuse as ever, of the old code and of new code that has stayed
+            component: Any = kernel.components["threaded"]
+            await component.configure(fails=True)
+            for _ in range(500):
+                if context.state(component) is ERROR:
+                    break
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.02)
+            refused = connector.statistics.dropped.get("inactive", 0)
+            writer.out.write_nowait(sample(number))
+            assert connector.statistics.dropped["inactive"] == refused + 1
+            await component.configure(fails=False)
+            await context.reset(component)
+            await context.activate(component)
+            await kernel.reload("Threaded")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -18,6 +20,7 @@ from aiorts.errors import (
     TransitionTimeout,
 )
 from aiorts.events import ComponentReloaded
+from aiorts.system.setting import Setting
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:
@@ -280,6 +283,32 @@ def test_a_hand_over_that_never_ends_is_cancelled_and_taken_back(body: str, runs
     run()
 
 
+@pytest.mark.parametrize("ignores", [False, True])
+@simulated
+async def test_an_on_initialize_that_never_returns_keeps_nobody_from_reloading(ignores: bool, source: Make) -> None:
+    file, other = source(SLOW), source(SLOW.replace("Slow", "Other"))
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("Slow"), "slow")
+        one = await kernel.create(other.get("Other"), "other")
+        await kernel.start(PeriodicContext(rate=10.0), old, one, activate=True)
+        hangs = "await self.sleep(1e6)"
+        if ignores:
+            hangs = "while True:\n            try:\n                await self.sleep(1e6)\n"
+            hangs += "            except BaseException:\n                pass"
+        file.replace("await self.sleep(0.05)\n\n    async def on_execute", hangs + "\n\n    async def on_execute")
+        began = kernel.clock.monotonic_ns()
+        with pytest.raises(PluginError, match="slow: on_initialize of the new code raised Hook"):
+            await kernel.reload("Slow", timeout=2.0)
+        assert 2e9 <= kernel.clock.monotonic_ns() - began < 5e9
+        assert kernel.components["slow"] is old
+        other.replace(*NEW)
+        await kernel.reload("Other")
+        assert kernel.components["other"].version == 2  # type: ignore[attr-defined]
+        file.write(SLOW.replace(*NEW))
+        await kernel.reload("Slow")
+        assert kernel.components["slow"].version == 2  # type: ignore[attr-defined]
+
+
 @simulated
 async def test_a_file_that_never_ends_is_left_behind(source: Make) -> None:
     file = source(SLOW)
@@ -345,6 +374,45 @@ async def test_a_supervised_component_stays_supervised(source: Make) -> None:
         assert again is not new
         assert again.version == 2
         assert context.members == (again,)
+
+
+@pytest.mark.parametrize("good", [True, False])
+@simulated
+async def test_a_supervised_restart_makes_the_code_of_the_day_whatever_sets_it_up(good: bool, source: Make) -> None:
+    file = source(SLOW)
+
+    def set_up(name: str, *, kind: type[Component], pause: float) -> Component:
+        made = kind(name)
+        made._rt_put({"pause": pause})
+        return made
+
+    async with Kernel() as kernel:
+        cls = file.get("Slow")
+        factories: dict[str, Any] = {
+            "class": cls,
+            "arguments": partial(Setting({"pause": 0.5}).make, cls),
+            "nested": partial(partial(set_up, pause=0.5), kind=cls),
+            "itself": partial(cls),
+        }
+        for name, factory in factories.items():
+            component = await kernel.create(cls, name)
+            kernel.supervise(component, Supervision("restart", backoff=0.1), factory=factory)
+        context = await kernel.start(PeriodicContext(rate=10.0), *kernel.components.values(), activate=True)
+        for number in (2, 3):
+            file.write(SLOW.replace("version = 1", f"version = {number}"))
+            if good:
+                await kernel.reload("Slow")
+            else:
+                file.replace("# execute", "1 / 0")
+                with pytest.raises(ComponentError):
+                    await kernel.reload("Slow")
+        for member in tuple(context._members):
+            context._life.task_failed(member, ValueError("failed"))
+        await kernel.sleep(5.0)
+        versions = {name: one.version for name, one in kernel.components.items()}  # type: ignore[attr-defined]
+        assert versions == dict.fromkeys(factories, 3 if good else 1)
+        assert {one.state for one in kernel.components.values()} == {ACTIVE}
+        assert kernel.components["arguments"].pause == 0.0  # type: ignore[attr-defined]
 
 
 @simulated
@@ -432,3 +500,71 @@ async def test_what_follows_from_a_failure_ends_when_the_code_that_failed_is_tak
         ticks = second.ticks
         await kernel.sleep(0.1)
         assert second.ticks >= ticks + 9
+
+
+SINGLE = """
+class Single(Component):
+    version = 1
+    runs = 0
+
+    def __init__(self, name=""):
+        super().__init__(name)
+        self.ends = 0
+
+    def on_activated(self):
+        self.task = asyncio.get_running_loop().create_task(self.sleep(1e6))
+
+    async def on_execute(self):
+        self.runs += 1
+        assert not self.ends
+        # execute
+
+    def on_finalize(self):
+        self.ends += 1
+"""
+
+
+@pytest.mark.parametrize("then", ["returns", "removed", "closed", "stopped"])
+def test_where_a_hook_of_the_new_code_runs_on_each_instance_is_ended_once_and_only_after_it(
+    then: str, source: Make
+) -> None:
+    file, made = source(SINGLE), []
+
+    @simulated
+    async def run() -> None:
+        async with Kernel() as kernel:
+            olds = [await kernel.create(file.get("Single"), name) for name in ("a", "b")]
+            contexts = [await kernel.start(PeriodicContext(rate=50.0), old, activate=True) for old in olds]
+            made.extend(olds)
+            await kernel.sleep(0.1)
+            file.replace(*NEW)
+            file.replace("# execute", "await self.sleep(30.0 if self.name == 'a' else 0.1); assert self.name == 'a'")
+            with pytest.raises(ComponentError, match=r"b.on_execute .*but a still runs the new code") as raised:
+                await kernel.reload("Single", seconds=5.0)
+            assert "b still" not in str(raised.value)
+            late: Any = kernel.components["a"]
+            made.append(late)
+            assert (late.version, kernel.components["b"]) == (2, olds[1])
+            assert [one.ends for one in made] == [0, 0, 0]
+            with pytest.raises(StateError, match="a: cannot be reloaded: its code was taken back"):
+                await kernel.reload(file.get("Single"))
+            if then == "removed":
+                with suppress(AiortsError):
+                    await kernel.remove(late)
+            elif then == "stopped":
+                await contexts[0].stop()
+            elif then == "returns":
+                await kernel.sleep(40.0)
+                assert kernel.components["a"] is olds[0]
+                assert [old.task.done() for old in olds] == [False, False]
+                runs = olds[0].runs
+                await kernel.sleep(1.0)
+                assert olds[0].runs >= runs + 45
+                assert [one.ends for one in made] == [0, 0, 1]
+                file.write(SINGLE.replace(*NEW))
+                await kernel.reload("Single")
+                assert [one.ends for one in made] == [1, 1, 1]
+                made.extend(kernel.components.values())
+
+    run()
+    assert [one.ends for one in made] == [1] * len(made)
