@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from aiorts.errors import HookAbandoned, ServiceCycle, ServiceTimeout, ServiceUnavailable
 from aiorts.kernel.deadlines import CANCELLATIONS, GRACE
 from aiorts.kernel.embedding import creator_of
-from aiorts.kernel.service_proxy import Outcome, failed, inside, refusal, run_in_step, settle
+from aiorts.kernel.service_proxy import Outcome, failed, inside, refusal, run_in_step, settle, wrong_argument
 from aiorts.kernel.service_thread import serve_in_thread
 from aiorts.kernel.service_visit import Activity, Visit, activity_of, holder_of
 from aiorts.kernel.tasks import current_task, kernel_task, leave_behind
@@ -112,6 +112,10 @@ class ServiceCall(Visit):
         reason = refusal(link.provided)
         if reason:
             self.conclude(None, ServiceUnavailable(f"{link.named(self.answer.name)}: {reason}"))
+            return
+        look = self.answer.look
+        if look is not None and (wrong := look(self.args, self.kwargs)):
+            self.conclude(None, wrong_argument(link, self.answer, wrong, self.args, self.kwargs))
             return
         if link.threaded:
             if not self._closes_a_circle():

@@ -166,9 +166,8 @@ class Required(ServiceEnd[I], Generic[I]):
         """What answers the calls, typed as the interface. It may be kept: it always stands for the provider of the day.
 
         A call raises ServiceUnavailable (nobody is there, or not active), ServiceTimeout, ServiceFailed (the provider
-        raised), ServiceCycle (it would wait for itself), InterfaceMismatch (it answered with a wrong type). The types
-        of arguments are for the type checker: what is given reaches the provider as it is, since looking at each would
-        cost a call that is answered at once up to a fifth more.
+        raised), ServiceCycle (it would wait for itself), InterfaceMismatch (it answered with a wrong type, or an
+        argument has one: the provider is then not called).
         """
         if self._proxy is None:
             from aiorts.kernel.service_proxy import make_proxy

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.service_ends import Provided, Required
     from aiorts.kernel.service_wiring import Answer, Link
 
-__all__ = ("Outcome", "failed", "inside", "make_proxy", "refusal", "run_in_step", "settle")
+__all__ = ("Outcome", "failed", "inside", "make_proxy", "refusal", "run_in_step", "settle", "wrong_argument")
 
 Outcome: TypeAlias = tuple[Any, BaseException | None]
 
@@ -142,6 +142,9 @@ def run_plain(link: Link, answer: Answer, args: tuple[Any, ...], kwargs: dict[st
     if reason:
         unavailable = ServiceUnavailable(f"{link.named(answer.name)}: {reason}")
         settle(link, answer, begun_ns, None, unavailable)
+    look = answer.look
+    if look is not None and (wrong := look(args, kwargs)):
+        settle(link, answer, begun_ns, None, wrong_argument(link, answer, wrong, args, kwargs))
     gate = None if link.provided.concurrent else link.gate
     if gate is not None:
         gate.inside = answer.visit
@@ -235,6 +238,17 @@ _OUTCOMES = {
     asyncio.CancelledError: "cancelled",
     TypeError: "refused",
 }
+
+
+def wrong_argument(
+    link: Link, answer: Answer, name: str, args: tuple[Any, ...], kwargs: dict[str, Any]
+) -> InterfaceMismatch:
+    """The error of a call whose argument of this name is of another type than the interface says."""
+    value = kwargs[name] if name in kwargs else args[list(answer.signature.parameters).index(name)]
+    return InterfaceMismatch(
+        f"{link.named(answer.name)}: {link.required.path} gave {name} = {type(value).__name__} {shown(value)}, "
+        f"the interface takes {answer.takes(name)}"
+    )
 
 
 def _mismatch(link: Link, answer: Answer, value: object) -> InterfaceMismatch:

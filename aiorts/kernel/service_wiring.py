@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import DeclarationError, InterfaceMismatch, WiringError
 from aiorts.kernel.port import Port
+from aiorts.kernel.service_arguments import look_of
 from aiorts.kernel.service_ends import Provided, Required
 from aiorts.kernel.service_port import ServiceConnector, ServiceEnd, ServicePort, Tally, is_service
 from aiorts.kernel.service_proxy import make_proxy
@@ -35,7 +36,7 @@ _NOBODY: Final = ("", "nil", "null", None)
 class Answer:
     """How one method of an interface is answered."""
 
-    __slots__ = ("_method", "check", "function", "name", "plain", "visit")
+    __slots__ = ("_method", "check", "function", "look", "name", "plain", "visit")
 
     def __init__(self, method: Method, function: Any, visit: Visit) -> None:
         self._method = method
@@ -43,6 +44,7 @@ class Answer:
         self.function = function
         self.plain = not inspect.iscoroutinefunction(function)
         self.check = check_of(method.returns)
+        self.look = look_of(method)
         self.visit = visit
         """What stands in the gate while it runs at once."""
 
@@ -50,6 +52,10 @@ class Answer:
     def signature(self) -> inspect.Signature:
         """What the caller may give."""
         return self._method.signature
+
+    def takes(self, name: str) -> str:
+        """The type of an argument, as it is written."""
+        return spelled(self._method.signature.parameters[name].annotation)
 
     @property
     def returns(self) -> str:
