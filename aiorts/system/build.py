@@ -12,7 +12,7 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-from aiorts.errors import AiortsError, ComponentError, StateError, SystemFileError, WiringError
+from aiorts.errors import AiortsError, ComponentError, PluginError, StateError, SystemFileError, WiringError
 from aiorts.kernel.catalogue import Catalogue
 from aiorts.kernel.component import Component
 from aiorts.kernel.composite import Composite
@@ -26,9 +26,9 @@ from aiorts.system.check import of_draft
 from aiorts.system.families import inner_first, readers_first, root, unstartable
 from aiorts.system.joints import end_key
 from aiorts.system.parse import spelled
-from aiorts.system.places import Key
+from aiorts.system.places import Key, places_of
 from aiorts.system.setting import Setting
-from aiorts.system.survey import Survey, survey
+from aiorts.system.survey import Fault, Survey, survey
 from aiorts.system.values import CompositeEntry, ConnectionEntry, SystemFile
 
 __all__ = ("Blueprint", "build", "prepare")
@@ -62,16 +62,23 @@ def prepare(system: SystemFile, catalogue: Catalogue | None = None) -> Blueprint
     found = survey(system, catalogue)
     _check_declared(found)
     for key, text in unstartable(system):
-        found.say(key, SystemFileError(text))
+        found.say(key, SystemFileError(text), spelled(places_of(system.text).known(key)) if system.text else "")
     if found.faults:
-        first = found.faults[0]
-        where = (
-            first.where
-            if first.where.startswith("--set")
-            else f"{system.at(*first.key, of_key=first.of_key)}: {first.where}"
-        )
-        raise type(first.error)(f"{where}: {first.error}").like(first.error) from first.error.__cause__
+        raise _refused(system, found.faults[0]) from found.faults[0].error.__cause__
     return Blueprint(system, found.types, found.settings, found.contexts, found.catalogue)
+
+
+def _refused(system: SystemFile, fault: Fault) -> AiortsError:
+    """A fault as the error to raise: with its place, and the line to quote."""
+    if fault.where.startswith("--set") or not system.text:
+        where = fault.where if fault.where.startswith("--set") else f"{system.path}: {fault.where}"
+        return type(fault.error)(f"{where}: {fault.error}").like(fault.error)
+    where = f"{system.at(*fault.key, of_key=fault.of_key)}: {fault.where}"
+    error = type(fault.error)(f"{where}: {fault.error}").like(fault.error)
+    if error.typed is None and not isinstance(error, PluginError):  # that is wrong in another file
+        text = system.text.replace("\r\n", "\n")
+        error.at(text, *places_of(text).extent(system.place(*fault.key, of_key=fault.of_key)))
+    return error
 
 
 async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:

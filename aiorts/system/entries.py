@@ -214,13 +214,17 @@ class EntryReader(Reading):
 
     # -- the order of starting ---------------------------------------------------------------------------------------
 
-    def _start_order(self, components: Mapping[str, ComponentEntry], known: Mapping[str, Any]) -> None:
+    def _start_order(
+        self, components: Mapping[str, ComponentEntry], known: Mapping[str, Any], tables: Mapping[str, Any]
+    ) -> None:
         """Refuse conditions about nobody, and rules that wait for each other."""
         rules = [entry.start for entry in components.values() if entry.start is not None]
         for rule in rules:
             for number, condition in enumerate(rule.conditions):
                 if condition.component not in known:
-                    key: Key = ("components", rule.component, "start", "after", number)
+                    key: Key = ("components", rule.component, "start", "after")
+                    if isinstance(tables[rule.component]["start"]["after"], list):
+                        key = (*key, number)
                     self._unknown(key, "component", condition.component, known)
         try:
             in_order(rules)

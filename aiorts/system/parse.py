@@ -101,7 +101,7 @@ class _Reader(EntryReader):
         components = {name: self._component(name, table) for name, table in tables_.items()}
         composites = self._composites(top, components)
         known = {**components, **composites}
-        self._start_order(components, known)
+        self._start_order(components, known, tables_)
         contexts = {
             name: self._context(name, table, known) for name, table in self._tables(top, "contexts", "context").items()
         }

@@ -71,6 +71,11 @@ class Places:
         found = self._text.find(text, start, end) if text else -1
         return None if found < 0 else self._place((found + offset, found + offset + 1))
 
+    def extent(self, place: Place) -> tuple[int, int]:
+        """Where a place begins and ends, in characters of the text from 0."""
+        start = self._starts[place.line - 1] + place.column - 1
+        return start, start + place.width
+
     def line(self, number: int) -> str:
         """A line of the text, counted from 1; "" where there is none."""
         if not 0 < number <= len(self._starts):

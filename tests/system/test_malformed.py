@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from aiorts import Kernel
 from aiorts.errors import AiortsError
-from aiorts.system import Finding, build, check, graph, load
+from aiorts.system import Finding, build, check, graph, load, prepare
 from aiorts.system.check import check_text
 from aiorts.system.parse import parse
 from aiorts.testing import simulate
@@ -194,3 +194,30 @@ def test_a_component_file_that_is_a_link_is_called_one(write: Write, tmp_path_fa
     (found,) = erring(check(path))
     assert found.cause == f"'link.py': {link} is a link to {there}, outside the system file's folder"
     assert found.remedy == "put the file itself below it"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "quoted"),
+    [
+        ('to = "hand.input"', 'to = "two.inptu"', '"two.inptu"'),
+        ("rate = 10.0", "raet = 10.0", "raet"),
+        ('members = ["arm", "sink"]', 'members = ["arm"]', '"sink"'),
+    ],
+)
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_what_is_refused_when_it_is_built_is_quoted_as_check_does(
+    write: Write, old: str, new: str, quoted: str, end: str
+) -> None:
+    path = write("")
+    path.write_bytes(TABLES.replace(old, new).replace("\n", end).encode())
+    with pytest.raises(AiortsError) as caught:
+        prepare(load(path))
+    typed = caught.value.typed
+    assert typed is not None
+    assert typed.text[typed.start : typed.end] == quoted
+
+
+def test_a_condition_that_stands_alone_has_no_number(write: Write) -> None:
+    path = write(TABLES.replace('after = ["arm active", "sink"]', 'after = "snik active"'))
+    (found,) = erring(check(path))
+    assert (found.where, found.remedy) == ("components.source.start.after", "did you mean 'sink'?")
