@@ -270,9 +270,8 @@ class Context(Members):
 
     def _check_may_join(self, component: Component) -> None:
         if component._rt_kernel is not self._kernel or not component._rt_host.alive:
-            raise StateError(
-                f"{component.name}: does not belong to the kernel of {self.name}; await kernel.add(...) first"
-            )
+            where, roster = f"the kernel of {self.name}", self._require_kernel()._roster
+            raise StateError(roster.stranger(component, component.name, where))
         self._check_can_add(component)
 
     async def _ask(self, wishes: Sequence[Wish], timeout: float | None) -> None:

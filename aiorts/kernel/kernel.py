@@ -363,7 +363,7 @@ class Kernel(ConfigurationFiles, Introspection, Supervising):
     def _check_mine(self, component: Component, what: str) -> None:
         self._require_open(what)
         if self.components.get(name := getattr(component, "name", repr(component)), name) is not component:
-            raise StateError(f"{name}: does not belong to {self.name}; await kernel.add(...) first")
+            raise StateError(self._roster.stranger(component, name, self.name))
 
     # -- called by components, contexts and ports ------------------------------------------------------------------
 

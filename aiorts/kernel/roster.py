@@ -160,6 +160,12 @@ class Roster:
         if self.components.get(component.name) is not component:
             raise StateError(f"{component.name}: another instance has its place; take kernel.components[...]")
 
+    def stranger(self, component: object, name: str, where: str) -> str:
+        """What is said of one that is not of this kernel, or whose place another instance has."""
+        if name in self.components and getattr(component, "_rt_kernel", None) is self._kernel:
+            return f"{name}: another instance has its place; take kernel.components[{name!r}]"
+        return f"{name}: does not belong to {where}; await kernel.add(...) first"
+
     async def _initialize(self, component: Component) -> None:
         error = await run_alone(self._kernel, component, "on_initialize", None)
         if error is None:

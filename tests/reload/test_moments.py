@@ -568,3 +568,17 @@ def test_where_a_hook_of_the_new_code_runs_on_each_instance_is_ended_once_and_on
 
     run()
     assert [one.ends for one in made] == [1] * len(made)
+
+
+@simulated
+async def test_who_holds_an_old_instance_is_told_where_the_new_one_is(source: Make) -> None:
+    file = source(SINGLE)
+    async with Kernel() as kernel:
+        old = await kernel.create(file.get("Single"), "a")
+        context = await kernel.start(PeriodicContext(rate=50.0), old, activate=True)
+        await kernel.reload("Single")
+        other = await kernel.start(PeriodicContext(rate=50.0))
+        for refused in (kernel.remove(old), other.add(old)):
+            with pytest.raises(StateError, match=r"a: another instance has its place; take kernel.components\['a'\]"):
+                await refused
+        assert context.members == (kernel.components["a"],)
