@@ -46,8 +46,9 @@ long = pytest.mark.skipif(not CAMPAIGN, reason="a long one; AIORTS_CAMPAIGN=1")
     [
         pytest.param(EventContext, BYTES_EACH, id="event"),
         pytest.param(ExternalContext, 7000, id="external"),
-        # A rate costs a schedule, and a watch over its deadlines with a descriptor for some.
-        pytest.param(lambda: PeriodicContext(10.0), 9500, id="periodic"),
+        # A rate costs a schedule, and a watch over its deadlines with a descriptor for some: 9,000 octets. One that was
+        # late on a busy machine keeps whom it blames.
+        pytest.param(lambda: PeriodicContext(10.0), 10_500, id="periodic"),
     ],
 )
 def test_a_component_with_ports_connector_and_context_is_small(context: Callable[[], Context], most: int) -> None:
