@@ -211,7 +211,7 @@ class _Reader(EntryReader):
             self._check_port((*key, "to") if isinstance(to, str) else (*key, "to", place), path, components)
         options = {word: value for word, value in table.items() if word not in ("from", "to")}
         self._no_tables(key, options)
-        if len(self.mistakes) > before:
+        if writer is None or len(self.mistakes) > before:
             return None
         return ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
 
