@@ -166,7 +166,7 @@ class Blocker(Component):
     """Blocks its thread."""
 
     def on_execute(self) -> None:
-        time.sleep(0.3)
+        time.sleep(0.1)
 
 
 class Borrower(Component):
@@ -191,7 +191,7 @@ async def test_a_used_up_pool_of_threads_is_told_once_and_the_loop_is_alive(capl
         for number in range(100):
             blocker = await kernel.add(Blocker(f"blocker{number}"))
             await kernel.start(ThreadContext(), blocker, activate=True)
-        borrowers = [await kernel.add(Borrower(f"borrower{number}", 1.2)) for number in range(100)]
+        borrowers = [await kernel.add(Borrower(f"borrower{number}", 0.7)) for number in range(100)]
         late = await kernel.add(Late("late"))
         await kernel.start(PeriodicContext(100.0), late, activate=True)
         for borrower in borrowers:

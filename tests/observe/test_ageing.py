@@ -12,6 +12,7 @@ from aiorts import Component, InPort, Kernel, OutPort, SimulatedClock
 from aiorts.events import ConnectorEvent
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
+from campaign import CAMPAIGN
 
 PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
@@ -65,14 +66,14 @@ def test_a_thousand_connections_leave_no_memory_behind(observed: bool) -> None:
 @pytest.mark.campaign
 @pytest.mark.fault("B16")
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="needs /proc")
-def test_a_hundred_thousand_connections_leave_no_memory_behind() -> None:
+def test_tens_of_thousands_of_connections_leave_no_memory_behind() -> None:
     async def main(clock: SimulatedClock) -> None:
         async with Kernel() as kernel:
             for name in ("one", "other"):
                 await kernel.add(Node(name))
             await connect_often(kernel, 5_000)
             before = resident()
-            await connect_often(kernel, 100_000)
+            await connect_often(kernel, 100_000 if CAMPAIGN else 25_000)
             assert resident() - before <= 2 * 1024 * 1024
 
     simulate(main)
