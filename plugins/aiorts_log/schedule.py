@@ -70,8 +70,20 @@ class Schedule:
             it is added goes on evenly through pauses, jumps and gaps, and at speed 1 keeps step with the clock.
     """
 
-    __slots__ = ("_allowed", "_anchor", "_due_last", "_last", "_log", "_next", "_number", "_pace", "_step", "_stopped")
-    __slots__ += ("_spacing", "shift")
+    __slots__ = (
+        "_allowed",
+        "_anchor",
+        "_due_last",
+        "_last",
+        "_log",
+        "_next",
+        "_number",
+        "_pace",
+        "_spacing",
+        "_step",
+        "_stopped",
+        "shift",
+    )
 
     def __init__(self, pace: Pace, now: int, position: int | None = None) -> None:
         self._put(pace)
