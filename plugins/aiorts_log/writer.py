@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from time import monotonic, sleep
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 from aiorts.errors import AiortsError, RecordError
 from aiorts.types import check_port_type, has_tm, is_mutable, snapshot
@@ -90,6 +90,10 @@ class RecordingWriter:
         RecordingError: the file cannot be had.
     """
 
+    out: ClassVar[type[OutFile]] = OutFile
+    """What writes the form of the file; `encoder` makes what stands in it of a record."""
+    encoder = staticmethod(encoder)
+
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -104,7 +108,7 @@ class RecordingWriter:
         self._metadata = dict(metadata or {})
         self._attachments = dict(attachments or {})
         self._kind = kind
-        self._encode = encoder(self.options.encoding)
+        self._encode = self.encoder(self.options.encoding)
         self._ports: list[_Port] = []
         self._queue: deque[tuple[_Port, Any, int, int]] = deque()
         self._put_octets = 0
@@ -120,7 +124,7 @@ class RecordingWriter:
         self._clamped = self._octets_before = self._durable = 0
         self._ended = self._orderly = False
         self._owners: dict[int, _Port] = {}
-        self._file = OutFile(self.path, self.options.existing, self.options.min_free, kind)
+        self._file = self.out(self.path, self.options.existing, self.options.min_free, kind)
         self._last = self._file.floor
         self.floor = self._file.floor
         """The last log time of a recording that is continued; samples have to be later."""
@@ -339,7 +343,7 @@ class RecordingWriter:
         self._number += 1
         path = part_path(self.path, self._number)
         existing: Existing = "overwrite" if self.options.existing == "overwrite" else "refuse"
-        self._file = OutFile(path, existing, self.options.min_free, self._kind)
+        self._file = self.out(path, existing, self.options.min_free, self._kind)
         for port in self._ports:
             port.seen = None
             port.next.clear()
