@@ -17,7 +17,8 @@ from typing import Any, Final, Literal, NamedTuple, TypeVar
 from aiorts.errors import RecordError, WireError
 from aiorts.types import has_tm
 from aiorts_log.errors import RecordingError
-from aiorts_log.reader import RecordedSample, RecordingReader
+from aiorts_log.opening import Recording
+from aiorts_log.reader import RecordedSample
 
 __all__ = ("Block", "ReadAhead", "Reading", "Unreadable")
 
@@ -39,7 +40,7 @@ class Reading:
         end: the first that is not wanted any more.
     """
 
-    open: Callable[[], RecordingReader]
+    open: Callable[[], Recording]
     routes: Mapping[str, tuple[Any, type]]
     start: int | None = None
     end: int | None = None
@@ -74,7 +75,7 @@ class ReadAhead:
     def __init__(self, reading: Reading, *, in_place: bool) -> None:
         self._reading = reading
         self._executor = None if in_place else ThreadPoolExecutor(1, thread_name_prefix="aiorts replay")
-        self._reader: RecordingReader | None = None
+        self._reader: Recording | None = None
         self._samples: Iterator[RecordedSample] = iter(())
         self._routes: dict[int, tuple[Any, Callable[[bytes], Any], bool]] = {}
         self._order: Literal["time", "file"] = "time"
@@ -189,12 +190,12 @@ class ReadAhead:
             self._reader.close()
 
 
-def _goes_by_number(reader: RecordingReader) -> bool:
+def _goes_by_number(reader: Recording) -> bool:
     """Whether times of a port go back where its numbers go on: its clock was set back, and the file's order is right.
 
     Chunks that overlap in time are no proof of that, since some writers make them in several threads.
     """
-    pieces = reader.pieces
+    pieces = [piece for piece in reader.pieces if piece.end]
     overlap = any(before.end > after.start for before, after in pairwise(pieces))
     if not overlap and (len(pieces) != 1 or reader.header.profile == "aiorts"):
         return False

@@ -1,0 +1,76 @@
+"""What the tests of replay share: recordings made to measure, and a player whose samples are written down."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from aiorts import Clock, Kernel
+from aiorts.types import TimedDouble, TimedLong
+from aiorts_log import RecordingOptions, RecordingWriter
+from aiorts_log.opening import open_recording
+from aiorts_log.player import Player, Playing
+from aiorts_log.read_ahead import Reading
+from aiorts_log.schedule import Pace
+
+BEGIN = 1_700_000_000_000_000_000
+MS = 1_000_000
+S = 1_000_000_000
+
+
+def recorded(path: Path, samples: list[tuple[str, int, Any]], **options: Any) -> Path:
+    """A recording of these samples: port, log time, record."""
+    with RecordingWriter(path, RecordingOptions(**{"min_free": 0, **options})) as writer:
+        ports: dict[str, int] = {}
+        for port, log_time, record in samples:
+            if port not in ports:
+                ports[port] = writer.add_port(port, type(record))
+            assert writer.write(ports[port], record, log_time)
+    assert writer.failure is None
+    return path
+
+
+def steady(path: Path, count: int, step: int = 10 * MS, **options: Any) -> Path:
+    """A recording of two ports by turns, `step` ns apart, whose stamps are their log times."""
+    types = TimedDouble, TimedLong
+    return recorded(
+        path,
+        [("ab"[i % 2], BEGIN + i * step, types[i % 2](BEGIN + i * step, i)) for i in range(count)],
+        **options,
+    )
+
+
+class Played:
+    """A player, and what it has sent: the moment of the clock, the port, the record."""
+
+    def __init__(self, kernel: Kernel, path: Path, pace: Pace | None = None, **how: Any) -> None:
+        self.samples: list[tuple[int, str, Any]] = []
+        self.told: list[str] = []
+        self._clock: Clock = kernel.clock
+        with open_recording(path) as reader:
+            types = {name: (name, port.type) for name, port in reader.ports.items()}
+        chosen = {name: how.pop(name, None) for name in ("start", "end")}
+        self.player = Player(
+            Reading(lambda: open_recording(path), types, **chosen),
+            Playing(pace=pace or Pace(), **how),
+            clock=kernel.clock,
+            sleep=kernel.sleep,
+            send=self.take,
+            tell=self.told.append,
+        )
+
+    async def take(self, port: str, record: Any) -> None:
+        self.samples.append((self._clock.monotonic_ns(), port, record))
+
+    @property
+    def moments(self) -> list[int]:
+        """When samples were sent, in ns after the first."""
+        return [moment - self.samples[0][0] for moment, _, _ in self.samples]
+
+    @property
+    def values(self) -> list[Any]:
+        return [record.data for _, _, record in self.samples]
+
+    @property
+    def stamps(self) -> list[int]:
+        return [record.tm for _, _, record in self.samples]
