@@ -123,7 +123,7 @@ class LogFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             who = held_by(self.path) or "another recorder"
-            raise RecordingError(f"{self.path}: {who} records into it; name another file") from None
+            raise RecordingError(f"{self.path}: {who} writes it; name another file") from None
 
     @property
     def descriptor(self) -> int:

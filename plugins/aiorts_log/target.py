@@ -36,7 +36,7 @@ def check_target(path: str | os.PathLike[str], existing: Existing) -> None:
         raise RecordingError(f"{where}: is no regular file; a recording needs one")
     holder = held_by(where)
     if holder:
-        raise RecordingError(f"{where}: {holder} records into it; name another file")
+        raise RecordingError(f"{where}: {holder} writes it; name another file")
     if existing == "refuse":
         raise RecordingError(
             f"{where}: is there already; --append continues it, --overwrite replaces it, or name another file"
