@@ -19,7 +19,7 @@ from aiorts.errors import ConfigurationError
 from aiorts.types import type_name
 from aiorts_flexi.about import about
 from aiorts_flexi.ports import named_types
-from aiorts_log import RecordingError, RecordingOptions, RecordingWriter
+from aiorts_log import RecordingError, RecordingOptions, RecordingWriter, TextWriter
 from aiorts_log.control import BackgroundRecording, MakeWriter, Notice, Offered
 from aiorts_log.target import check_target, continuing
 
@@ -41,9 +41,10 @@ _MB: Final = 1_000_000
 
 
 class Recording:
-    """Records for one FlexiLogger. One who derives from it says with `make_writer` what opens the file."""
+    """Records for one FlexiLogger; `make_writer` opens the file."""
 
     make_writer: MakeWriter = RecordingWriter
+    make_text_writer: MakeWriter = TextWriter
 
     def __init__(self, logger: FlexiLogger) -> None:
         self._logger = logger
@@ -129,7 +130,7 @@ class Recording:
             metadata=about(logger, self._segment),
             tell=self._teller(self._segment),
             after=self._session,
-            make=self.make_writer,
+            make=self.make_text_writer if logger.text else self.make_writer,
         )
         self._own = path
         self._base = max(logger.clock.time_ns(), self._last) - logger.clock.monotonic_ns()

@@ -19,7 +19,7 @@ try:
 except ImportError:  # not POSIX: the exclusive creation is what there is
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ("Existing", "LogFile", "held_by", "least_free", "part_path")
+__all__ = ("Existing", "LogFile", "held_by", "least_free", "next_part", "part_path")
 
 Existing: TypeAlias = Literal["refuse", "append", "overwrite"]
 _MOST_PARTS: Final = 512
@@ -29,6 +29,14 @@ GIB: Final = 2**30
 def part_path(path: Path, number: int) -> Path:
     """The file of that number of a recording in several: run.mcap, run.1.mcap, run.2.mcap."""
     return path if not number else path.with_name(f"{path.stem}.{number}{path.suffix}")
+
+
+def next_part(path: Path, number: int, existing: Existing) -> int:
+    """The number of the file after that one; where a recording is continued, of one that is not there yet."""
+    number += 1
+    while existing == "append" and os.path.lexists(part_path(path, number)):
+        number += 1
+    return number
 
 
 def least_free(path: Path, asked: int | None) -> int:

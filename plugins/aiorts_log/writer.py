@@ -23,12 +23,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from time import monotonic, sleep
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 from aiorts.errors import AiortsError, RecordError
 from aiorts.types import check_port_type, snapshot
 from aiorts_log.errors import RecordingError
-from aiorts_log.file import Existing, LogFile, part_path
+from aiorts_log.file import Existing, LogFile, next_part, part_path
 from aiorts_log.form import Attachment
 from aiorts_log.forms import encoder, name_of, schema_of
 from aiorts_log.info import GAP
@@ -67,6 +67,10 @@ class RecordingWriter:
         RecordingError: the file cannot be had.
     """
 
+    out: ClassVar[type[OutFile]] = OutFile
+    """What writes the form of the file; `encoder` makes what stands in it of a record."""
+    encoder = staticmethod(encoder)
+
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -81,7 +85,7 @@ class RecordingWriter:
         self._metadata = dict(metadata or {})
         self._attachments = dict(attachments or {})
         self._kind = kind
-        self._encode = encoder(self.options.encoding)
+        self._encode = self.encoder(self.options.encoding)
         self._ports: list[WrittenPort] = []
         self._queue: deque[tuple[WrittenPort, Any, int, int]] = deque()
         self._put_octets = 0
@@ -98,7 +102,7 @@ class RecordingWriter:
         self._clamped = self._octets_before = self._durable = 0
         self._ended = self._orderly = False
         self._owners: dict[int, WrittenPort] = {}
-        self._file = OutFile(part_path(self.path, self._number), self.options.existing, self.options.min_free, kind)
+        self._file = self.out(part_path(self.path, self._number), self.options.existing, self.options.min_free, kind)
         self._last = self._file.floor
         self.floor = self._file.floor
         """The last log time of a recording that is continued; samples have to be later."""
@@ -320,10 +324,10 @@ class RecordingWriter:
     def _rotate(self) -> None:
         self._finish("continued in the next file")
         self._octets_before += self._file.size
-        self._number += 1
+        self._number = next_part(self.path, self._number, self.options.existing)
         path = part_path(self.path, self._number)
         existing: Existing = "overwrite" if self.options.existing == "overwrite" else "refuse"
-        self._file = OutFile(path, existing, self.options.min_free, self._kind)
+        self._file = self.out(path, existing, self.options.min_free, self._kind)
         for port in self._ports:
             port.seen = None
             port.next.clear()
