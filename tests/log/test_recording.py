@@ -176,7 +176,7 @@ def test_two_recorders_never_share_a_file(tmp_path: Path, existing: Any) -> None
     with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
         port = writer.add_port("n", TimedLong)
         writer.write(port, TimedLong(1, 1), 1)
-        with pytest.raises(RecordingError, match="another recorder writes it"):
+        with pytest.raises(RecordingError, match=rf"this process \({os.getpid()}\) writes it"):
             RecordingWriter(path, RecordingOptions(min_free=0, existing=existing))
         code = (
             "import sys; from aiorts_log import *\n"
