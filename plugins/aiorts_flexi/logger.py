@@ -20,7 +20,7 @@ from aiorts.errors import ConfigurationError
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
 from aiorts_flexi.recording import Recording
-from aiorts_flexi.replaying import Replaying
+from aiorts_flexi.replaying import REPLAY_OPTIONS, Playback, Replaying
 
 __all__ = ("BasicOperations", "FlexiLogger", "Role")
 
@@ -101,7 +101,24 @@ class FlexiLogger(FlexiComponent):
     min_free: float | None = Param(
         None, type=float | None, ge=0.0, le=1e12, unit="MB", doc="record: what stays free; None is 1 GiB, or 5 %"
     )
-    # What replay alone has stands here.
+    # What replay alone has.
+    speed: float | None = Param(
+        1.0, type=float | None, ge=0.1, le=1000.0, doc="replay: times as fast; None is as fast as the readers take it"
+    )
+    rate: float | None = Param(
+        None, type=float | None, gt=0.0, le=1e6, unit="Hz", doc="replay: samples in a second, whatever their times are"
+    )
+    absolute = Param(False, doc="replay: time stamps as recorded; without, the first is the time now, and so on")
+    begin = Param("", doc="replay: from there: +SECONDS after the first sample, or seconds since 1970")
+    end = Param("", doc="replay: up to there, without it; as begin")
+    loop = Param(1, ge=0, doc="replay: how often; 0 is without end")
+    max_gap = Param(3600.0, gt=0.0, le=1e12, unit="s", doc="replay: of a gap in the recording no more is waited for")
+    only: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: names of the ports to replay; () is all")
+    skip: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: names of the ports that are left out")
+    remap: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: OLD=NEW, other names for ports")
+    position = Param("", doc="replay: play from there, also while it runs; as begin")
+    step = Param(0, ge=0, doc="replay: raised by N, the next N samples are sent although it is paused")
+    strict = Param(False, doc="replay: a damaged or unfinished recording is an error")
 
     interface: ClassVar[str] = "in: `input0`, `input1`, ..., or `names`; with -o out: the ports of the file"
     options: ClassVar[tuple[Option, ...]] = (
@@ -125,14 +142,15 @@ class FlexiLogger(FlexiComponent):
         Option(("--rotate-size",), "rotate_size", "number", "record: MB after which the next file is begun"),
         Option(("--rotate-time",), "rotate_time", "number", "record: seconds after which it is"),
         Option(("--min-free",), "min_free", "number", "record: MB of the disk that stay free (default 1 GiB, or 5 %)"),
-        # What replay alone has stands here.
+        *REPLAY_OPTIONS,
         TYPE_MODULES,
         VERBOSITY,
     )
 
     def __init__(self, name: str = "") -> None:
         super().__init__(name)
-        self._roles: Final[dict[str, Role]] = {"record": Recording(self), "replay": Replaying(self)}
+        self._replaying: Final = Replaying(self)
+        self._roles: Final[dict[str, Role]] = {"record": Recording(self), "replay": self._replaying}
 
     @property
     def role(self) -> Role:
@@ -150,15 +168,19 @@ class FlexiLogger(FlexiComponent):
         return self.taking(self._roles[values["mode"]].check_configuration(values))
 
     def on_initialize(self) -> None:
-        if self.use_control:
-            self.add_port("Control", Provided[BasicOperations](instance="BasicOperations"))
+        self._add_services()
         self.role.initialized()
         super().on_initialize()
 
     def make_ports(self) -> None:
         super().make_ports()
+        self._add_services()
+
+    def _add_services(self) -> None:
         if self.use_control:
             self.add_port("Control", Provided[BasicOperations](instance="BasicOperations"))
+            if self.mode == "replay":
+                self.add_port("Playback", Provided[Playback](self._replaying, instance="Playback"))
 
     def on_activated(self) -> None:
         self.role.activated()
