@@ -90,6 +90,9 @@ class Player:
         self._task: asyncio.Task[Any] | None = None
         self._sleeping = self._nudged = False
         self._changed = asyncio.Event()
+        self._fresh: set[Any] = set()
+        """Who was sent something since the loop had its last turn."""
+        self._before: Any = None
         if playing.paused:
             self._schedule.pause(clock.monotonic_ns())
 
@@ -184,6 +187,7 @@ class Player:
         """Hand over each when it is due, or all until somebody asks for another position."""
         schedule, send, monotonic_ns = self._schedule, self._send, self._clock.monotonic_ns
         adjusted, now = not self._absolute, monotonic_ns()
+        fresh, before = self._fresh, self._before
         for target, log_time, record, stamped in samples:
             if self._target is not None:
                 return
@@ -193,13 +197,22 @@ class Player:
             if due is None or due > now:
                 await self._until_due()
                 now = monotonic_ns()
+                fresh.clear()
+            if target is not before and target in fresh:
+                # Who reads several ports in one go would find what was recorded before it behind it.
+                await asyncio.sleep(0)
+                fresh.clear()
             if self._target is not None:
                 return
             await send(target, self._stamped(record) if stamped and adjusted else record)
             self.sent += 1
             schedule.sent(now)
+            fresh.add(target)
+            before = target
             if not self.sent % _AT_ONCE:
                 await asyncio.sleep(0)
+                fresh.clear()
+        self._before = before
 
     async def _until_due(self) -> None:
         schedule = self._schedule

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import struct
 import sys
 import threading
 from pathlib import Path
@@ -18,7 +17,7 @@ from aiorts.types import TimedDouble, TimedLong, TimedOctetSeq
 from aiorts_log import DamagedError, RecordingError, RecordingReader
 from aiorts_log.read_ahead import ReadAhead, Reading
 from aiorts_log.schedule import Pace
-from play_parts import BEGIN, MS, Played, S, recorded, steady
+from play_parts import BEGIN, MS, Played, S, foreign, recorded, steady
 
 
 @simulated
@@ -301,7 +300,7 @@ class TestTimesThatAreNone:
     ) -> None:
         hour = 3600 * S
         times = [BEGIN + i * S - (hour if i >= 50 else 0) for i in range(100)]
-        set_back(tmp_path / "a.mcap", times)
+        foreign(tmp_path / "a.mcap", times)
         async with Kernel() as kernel:
             played = Played(kernel, tmp_path / "a.mcap")
             await played.player.play()
@@ -316,34 +315,13 @@ class TestTimesThatAreNone:
         self, tmp_path: Path
     ) -> None:
         times = [BEGIN + i * S for i in (0, 2, 1, 3, 5, 4)]
-        set_back(tmp_path / "a.mcap", times, numbered=False)
+        foreign(tmp_path / "a.mcap", times, numbered=False)
         async with Kernel() as kernel:
             played = Played(kernel, tmp_path / "a.mcap")
             await played.player.play()
         assert played.values == [0, 2, 1, 3, 5, 4]
         assert played.moments == [i * S for i in range(6)]
         assert played.told == []
-
-
-def set_back(path: Path, times: list[int], *, numbered: bool = True) -> None:
-    """A recording as somebody else's writer makes it: log times as the clock has them, chunk after chunk."""
-    from aiorts_log.chunks import ChunkBuilder
-    from aiorts_log.form import DATA_END, HEADER, MAGIC, Channel, record, text
-    from aiorts_log.forms import encoder, schema_of
-
-    encode = encoder("msgpack")
-    octets = MAGIC + record(HEADER, text(""), text("somebody"))
-    for first in range(0, len(times), 20):
-        builder = ChunkBuilder()
-        builder.define(schema_of(1, TimedLong, "msgpack"))
-        builder.define(Channel(1, 1, "a", "msgpack", {}))
-        part = times[first : first + 20]
-        for number, time in enumerate(part, start=first):
-            builder.add(1, number if numbered else 0, time, time, encode(TimedLong(0, number)))
-        builder.start, builder.end = min(part), max(part)
-        parts, _ = builder.take(len(octets))
-        octets += b"".join(parts)
-    path.write_bytes(octets + record(DATA_END, struct.pack("<I", 0)))
 
 
 class TestDamage:
