@@ -74,7 +74,9 @@ def foreign(path: Path, times: list[int], *, numbered: bool = True, type_name: s
 class Played:
     """A player, and what it has sent: the moment of the clock, the port, the record."""
 
-    def __init__(self, kernel: Kernel, path: Path, pace: Pace | None = None, **how: Any) -> None:
+    def __init__(
+        self, kernel: Kernel, path: Path, pace: Pace | None = None, *, opened: Any = open_recording, **how: Any
+    ) -> None:
         self.samples: list[tuple[int, str, Any]] = []
         self.told: list[str] = []
         self._clock: Clock = kernel.clock
@@ -82,7 +84,7 @@ class Played:
             types = {name: (name, port.type) for name, port in reader.ports.items()}
         chosen = {name: how.pop(name, None) for name in ("start", "end")}
         self.player = Player(
-            Reading(lambda: open_recording(path), types, **chosen),
+            Reading(lambda: opened(path), types, **chosen),
             Playing(pace=pace or Pace(), **how),
             clock=kernel.clock,
             sleep=kernel.sleep,

@@ -6,6 +6,7 @@ import asyncio
 import os
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -389,6 +390,46 @@ class TestOnARealClock:
             await played.player.play()
         assert played.moments[-1] >= 1980 * MS - 50 * 20 * MS  # in time of the clock; 40 ms of real time
         assert played.values == list(range(100))
+
+    @pytest.mark.anyio
+    async def test_who_asks_for_something_does_not_wait_for_the_next_sample(self, tmp_path: Path) -> None:
+        recorded(tmp_path / "a.mcap", [("a", BEGIN + i * 1000 * S, TimedLong(0, i)) for i in range(4)])
+        async with Kernel() as kernel:
+            played = Played(kernel, tmp_path / "a.mcap")
+            task = asyncio.ensure_future(played.player.play())
+            await _until(lambda: played.values == [0])
+            played.player.seek(BEGIN + 2000 * S)
+            played.player.change(Pace(500.0))
+            played.player.pause()
+            await _until(lambda: played.player.paused)
+            played.player.step(1)
+            await _until(lambda: played.values == [0, 2])
+            played.player.change(Pace(float("inf")))
+            played.player.resume()
+            await asyncio.wait_for(task, 5.0)
+        assert played.values == [0, 2, 3]
+
+    @pytest.mark.anyio
+    async def test_a_slow_disk_keeps_neither_the_loop_nor_who_ends_it(self, tmp_path: Path) -> None:
+        class Slow(RecordingReader):
+            def samples(self, **chosen: Any) -> Any:
+                for sample in super().samples(**chosen):
+                    if sample.sequence % 100 == 50:
+                        time.sleep(0.3)
+                    yield sample
+
+        recorded(tmp_path / "a.mcap", [("a", BEGIN + i, TimedLong(0, i)) for i in range(1000)])
+        async with Kernel() as kernel:
+            played = Played(kernel, tmp_path / "a.mcap", opened=Slow)
+            task = asyncio.ensure_future(played.player.play())
+            longest, before = 0.0, time.monotonic()
+            while len(played.samples) < 256:
+                await asyncio.sleep(0.001)
+                longest, before = max(longest, time.monotonic() - before), time.monotonic()
+            assert longest < 0.25
+            task.cancel()
+            await asyncio.wait([task])
+            assert time.monotonic() - before < 1.5  # it had three more of its waits in front of it
 
     @pytest.mark.anyio
     async def test_large_samples_are_read_one_block_ahead_and_not_all(self, tmp_path: Path) -> None:
