@@ -43,6 +43,9 @@ class Replaying:
     def deactivated(self) -> None:
         raise NotImplementedError
 
+    async def wait_closed(self) -> None:
+        """Nothing was begun."""
+
     async def finalized(self) -> None:
         """Nothing was begun."""
 
