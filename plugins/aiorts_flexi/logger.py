@@ -28,17 +28,17 @@ __all__ = ("BasicOperations", "FlexiLogger", "Role")
 class BasicOperations(Protocol):
     """Starts and stops what a logger does, while it is active."""
 
-    def start(self) -> bool:
+    async def start(self) -> bool:
         """Go on from now; returns whether it stood still."""
         ...
 
-    def stop(self) -> bool:
+    async def stop(self) -> bool:
         """Stand still from now on; returns whether it did not."""
         ...
 
 
-class Role(BasicOperations, Protocol):
-    """What a FlexiLogger does in one of its modes. All but `finalized` never wait: they are plain hooks in any context.
+class Role(Protocol):
+    """What a FlexiLogger does in one of its modes. Plain ones never wait: they are hooks in any context.
 
     In a thread's context all but `initialized` and `finalized` are called in that thread, else on the loop.
     """
@@ -67,8 +67,20 @@ class Role(BasicOperations, Protocol):
         """On the way out of active, also through a failure."""
         ...
 
+    def start(self) -> bool:
+        """`BasicOperations.start`, between two cycles."""
+        ...
+
+    def stop(self) -> bool:
+        """`BasicOperations.stop`, between two cycles."""
+        ...
+
+    async def wait_closed(self) -> None:
+        """Wait until what it had open when it was deactivated is closed."""
+        ...
+
     async def finalized(self) -> None:
-        """The component goes: wait until all is closed."""
+        """The component goes: see to it that all is closed."""
         ...
 
 
@@ -193,6 +205,10 @@ class FlexiLogger(FlexiComponent):
 
     async def on_finalize(self) -> None:
         await self.role.finalized()
+
+    async def wait_closed(self) -> None:
+        """Wait until the file of a recorder that was deactivated is complete: that goes on while others run."""
+        await self.role.wait_closed()
 
     def start(self) -> bool:
         """Record, or replay, from now on; returns whether it stood still."""

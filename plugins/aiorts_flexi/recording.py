@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -38,6 +38,8 @@ _SOON: Final = 0.005
 _LATE: Final = 0.5
 """Seconds after which a failure to close is told, if it was not the component's end that asked for it."""
 _MB: Final = 1_000_000
+_MISSED: Final = ("overwritten", "rejected", "timeout", "lost")
+"""Why a connector dropped what its user wanted to have."""
 
 
 class Recording:
@@ -59,6 +61,7 @@ class Recording:
         self._enabled = True
         self._paused = False
         self._base = self._last = 0
+        self._lost_before: Counter[tuple[str, str]] = Counter()
         self._closed = asyncio.Event()
         self._closing = self._is_told = True
 
@@ -128,6 +131,7 @@ class Recording:
             path,
             options,
             metadata=about(logger, self._segment),
+            attachments={"system.toml": logger.kernel.origin.encode()} if logger.kernel.origin else None,
             tell=self._teller(self._segment),
             after=self._session,
             make=self.make_text_writer if logger.text else self.make_writer,
@@ -135,6 +139,7 @@ class Recording:
         self._own = path
         self._base = max(logger.clock.time_ns(), self._last) - logger.clock.monotonic_ns()
         self._number_ports(session)
+        self._lost_before = self._lost()
         if logger.verbosity >= 2:
             logger.log.info("records into %s, segment %d", path, self._segment)
         try:
@@ -154,11 +159,22 @@ class Recording:
         if session is None:
             return
         self._closing = True
-        session.close(tuple(self._backlog))
+        lost = self._lost() - self._lost_before
+        session.close(tuple(self._backlog), {"dropped_before": _by_connector(lost)} if lost else None)
         self._backlog.clear()
+        self._tell_lost(lost)
         self._inputs = {}
         if self._may_block:
             session.wait_closed()
+
+    async def wait_closed(self) -> None:
+        session = self._session
+        if session is None:
+            return
+        if self._is_simulated:
+            session.wait_closed()  # no time passes meanwhile
+        elif not session.is_closed:
+            await self._closed.wait()
 
     async def finalized(self) -> None:
         session = self._session
@@ -166,10 +182,12 @@ class Recording:
             return
         self._closing = True
         session.close()
-        if self._is_simulated:
-            session.wait_closed()  # no time passes meanwhile
-        elif not session.is_closed:
-            await self._closed.wait()
+        try:
+            await self.wait_closed()
+        except asyncio.CancelledError:
+            why = "was not closed in time; what is in it is whole, what still waited is lost"
+            self._logger.log.error("%s", f"{session.path}: {why}")
+            raise
         if session.failure is not None and not self._is_told:
             self._is_told = True
             raise session.failure
@@ -256,6 +274,22 @@ class Recording:
         if count and self._logger.verbosity >= 3:
             self._logger.log.info("%s: %d samples", name, count)
 
+    def _lost(self) -> Counter[tuple[str, str]]:
+        """What the connectors of the in-ports have dropped until now, by connector and reason."""
+        found: Counter[tuple[str, str]] = Counter()
+        for port, _ in self._inputs.values():
+            for connector in port.connectors:
+                found.update({(connector.name, why): n for why, n in connector.statistics.dropped.items() if n})
+        return found
+
+    def _tell_lost(self, lost: Counter[tuple[str, str]]) -> None:
+        missed = {name: n for (name, why), n in lost.items() if why in _MISSED}
+        if missed:
+            names = ", ".join(f"{count} of {name}" for name, count in missed.items())
+            self._logger.log.warning(
+                "%s", f"samples did not get here: {names}; connect with a longer buffer (length) or full = block"
+            )
+
     def _number_ports(self, session: BackgroundRecording) -> None:
         """Give each in-port that there is now its number in the recording."""
         numbers: dict[str, tuple[InPort[Any], int]] = {}
@@ -297,6 +331,13 @@ class Recording:
         if segment == self._segment and not self._is_told and session is not None and session.failure is not None:
             self._is_told = True
             self._logger.log.error("%s", session.failure)
+
+
+def _by_connector(lost: Counter[tuple[str, str]]) -> dict[str, dict[str, int]]:
+    found: dict[str, dict[str, int]] = {}
+    for (name, why), count in lost.items():
+        found.setdefault(name, {})[why] = count
+    return found
 
 
 def options_of(values: Mapping[str, Any]) -> RecordingOptions:

@@ -235,6 +235,9 @@ class Replaying:
             self._left.add(task)
             task.add_done_callback(self._left.discard)
 
+    async def wait_closed(self) -> None:
+        """Nothing was begun."""
+
     async def finalized(self) -> None:
         if self._left:
             await asyncio.wait(self._left)

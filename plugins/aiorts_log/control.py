@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,6 @@ from time import sleep
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from aiorts_log.errors import RecordingError
-from aiorts_log.file import part_path
 from aiorts_log.options import RecordingOptions, RecordingStatistics
 from aiorts_log.writer import RecordingWriter
 
@@ -73,14 +72,16 @@ class BackgroundRecording:
         self._after = after
         self._ports: list[tuple[str, type, Mapping[str, str]]] = []
         self._early: deque[Offered] = deque()
-        self._early_dropped = 0
+        self._early_dropped: Counter[int] = Counter()
         self._lock = threading.Lock()
         self._writer: RecordingWriter | None = None
         self.failure: RecordingError | None = None
         self._order = threading.Event()
         self._rest: Iterable[Offered] = ()
+        self._remarks: Mapping[str, Any] = {}
         self._opened, self._closed = threading.Event(), threading.Event()
         self._told_drops = False
+        self._told_displaced: Path | None = None
         self._thread = threading.Thread(target=self._work, name=f"recorder {self.path.name}", daemon=True)
         self._thread.start()
 
@@ -102,7 +103,7 @@ class BackgroundRecording:
                     if len(self._early) < self.options.queue and not self._closed.is_set():
                         self._early.append((port, record, log_time))
                     else:
-                        self._early_dropped += 1
+                        self._early_dropped[port] += 1
                     return
         writer.write(port, record, log_time)
 
@@ -117,8 +118,10 @@ class BackgroundRecording:
         """What became of the samples up to now."""
         writer = self._writer
         if writer is None:
-            dropped = self._early_dropped
-            return RecordingStatistics(len(self._early) + dropped, dropped={"": dropped} if dropped else {}, files=0)
+            dropped: Counter[str] = Counter()
+            for port, count in list(self._early_dropped.items()):
+                dropped[self._ports[port][0]] += count
+            return RecordingStatistics(len(self._early) + dropped.total(), dropped=dropped, files=0)
         return writer.statistics
 
     @property
@@ -138,10 +141,15 @@ class BackgroundRecording:
         if (writer := self._writer) is not None:
             writer.flush()
 
-    def close(self, rest: Iterable[Offered] = ()) -> None:
-        """Ask for the end and do not wait for it; `rest` is still to be recorded, and written by the thread."""
+    def close(self, rest: Iterable[Offered] = (), remarks: Mapping[str, Any] | None = None) -> None:
+        """Ask for the end and do not wait for it.
+
+        Args:
+            rest: what is still to be recorded, by the thread, which waits for room.
+            remarks: what else is to be said at the end of the recording.
+        """
         if not self._order.is_set():
-            self._rest = rest
+            self._rest, self._remarks = rest, remarks or {}
             self._order.set()
 
     def wait_closed(self, seconds: float | None = None) -> bool:
@@ -176,12 +184,14 @@ class BackgroundRecording:
         known = 0
         while True:
             with self._lock:
-                for port in self._ports[known:]:
-                    writer.add_port(*port)
+                for declared in self._ports[known:]:
+                    writer.add_port(*declared)
                 known = len(self._ports)
                 for _ in range(min(_AT_ONCE, len(self._early))):
                     writer.write(*self._early.popleft())
                 if not self._early:
+                    for port, count in self._early_dropped.items():
+                        writer.drop(port, count)
                     self._writer = writer
                     break
         self._opened.set()
@@ -189,21 +199,23 @@ class BackgroundRecording:
         return writer
 
     def _look_after(self, writer: RecordingWriter) -> None:
-        watched = _Watched(self.path)
         while not self._order.wait(_LOOK) and writer.failure is None:
-            self._look(writer, watched)
+            self._look(writer)
         for offered in self._rest:
             while writer.load > 0.9 and writer.failure is None:
                 sleep(_PAUSE)
             writer.write(*offered)
+        writer.remarks.update(self._remarks)
         writer.close()
         self._tell_drops(writer.statistics)
         self.failure = writer.failure
 
-    def _look(self, writer: RecordingWriter, watched: _Watched) -> None:
-        found = writer.statistics
-        self._tell_drops(found)
-        if text := watched.look(found.files):
+    def _look(self, writer: RecordingWriter) -> None:
+        self._tell_drops(writer.statistics)
+        path, what = writer.displaced
+        if what and path != self._told_displaced:
+            self._told_displaced = path
+            text = f"{path}: was {what} while it is recorded; what comes goes where it was moved to, or is lost"
             self._tell(Notice("gone", text))
 
     def _tell_drops(self, found: RecordingStatistics) -> None:
@@ -211,32 +223,3 @@ class BackgroundRecording:
             self._told_drops = True
             ports = ", ".join(f"{count} of {name}" for name, count in found.dropped.items())
             self._tell(Notice("dropped", f"{self.path}: samples are dropped, {ports} so far; the disk is too slow"))
-
-
-class _Watched:
-    """Whether a file still has its name, looked at now and then."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._files = 1
-        self._identity = _identity(path)
-
-    def look(self, files: int) -> str:
-        """What is to be told, once for each file; `files` there are by now."""
-        path = part_path(self._path, files - 1)
-        if files != self._files:
-            self._files, self._identity = files, _identity(path)
-            return ""
-        if self._identity is None or (found := _identity(path)) == self._identity:
-            return ""
-        self._identity = None
-        what = "deleted or renamed" if found is None else "replaced by another file"
-        return f"{path}: was {what} while it is recorded; what is recorded goes where it was moved to, or is lost"
-
-
-def _identity(path: Path) -> tuple[int, int] | None:
-    try:
-        found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino

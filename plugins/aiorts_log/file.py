@@ -138,6 +138,18 @@ class LogFile:
         """The open file, to read what is there already."""
         return self._file
 
+    @property
+    def displaced(self) -> str:
+        """What became of its name: "deleted or renamed", "replaced by another file"; "" as long as it has it."""
+        try:
+            ours = os.fstat(self._file)
+            named = os.lstat(self.path)
+        except FileNotFoundError:
+            return "deleted or renamed"
+        except OSError:  # closed meanwhile, or the folder tells nothing
+            return ""
+        return "" if os.path.samestat(ours, named) else "replaced by another file"
+
     def append(self, parts: Sequence[bytes]) -> int:
         """Write all of it behind what is there; returns how many octets that were.
 

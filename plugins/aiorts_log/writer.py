@@ -168,6 +168,11 @@ class RecordingWriter:
             self._wake.set()
         return True
 
+    def drop(self, port: int, count: int) -> None:
+        """Count samples as dropped that were lost before they came here."""
+        self._ports[port].offered += count
+        self._ports[port].dropped += count
+
     def flush(self, timeout: float | None = None) -> bool:
         """Wait until all that was given is in the file (and on the disk, unless `sync="never"`); blocks the thread.
 
@@ -197,6 +202,11 @@ class RecordingWriter:
         """How full the queue is, from 0 to 1."""
         octets = self._put_octets - self._taken_octets
         return max(len(self._queue) / self.options.queue, octets / self.options.queue_octets)
+
+    @property
+    def displaced(self) -> tuple[Path, str]:
+        """The file that is written now, and what became of its name ("deleted or renamed"); "" when nothing did."""
+        return self._file.path, self._file.displaced
 
     @property
     def statistics(self) -> RecordingStatistics:
