@@ -49,23 +49,23 @@ REPLAY_OPTIONS: Final = (
 class Playback(Protocol):
     """Moves a replay about while it is active."""
 
-    def pause(self) -> bool:
+    async def pause(self) -> bool:
         """Stand still from now on; returns whether it did not."""
         ...
 
-    def resume(self) -> bool:
+    async def resume(self) -> bool:
         """Go on from where it stands; returns whether it stood still."""
         ...
 
-    def step(self, count: int) -> bool:
+    async def step(self, count: int) -> bool:
         """Send the next `count` samples while it stands still; returns whether it does."""
         ...
 
-    def seek(self, seconds: float) -> float:
+    async def seek(self, seconds: float) -> float:
         """Play from there, so many seconds after the first sample of the recording; returns where that is."""
         ...
 
-    def position(self) -> float:
+    async def position(self) -> float:
         """Seconds after the first sample of the recording that are played now."""
         ...
 
@@ -236,11 +236,11 @@ class Replaying:
             task.add_done_callback(self._left.discard)
 
     async def wait_closed(self) -> None:
-        """Nothing was begun."""
-
-    async def finalized(self) -> None:
         if self._left:
             await asyncio.wait(self._left)
+
+    async def finalized(self) -> None:
+        await self.wait_closed()
 
     async def _play(self, player: Player, plan: Plan) -> None:
         try:

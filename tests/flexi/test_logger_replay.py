@@ -440,30 +440,30 @@ class TestWhileItRuns:
 
             await kernel.sleep(1.0)
             assert got() == []  # as in the original, it waits to be started
-            assert control.start() is True
-            assert control.start() is False
+            assert await control.start() is True
+            assert await control.start() is False
             await kernel.sleep(0.095)
-            assert control.stop() is True
-            assert control.stop() is False
+            assert await control.stop() is True
+            assert await control.stop() is False
             await kernel.sleep(10.0)
             assert got() == [*range(10)]
-            assert playback.position() == 0.095
-            assert playback.step(2) is True
-            assert playback.seek(5.0) == 5.0
-            assert playback.step(1) is True
+            assert await playback.position() == 0.095
+            assert await playback.step(2) is True
+            assert await playback.seek(5.0) == 5.0
+            assert await playback.step(1) is True
             await kernel.sleep(1.0)
             assert got() == [500, 501, 502]
-            assert playback.resume() is True
+            assert await playback.resume() is True
             await kernel.sleep(0.015)
-            assert playback.pause() is True
-            assert playback.step(1) is True
+            assert await playback.pause() is True
+            assert await playback.step(1) is True
             await kernel.sleep(1.0)
             assert got() == [503, 504]
-            for wrong in (lambda: playback.seek(-1.0), lambda: playback.seek(float("nan")), lambda: playback.step(0)):
+            for wrong in (playback.seek(-1.0), playback.seek(float("nan")), playback.step(0)):
                 with pytest.raises(Exception, match="expected"):
-                    wrong()
-            playback.seek(9.99)
-            control.start()
+                    await wrong
+            await playback.seek(9.99)
+            await control.start()
             await kernel.sleep(1.0)
             assert got() == [999]
             assert logger.has_finished
