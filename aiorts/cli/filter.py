@@ -88,16 +88,23 @@ def _from_table(table: Iterable[Any]) -> list[click.Option]:
     return [
         click.Option(
             [*option.flags, f"option{number}"],
-            # None, not False: with False click takes a value that begins with "-" for the next option.
-            is_flag=True if option.kind == "flag" else None,
             multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
             required=option.required,
             help=option.help,
             shell_complete=completer_of(option.flags),
             metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
+            **_without_value(option),
         )
         for number, option in enumerate(table)
     ]
+
+
+def _without_value(option: Any) -> dict[str, Any]:
+    """For click: whether an option has a value, or may have one."""
+    if bare := getattr(option, "bare", ""):
+        return {"is_flag": False, "flag_value": bare}
+    # None, not False: with False click takes a value that begins with "-" for the next option.
+    return {"is_flag": True if option.kind == "flag" else None}
 
 
 def _from_parameters(cls: type[Component]) -> list[click.Option]:
@@ -159,7 +166,9 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         return 2
     filter_ = _Filter(cls, params, common.get("count"), Ends(common.get("codec")))
     debug = common["debug"]
-    options = checked(Options(common["loop"], common.get("duration"), verbose=debug, debug=debug, tell_drops=True))
+    options = checked(
+        Options(common.get("loop", "auto"), common.get("duration"), verbose=debug, debug=debug, tell_drops=True)
+    )
     stopper = Stopper()
     with stopper.signals():
         return execute(filter_.make, 1, options, stopper) or filter_.status

@@ -121,7 +121,12 @@ def _parsed(
     """The parameters that the options set, and the flags that have to be given and were not."""
     if rows:
         options = [
-            click.Option([*row.flags, f"option{number}"], is_flag=row.kind == "flag", multiple=row.kind == "repeat")
+            click.Option(
+                [*row.flags, f"option{number}"],
+                is_flag=row.kind == "flag",
+                multiple=row.kind == "repeat",
+                **({"flag_value": row.bare} if getattr(row, "bare", "") else {}),
+            )
             for number, row in enumerate(rows)
         ]
     else:

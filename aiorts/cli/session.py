@@ -136,8 +136,11 @@ async def _session(run: _Run) -> int:
     kernel = Kernel(clock=clock, debug=options.debug, contain_interrupts=True, plugins=run.catalogue)
     status = 0
     left: list[HookFailed] = []
+    unfinished: list[HookFailed] = []
 
     def note(event: HookFailed) -> None:
+        if event.hook == "on_finalize":
+            unfinished.append(event)  # what it was to do in the end was not done
         if isinstance(event.error, HookAbandoned):
             left.append(event)
 
@@ -174,7 +177,7 @@ async def _session(run: _Run) -> int:
             status = 3
         stopper.watch(status or kernel.exit_status)
     _tell_failed(failed, run)
-    status = kernel.exit_status or status or int(stopper.output_failed)
+    status = kernel.exit_status or status or int(stopper.output_failed or bool(unfinished))
     status = status if stopper.status is None else stopper.status
     if left:
         stopper.end_now(status)

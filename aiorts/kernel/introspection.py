@@ -31,6 +31,8 @@ class Introspection:
     """When the kernel was opened, on its clock's monotonic time."""
     _ended = False
     """Whether everything was given up."""
+    origin = ""
+    """The text of the system file that it was built from; "" without one."""
 
     def profile(self) -> SystemProfile:
         """The whole system at this moment, as frozen values; `to_json()` makes one document of it.

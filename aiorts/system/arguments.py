@@ -1,8 +1,9 @@
 """A component's command-line options as parameters: on a command line and under `options` in a system file alike.
 
 A class says in a table `options` which flags it has; each entry has the attributes `flags`, `param`, `kind` ("text",
-"number", "repeat" or "flag"), `value`, `action` and `required`. A class without a table has one option for each
-parameter: `--rate-limit` sets `rate_limit`.
+"number", "repeat" or "flag"), `value`, `action` and `required`, and may have `words`, values that words stand for, and
+`bare`, the value where none is given. A class without a table has one option for each parameter: `--rate-limit` sets
+`rate_limit`.
 """
 
 from __future__ import annotations
@@ -41,6 +42,9 @@ def parse_options(cls: type[Any], arguments: Sequence[str]) -> dict[str, Any]:
                 raise ConfigurationError(f"{flag}: takes no value, got {value[:60]!r}; take the value away")
             given[number] = True
             continue
+        bare = getattr(option, "bare", "")
+        if value is None and bare and (not rest or rest[-1].startswith("-")):
+            value = bare
         if value is None:
             if not rest:
                 raise ConfigurationError(f"{flag}: its value is missing; write {flag} VALUE")
@@ -61,7 +65,8 @@ def option_params(table: Iterable[Any], given: Mapping[int, Any]) -> dict[str, A
         value = given.get(number)
         if value is None or value is False or value == () or not option.param:
             continue
-        params[option.param] = option.value if option.kind == "flag" else value
+        words = getattr(option, "words", {}) if isinstance(value, str) else {}
+        params[option.param] = option.value if option.kind == "flag" else words.get(value, value)
     return params
 
 

@@ -96,6 +96,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     folders = (*kernel.plugins.folders, *plan.catalogue.folders)
     kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
     system = plan.system
+    kernel.origin = system.text
     for name in system.components:
         try:
             await _create(kernel, plan, name)

@@ -14,12 +14,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from aiorts import InPort, Param
-from aiorts.errors import ConfigurationError, InvalidNameError, RecordError, WiringError
+from aiorts.errors import ConfigurationError, InvalidNameError, RecordError
 from aiorts.system import LineStream
 from aiorts.types import has_tm, path_type, type_name
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.options import TYPE_MODULES, Option
-from aiorts_flexi.ports import parse_type
+from aiorts_flexi.ports import named_types
 from aiorts_flexi.text import FORMATS, full_path, line_of, news_of
 
 __all__ = ("FlexiDump",)
@@ -65,20 +65,8 @@ class FlexiDump(FlexiComponent):
         self._hidden = 0
 
     def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any]]:
-        inputs, given = values["inputs"], values["names"]
-        if not inputs:
-            raise ConfigurationError(f"{self.name}.inputs: expected the type of at least one in-port")
-        if len(given) > len(inputs):
-            raise ConfigurationError(
-                f"{self.name}: {len(given)} names for {len(inputs)} in-ports; give at most one for each"
-            )
-        ports: dict[str, InPort[Any]] = {}
-        for number, text in enumerate(inputs):
-            name = (given[number] if number < len(given) else "") or f"input{number}"
-            if name in ports:
-                raise WiringError(f"{self.name}.{name}: there is a port of that name already")
-            ports[name] = self._input(name, parse_type(text, f"input{number}"), values["fields"])
-        return ports
+        named = named_types(self.name, values["inputs"], values["names"])
+        return {name: self._input(name, cls, values["fields"]) for name, cls in named.items()}
 
     def _input(self, name: str, cls: type[Any], fields: Sequence[str]) -> InPort[Any]:
         for path in fields:

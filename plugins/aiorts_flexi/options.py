@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 __all__ = ("KINDS", "TYPE_MODULES", "VERBOSITY", "Option")
@@ -25,6 +26,8 @@ class Option:
     required: whether the component is nothing without it.
     action: for a flag without parameter: a class method of the component that takes the parameters by name and gives
         the text to print; nothing is run then.
+    bare: what it stands for without a value; "" is that it has to have one.
+    words: words that stand for a value of the parameter, which has no text for it.
     """
 
     flags: tuple[str, ...]
@@ -34,6 +37,8 @@ class Option:
     value: object = True
     required: bool = False
     action: str = ""
+    bare: str = ""
+    words: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS or not self.flags:

@@ -7,14 +7,24 @@ is looked for below its field `data`, so `position.x` is a pin of TimedPose2D.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from aiorts.errors import ConfigurationError, RecordError, UnknownTypeError
+from aiorts.errors import ConfigurationError, RecordError, UnknownTypeError, WiringError
 from aiorts.types import describe, find_type, path_type
 from aiorts_flexi.place import TypedTextError
 
-__all__ = ("MOST_PINS", "MOST_PORTS", "PortSpec", "is_scalar", "parse_counted", "parse_port", "parse_type")
+__all__ = (
+    "MOST_PINS",
+    "MOST_PORTS",
+    "PortSpec",
+    "is_scalar",
+    "named_types",
+    "parse_counted",
+    "parse_port",
+    "parse_type",
+)
 
 MOST_PINS: Final = 1_000_000
 MOST_PORTS: Final = 1_000
@@ -122,6 +132,26 @@ def parse_type(text: str, name: str, whole: str = "") -> type:
     if cls not in _PLAIN and not hasattr(cls, "__dataclass_fields__"):
         raise TypedTextError(name, whole, place, f"{cls.__name__} cannot be a port's type; a record can", found=False)
     return cls
+
+
+def named_types(owner: str, inputs: Sequence[str], names: Sequence[str]) -> dict[str, type]:
+    """The types of the in-ports of a component by the names of these: those given, else input0, input1, ...
+
+    Raises:
+        ConfigurationError: there is no type, or there are too many names. WiringError: a name stands there twice.
+        TypedTextError: there is no such type.
+    """
+    if not inputs:
+        raise ConfigurationError(f"{owner}.inputs: expected the type of at least one in-port")
+    if len(names) > len(inputs):
+        raise ConfigurationError(f"{owner}: {len(names)} names for {len(inputs)} in-ports; give at most one for each")
+    found: dict[str, type] = {}
+    for number, text in enumerate(inputs):
+        name = (names[number] if number < len(names) else "") or f"input{number}"
+        if name in found:
+            raise WiringError(f"{owner}.{name}: there is a port of that name already")
+        found[name] = parse_type(text, f"input{number}")
+    return found
 
 
 def is_scalar(kind: str) -> bool:

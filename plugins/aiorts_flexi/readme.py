@@ -12,6 +12,7 @@ from aiorts_flexi.const import FlexiConst
 from aiorts_flexi.dump import FlexiDump
 from aiorts_flexi.dupe import FlexiDupe
 from aiorts_flexi.filter import FlexiFilter
+from aiorts_flexi.logger import FlexiLogger
 from aiorts_flexi.select import FlexiSelect
 
 __all__ = ("COMPONENTS", "TARGET", "render")
@@ -23,6 +24,7 @@ COMPONENTS: Final[tuple[type[FlexiComponent], ...]] = (
     FlexiFilter,
     FlexiSelect,
     FlexiAdd,
+    FlexiLogger,
 )
 TARGET: Final = Path(__file__).with_name("README.md")
 

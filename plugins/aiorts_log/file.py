@@ -19,7 +19,7 @@ try:
 except ImportError:  # not POSIX: the exclusive creation is what there is
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ("Existing", "LogFile", "least_free", "part_path")
+__all__ = ("Existing", "LogFile", "held_by", "least_free", "next_part", "part_path")
 
 Existing: TypeAlias = Literal["refuse", "append", "overwrite"]
 _MOST_PARTS: Final = 512
@@ -31,12 +31,60 @@ def part_path(path: Path, number: int) -> Path:
     return path if not number else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
+def next_part(path: Path, number: int, existing: Existing) -> int:
+    """The number of the file after that one; where a recording is continued, of one that is not there yet."""
+    number += 1
+    while existing == "append" and os.path.lexists(part_path(path, number)):
+        number += 1
+    return number
+
+
 def least_free(path: Path, asked: int | None) -> int:
     """Octets to leave free on the disk: what was asked for, or 1 GiB, or 5 % of a disk where that is less."""
     if asked is not None or not hasattr(os, "statvfs"):
         return asked or 0
     found = os.statvfs(path.parent)
     return min(GIB, found.f_blocks * found.f_frsize // 20)
+
+
+def held_by(path: Path) -> str:
+    """Who has a file for recording: "process 4242 (aiorts flexilogger ...)" as far as that is known; "" for nobody."""
+    if fcntl is None:
+        return ""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except OSError:
+        return ""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return _holder(os.fstat(file))
+    except OSError:
+        return ""
+    finally:
+        os.close(file)
+    return ""
+
+
+def _holder(file: os.stat_result) -> str:
+    """The process that has locked a file, of the system's list of locks; it may be of another container."""
+    wanted = f"{os.major(file.st_dev):02x}:{os.minor(file.st_dev):02x}:{file.st_ino}"
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text(encoding="ascii", errors="replace").splitlines():
+            parts = line.split()
+            if len(parts) > 5 and "->" not in parts and parts[1] == "FLOCK" and parts[5] == wanted:
+                return _process(parts[4])
+    return "another recorder"
+
+
+def _process(number: str) -> str:
+    if number == str(os.getpid()):
+        return f"this process ({number})"
+    with contextlib.suppress(OSError):
+        words = Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")
+        said = " ".join(ascii(word.decode(errors="replace"))[1:-1] for word in words[:8] if word)
+        return f"process {number} ({said[:120]})" if said else f"process {number}"
+    return f"process {number}"
 
 
 class LogFile:
@@ -82,12 +130,25 @@ class LogFile:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise RecordingError(f"{self.path}: another recorder writes it; name another file") from None
+            who = held_by(self.path) or "another recorder"
+            raise RecordingError(f"{self.path}: {who} writes it; name another file") from None
 
     @property
     def descriptor(self) -> int:
         """The open file, to read what is there already."""
         return self._file
+
+    @property
+    def displaced(self) -> str:
+        """What became of its name: "deleted or renamed", "replaced by another file"; "" as long as it has it."""
+        try:
+            ours = os.fstat(self._file)
+            named = os.lstat(self.path)
+        except FileNotFoundError:
+            return "deleted or renamed"
+        except OSError:  # closed meanwhile, or the folder tells nothing
+            return ""
+        return "" if os.path.samestat(ours, named) else "replaced by another file"
 
     def append(self, parts: Sequence[bytes]) -> int:
         """Write all of it behind what is there; returns how many octets that were.

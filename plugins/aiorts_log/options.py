@@ -27,6 +27,7 @@ class RecordingOptions:
         sync: when to wait for the disk: "never" (a crash of the process loses nothing more), after each "chunk", or
             after each "record", which is then on the disk before the next is taken.
         queue: samples that may wait for the thread; queue_octets: what they may hold.
+        part: number of the file to begin with, of a recording in several.
         max_octets: size after which the next file is begun; max_seconds: log time after which it is.
         min_free: octets of the disk that are to stay free; None is 1 GiB, or 5 % of a small disk.
 
@@ -41,6 +42,7 @@ class RecordingOptions:
     sync: Sync = "never"
     queue: int = 100_000
     queue_octets: int = 64 * _MIB
+    part: int = 0
     max_octets: int | None = None
     max_seconds: float | None = None
     min_free: int | None = None
@@ -58,6 +60,7 @@ class RecordingOptions:
             ("age", 0.001, 3600.0),
             ("queue", 1, 10_000_000),
             ("queue_octets", 1, 2**40),
+            ("part", 0, 1_000_000),
             ("max_octets", 4096, 2**62),
             ("max_seconds", 0.001, 1e9),
             ("min_free", 0, 2**62),

@@ -107,6 +107,11 @@ class OutFile:
         return self._file.size
 
     @property
+    def displaced(self) -> str:
+        """What became of its name, see `LogFile`."""
+        return self._file.displaced
+
+    @property
     def counts(self) -> Mapping[int, int]:
         """Samples in the file, by channel."""
         return self._summary.counts

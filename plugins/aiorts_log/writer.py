@@ -23,19 +23,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from time import monotonic, sleep
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 from aiorts.errors import AiortsError, RecordError
-from aiorts.types import check_port_type, has_tm, is_mutable, snapshot
+from aiorts.types import check_port_type, snapshot
 from aiorts_log.errors import RecordingError
-from aiorts_log.file import Existing, LogFile, part_path
+from aiorts_log.file import Existing, LogFile, next_part, part_path
 from aiorts_log.form import Attachment
 from aiorts_log.forms import encoder, name_of, schema_of
 from aiorts_log.info import GAP
 from aiorts_log.options import RecordingOptions, RecordingStatistics
 from aiorts_log.outfile import OutFile
 from aiorts_log.reader import END_NAME, METADATA_NAME
-from aiorts_log.weight import SMALL, weigher
+from aiorts_log.weight import SMALL
+from aiorts_log.written import WrittenPort
 
 __all__ = ("RecordingWriter",)
 
@@ -47,30 +48,6 @@ _HELD: Final = 0.002
 have it for 5 ms. Beside 150,000 samples a second, the p99 lateness of a loop at 100 Hz was 8.5 ms without."""
 _YIELD: Final = 1e-5
 """Seconds that it does; with 0 it mostly has the interpreter again before anybody else woke up."""
-
-
-class _Port:
-    """A port that is recorded, and where its samples go: one channel, or more when there are records of subclasses."""
-
-    def __init__(self, name: str, cls: type, metadata: Mapping[str, str]) -> None:
-        self.name = name
-        self.cls = cls
-        self.metadata = metadata
-        self.weigh = weigher(cls)
-        self.stamped = has_tm(cls)
-        self.mutable = is_mutable(cls)
-        self.seen: type | None = None
-        """The class of the sample before; channel and sequence are those of its samples."""
-        self.channel = 0
-        self.sequence = 0
-        self.next: dict[int, int] = {}
-        """The next sequence number of the other channels."""
-        self.offered = 0
-        self.dropped = 0
-        self.refused = 0
-        self.unfit = 0
-        """Refused at once, by the thread that offered it."""
-        self.stored = 0
 
 
 class RecordingWriter:
@@ -90,6 +67,10 @@ class RecordingWriter:
         RecordingError: the file cannot be had.
     """
 
+    out: ClassVar[type[OutFile]] = OutFile
+    """What writes the form of the file; `encoder` makes what stands in it of a record."""
+    encoder = staticmethod(encoder)
+
     def __init__(
         self,
         path: str | os.PathLike[str],
@@ -104,23 +85,24 @@ class RecordingWriter:
         self._metadata = dict(metadata or {})
         self._attachments = dict(attachments or {})
         self._kind = kind
-        self._encode = encoder(self.options.encoding)
-        self._ports: list[_Port] = []
-        self._queue: deque[tuple[_Port, Any, int, int]] = deque()
+        self._encode = self.encoder(self.options.encoding)
+        self._ports: list[WrittenPort] = []
+        self._queue: deque[tuple[WrittenPort, Any, int, int]] = deque()
         self._put_octets = 0
         self._taken_octets = 0
         self._wake = threading.Event()
-        self._asleep = False
-        self._closing = False
+        self._asleep = self._closing = False
         self._flushes: deque[threading.Event] = deque()
         self.failure: RecordingError | None = None
-        self._number = 0
+        self.remarks: dict[str, Any] = {}
+        """What else is to be said at the end of the recording: plain data."""
+        self._number = self.options.part
         self._last = -1
         self._opened_at = 0.0
         self._clamped = self._octets_before = self._durable = 0
         self._ended = self._orderly = False
-        self._owners: dict[int, _Port] = {}
-        self._file = OutFile(self.path, self.options.existing, self.options.min_free, kind)
+        self._owners: dict[int, WrittenPort] = {}
+        self._file = self.out(part_path(self.path, self._number), self.options.existing, self.options.min_free, kind)
         self._last = self._file.floor
         self.floor = self._file.floor
         """The last log time of a recording that is continued; samples have to be later."""
@@ -141,7 +123,7 @@ class RecordingWriter:
             metadata: what else is to be said of it, such as its unit.
         """
         check_port_type(cls)
-        self._ports.append(_Port(name, cls, dict(metadata or {})))
+        self._ports.append(WrittenPort(name, cls, dict(metadata or {})))
         return len(self._ports) - 1
 
     def write(self, port: int, record: Any, log_time: int) -> bool:
@@ -186,6 +168,11 @@ class RecordingWriter:
             self._wake.set()
         return True
 
+    def drop(self, port: int, count: int) -> None:
+        """Count samples as dropped that were lost before they came here."""
+        self._ports[port].offered += count
+        self._ports[port].dropped += count
+
     def flush(self, timeout: float | None = None) -> bool:
         """Wait until all that was given is in the file (and on the disk, unless `sync="never"`); blocks the thread.
 
@@ -209,6 +196,17 @@ class RecordingWriter:
         self._wake.set()
         self._thread.join(timeout)
         return self.statistics
+
+    @property
+    def load(self) -> float:
+        """How full the queue is, from 0 to 1."""
+        octets = self._put_octets - self._taken_octets
+        return max(len(self._queue) / self.options.queue, octets / self.options.queue_octets)
+
+    @property
+    def displaced(self) -> tuple[Path, str]:
+        """The file that is written now, and what became of its name ("deleted or renamed"); "" when nothing did."""
+        return self._file.path, self._file.displaced
 
     @property
     def statistics(self) -> RecordingStatistics:
@@ -272,7 +270,7 @@ class RecordingWriter:
             self._taken_octets += octets
             try:
                 data = encode(record)
-            except AiortsError:
+            except (AiortsError, MemoryError):
                 port.refused += 1
                 continue
             if log_time < last:
@@ -293,7 +291,7 @@ class RecordingWriter:
                 self._end_chunk()
                 builder = self._file.builder
 
-    def _choose(self, port: _Port, cls: type) -> None:
+    def _choose(self, port: WrittenPort, cls: type) -> None:
         """Go on with the channel of a port for records of a class; a subclass has its own, with its own schema."""
         if port.seen is not None:
             port.next[port.channel] = port.sequence
@@ -336,10 +334,10 @@ class RecordingWriter:
     def _rotate(self) -> None:
         self._finish("continued in the next file")
         self._octets_before += self._file.size
-        self._number += 1
+        self._number = next_part(self.path, self._number, self.options.existing)
         path = part_path(self.path, self._number)
         existing: Existing = "overwrite" if self.options.existing == "overwrite" else "refuse"
-        self._file = OutFile(path, existing, self.options.min_free, self._kind)
+        self._file = self.out(path, existing, self.options.min_free, self._kind)
         for port in self._ports:
             port.seen = None
             port.next.clear()
@@ -363,7 +361,13 @@ class RecordingWriter:
     def _finish(self, why: str) -> None:
         self._store()
         found = self.statistics
-        said = {"why": why, "stored": found.stored, "dropped": dict(found.dropped), "refused": dict(found.refused)}
+        said = {
+            **self.remarks,
+            "why": why,
+            "stored": found.stored,
+            "dropped": dict(found.dropped),
+            "refused": dict(found.refused),
+        }
         self._file.attach_json(END_NAME, {**said, "clamped": found.clamped}, max(self._last, 0))
         if self.options.sync != "never":
             self._file.sync()

@@ -17,6 +17,10 @@ ORIGINAL = {
     "FlexiDupe": ["-p/--port", "-v/--verbosity", "-f"],
     "FlexiDump": ["-p/--port", "-n/--port-names", "-v/--verbosity"],
     "FlexiConst": ["-p/--port", "-c/--const", "-m/--type-mod", "-r/--rate", "-v/--verbosity", "-s"],
+    "FlexiLogger": [
+        *("-i/--input", "-o/--output", "-p/--port", "-n/--port-names", "-l/--logfile", "-t/--text", "-v/--verbosity"),
+        "-c/--use_control",
+    ],
     "FlexiFilter": [
         *("-i/--inputport", "-o/--outputport", "-m/--map", "-n/--newesttime", "-z/--zeroold", "-v/--verbosity")
     ],

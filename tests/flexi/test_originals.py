@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,9 +21,16 @@ READY: dict[str, dict[str, Any]] = {
     "FlexiDump": {"inputs": ["TimedLong"]},
     "FlexiDupe": {"inputs": ["TimedLong:2"]},
     "FlexiFilter": {"inputs": ["TimedLong"], "outputs": ["TimedLong"]},
+    "FlexiLogger": {"inputs": ["TimedLong"]},
     "FlexiSelect": {"port": "TimedLong:2"},
 }
 KINDS = sorted(READY)
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is recorded goes there."""
+    monkeypatch.chdir(tmp_path)
 
 
 @record

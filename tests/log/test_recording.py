@@ -170,20 +170,21 @@ def test_a_recording_that_is_there_is_never_touched_unless_that_is_said(tmp_path
 
 
 @pytest.mark.fault("D17")
+@pytest.mark.fault("F15")
 @pytest.mark.parametrize("existing", ["append", "overwrite"])
 def test_two_recorders_never_share_a_file(tmp_path: Path, existing: Any) -> None:
     path = tmp_path / "run.mcap"
     with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
         port = writer.add_port("n", TimedLong)
         writer.write(port, TimedLong(1, 1), 1)
-        with pytest.raises(RecordingError, match="another recorder writes it"):
+        with pytest.raises(RecordingError, match=rf"this process \({os.getpid()}\) writes it"):
             RecordingWriter(path, RecordingOptions(min_free=0, existing=existing))
         code = (
             "import sys; from aiorts_log import *\n"
             f"RecordingWriter(sys.argv[1], RecordingOptions(min_free=0, existing={existing!r}))"
         )
         done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
-        assert "another recorder writes it" in done.stderr
+        assert f"process {os.getpid()} (" in done.stderr  # and its command
         writer.write(port, TimedLong(2, 2), 2)
     assert [value.data for _, _, value in read(path)] == [1, 2]
 

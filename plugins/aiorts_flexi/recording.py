@@ -1,0 +1,355 @@
+"""The half of FlexiLogger that records: takes what the in-ports have and hands it on, waiting for nobody.
+
+The log time of a sample is when it was taken: the kernel's clock as it was at the activation, and from there on by its
+monotonic time. Publish time is the sample's own `tm`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts import EventContext, InPort, SimulatedClock
+from aiorts.errors import ConfigurationError
+from aiorts.types import type_name
+from aiorts_flexi.about import about
+from aiorts_flexi.ports import named_types
+from aiorts_log import RecordingError, RecordingOptions, RecordingWriter, TextWriter
+from aiorts_log.control import BackgroundRecording, MakeWriter, Notice, Offered
+from aiorts_log.target import check_target, continuing
+
+if TYPE_CHECKING:
+    from aiorts_flexi.logger import FlexiLogger
+
+__all__ = ("Recording",)
+
+_AT_ONCE: Final = 1000
+"""Samples handed on between two turns of the loop."""
+_FULL: Final = 0.75
+"""How full the queue may be before who can wait has to."""
+_LOOK_AGAIN: Final = 0.005
+_SOON: Final = 0.005
+"""Seconds that an activation waits on the loop for the file: as a rule it is there at once."""
+_LATE: Final = 0.5
+"""Seconds after which a failure to close is told, if it was not the component's end that asked for it."""
+_MB: Final = 1_000_000
+_MISSED: Final = ("overwritten", "rejected", "timeout", "lost")
+"""Why a connector dropped what its user wanted to have."""
+
+
+class Recording:
+    """Records for one FlexiLogger; `make_writer` opens the file."""
+
+    make_writer: MakeWriter = RecordingWriter
+    make_text_writer: MakeWriter = TextWriter
+
+    def __init__(self, logger: FlexiLogger) -> None:
+        self._logger = logger
+        self._session: BackgroundRecording | None = None
+        self._own: Path | None = None
+        """The file that this component made: it is continued."""
+        self._segment = 0
+        self._inputs: dict[str, tuple[InPort[Any], int]] = {}
+        """Each in-port, and its number in the recording."""
+        self._backlog: deque[Offered] = deque()
+        self._looking = False
+        self._enabled = True
+        self._paused = False
+        self._base = self._last = 0
+        self._lost_before: Counter[tuple[str, str]] = Counter()
+        self._closed = asyncio.Event()
+        self._closing = self._is_told = True
+
+    # -- parameters ------------------------------------------------------------------------------------------------
+
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any]]:
+        named = named_types(self._logger.name, values["inputs"], values["names"])
+        return {name: InPort(cls) for name, cls in named.items()}
+
+    def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
+        for name, cls in named_types(self._logger.name, values["inputs"], values["names"]).items():
+            known = self._inputs.get(name)
+            if self._session is not None and known is not None and known[0].type is not cls:
+                raise ConfigurationError(
+                    f"{self._logger.name}.{name}: is recorded as {type_name(known[0].type)}; "
+                    "deactivate it first, or take another name"
+                )
+        return partial(self._use, self._checked(values), bool(values["paused"]))
+
+    def _checked(self, values: Mapping[str, Any]) -> RecordingOptions:
+        try:
+            return options_of(values)
+        except ValueError as error:
+            raise ConfigurationError(f"{self._logger.name}: {error}") from None
+
+    def _use(self, options: RecordingOptions, paused: bool) -> None:
+        self._options = options
+        if self._session is not None:
+            self._number_ports(self._session)
+        self._switch(self._enabled, paused)
+
+    def _switch(self, enabled: bool, paused: bool) -> bool:
+        """Record or stand still from now on; what has come until now is dealt with as before. Whether that changed."""
+        before, now = self._enabled and not self._paused, enabled and not paused
+        if before is not now and self._session is not None:
+            self._take(record=before)
+            if self._logger.verbosity >= 2:
+                self._logger.log.info("%s", "goes on" if now else "stands still")
+        self._enabled, self._paused = enabled, paused
+        return before is not now
+
+    def start(self) -> bool:
+        return self._switch(True, self._paused)
+
+    def stop(self) -> bool:
+        return self._switch(False, self._paused)
+
+    # -- hooks -----------------------------------------------------------------------------------------------------
+
+    def initialized(self) -> None:
+        """Refuse a file that cannot be had before anything runs; it is made when the component is activated."""
+        try:
+            check_target(self._logger.logfile, self._options.existing)
+        except RecordingError as error:
+            raise ConfigurationError(f"{self._logger.name}.logfile: {error}") from None
+
+    def activated(self) -> None:
+        logger, path, options = self._logger, Path(self._logger.logfile), self._options
+        if path == self._own:
+            options = continuing(options, path)
+        check_target(path, options.existing)
+        self._enabled, self._paused = not logger.use_control, logger.paused
+        self._segment += 1
+        self._closed.clear()
+        self._closing = self._is_told = False
+        session = self._session = BackgroundRecording(
+            path,
+            options,
+            metadata=about(logger, self._segment),
+            attachments={"system.toml": logger.kernel.origin.encode()} if logger.kernel.origin else None,
+            tell=self._teller(self._segment),
+            after=self._session,
+            make=self.make_text_writer if logger.text else self.make_writer,
+        )
+        self._own = path
+        self._base = max(logger.clock.time_ns(), self._last) - logger.clock.monotonic_ns()
+        self._number_ports(session)
+        self._lost_before = self._lost()
+        if logger.verbosity >= 2:
+            logger.log.info("records into %s, segment %d", path, self._segment)
+        try:
+            session.wait_open(None if self._may_block else _SOON)
+        except RecordingError:
+            self._is_told = True
+            raise
+
+    def execute(self) -> None:
+        if self._session is not None and self._session.failure is not None:
+            self._is_told = True
+            raise self._session.failure
+        self._take(record=self._enabled and not self._paused)
+
+    def deactivated(self) -> None:
+        session = self._session
+        if session is None:
+            return
+        self._closing = True
+        lost = self._lost() - self._lost_before
+        session.close(tuple(self._backlog), {"dropped_before": _by_connector(lost)} if lost else None)
+        self._backlog.clear()
+        self._tell_lost(lost)
+        self._inputs = {}
+        if self._may_block:
+            session.wait_closed()
+
+    async def wait_closed(self) -> None:
+        session = self._session
+        if session is None:
+            return
+        if self._is_simulated:
+            session.wait_closed()  # no time passes meanwhile
+        elif not session.is_closed:
+            await self._closed.wait()
+
+    async def finalized(self) -> None:
+        session = self._session
+        if session is None:
+            return
+        self._closing = True
+        session.close()
+        try:
+            await self.wait_closed()
+        except asyncio.CancelledError:
+            why = "was not closed in time; what is in it is whole, what still waited is lost"
+            self._logger.log.error("%s", f"{session.path}: {why}")
+            raise
+        if session.failure is not None and not self._is_told:
+            self._is_told = True
+            raise session.failure
+
+    # -- samples ---------------------------------------------------------------------------------------------------
+
+    @property
+    def _may_block(self) -> bool:
+        """Whether nobody else waits when this does: in a thread's context, and where time stands still meanwhile."""
+        return self._is_simulated or not self._logger.kernel.on_loop_thread()
+
+    @property
+    def _is_simulated(self) -> bool:
+        return isinstance(self._logger.clock, SimulatedClock)
+
+    def _take(self, *, record: bool) -> None:
+        """Take what the in-ports have. Who would wait for us is left alone while the disk is behind."""
+        session = self._session
+        if session is None:
+            return
+        if not record:
+            for port, _ in self._inputs.values():
+                port.drain()
+            return
+        now = self._last = self._base + self._logger.clock.monotonic_ns()
+        held = False
+        for port, number in self._inputs.values():
+            if any(connector.blocks for connector in port.connectors) and not self._is_simulated:
+                held = self._take_some(port, number, now) or held
+                continue
+            samples = port.drain()
+            if len(samples) > _AT_ONCE or self._backlog:
+                self._backlog.extend([(number, sample, now) for sample in samples])
+            else:
+                for sample in samples:
+                    self._write(number, sample, now)
+            self._tell_taken(port.name, len(samples))
+        if self._backlog:
+            self._pump()
+        if held:
+            self._look_again(_LOOK_AGAIN)
+
+    def _take_some(self, port: InPort[Any], number: int, now: int) -> bool:
+        """Take as much as there is room for; whether some had to be left there."""
+        session = self._session
+        assert session is not None  # noqa: S101 - only while there is one
+        taken = 0
+        if not self._backlog:
+            while taken < _AT_ONCE and session.load < _FULL and port.is_new:
+                session.write(number, port.read_nowait(), now)
+                taken += 1
+        self._tell_taken(port.name, taken)
+        return port.is_new
+
+    def _write(self, number: int, sample: Any, now: int) -> None:
+        session = self._session
+        assert session is not None  # noqa: S101 - only while there is one
+        if self._is_simulated and session.load >= _FULL:
+            session.flush()  # virtual time would run away from the disk
+        session.write(number, sample, now)
+
+    def _pump(self) -> None:
+        """Hand on the backlog, on the loop with turns of it between."""
+        for _ in range(len(self._backlog) if self._may_block else min(_AT_ONCE, len(self._backlog))):
+            self._write(*self._backlog.popleft())
+        if self._backlog:
+            self._look_again(0.0)
+
+    def _look_again(self, seconds: float) -> None:
+        if self._may_block:
+            return  # the next cycle does
+        if not self._looking:
+            self._looking = True
+            self._logger.kernel.loop.call_later(seconds, self._look)
+
+    def _look(self) -> None:
+        self._looking = False
+        if self._backlog:
+            self._pump()
+        elif self._session is not None and not self._closing:
+            self._take(record=self._enabled and not self._paused)
+
+    def _tell_taken(self, name: str, count: int) -> None:
+        if count and self._logger.verbosity >= 3:
+            self._logger.log.info("%s: %d samples", name, count)
+
+    def _lost(self) -> Counter[tuple[str, str]]:
+        """What the connectors of the in-ports have dropped until now, by connector and reason."""
+        found: Counter[tuple[str, str]] = Counter()
+        for port, _ in self._inputs.values():
+            for connector in port.connectors:
+                found.update({(connector.name, why): n for why, n in connector.statistics.dropped.items() if n})
+        return found
+
+    def _tell_lost(self, lost: Counter[tuple[str, str]]) -> None:
+        missed = {name: n for (name, why), n in lost.items() if why in _MISSED}
+        if missed:
+            names = ", ".join(f"{count} of {name}" for name, count in missed.items())
+            self._logger.log.warning(
+                "%s", f"samples did not get here: {names}; connect with a longer buffer (length) or full = block"
+            )
+
+    def _number_ports(self, session: BackgroundRecording) -> None:
+        """Give each in-port that there is now its number in the recording."""
+        numbers: dict[str, tuple[InPort[Any], int]] = {}
+        for name, port in self._logger.ports.items():
+            if isinstance(port, InPort):
+                about_port = {"unit": port.unit} if port.unit else {}
+                numbers[name] = port, session.add_port(name, port.type, about_port)
+        self._inputs = numbers
+
+    # -- what the recording's thread says --------------------------------------------------------------------------
+
+    def _teller(self, segment: int) -> Callable[[Notice], None]:
+        loop = self._logger.kernel.loop
+
+        def tell(notice: Notice) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to be told
+                loop.call_soon_threadsafe(self._noticed, segment, notice)
+
+        return tell
+
+    def _noticed(self, segment: int, notice: Notice) -> None:
+        logger = self._logger
+        if notice.kind in ("dropped", "gone"):
+            logger.log.warning("%s", notice.text)
+        if segment != self._segment:
+            return
+        if notice.kind == "closed":
+            self._closed.set()
+        elif notice.kind == "failed" and not self._closing:
+            for context in logger.contexts:
+                if isinstance(context, EventContext):
+                    context.trigger(logger)  # which raises it
+        elif notice.kind == "failed":
+            logger.kernel.loop.call_later(_LATE, self._tell_late, segment)
+
+    def _tell_late(self, segment: int) -> None:
+        """It failed when it was closed, and the component stays, so that nobody asks how that went."""
+        session = self._session
+        if segment == self._segment and not self._is_told and session is not None and session.failure is not None:
+            self._is_told = True
+            self._logger.log.error("%s", session.failure)
+
+
+def _by_connector(lost: Counter[tuple[str, str]]) -> dict[str, dict[str, int]]:
+    found: dict[str, dict[str, int]] = {}
+    for (name, why), count in lost.items():
+        found.setdefault(name, {})[why] = count
+    return found
+
+
+def options_of(values: Mapping[str, Any]) -> RecordingOptions:
+    """How a recording is written, of the parameters."""
+    return RecordingOptions(
+        encoding=values["encoding"],
+        existing=values["existing"],
+        chunk=values["chunk"],
+        age=values["flush_age"],
+        sync=values["sync"],
+        queue=values["queue"],
+        max_octets=round(values["rotate_size"] * _MB) or None,
+        max_seconds=values["rotate_time"] or None,
+        min_free=None if values["min_free"] is None else round(values["min_free"] * _MB),
+    )

@@ -1,0 +1,106 @@
+"""JSON lines: what filters write and `aiorts log cat` prints, read as a recording.
+
+A line needs port, type and a time: `log_time`, as `aiorts log cat --log-time` writes it, or else its `tm`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, ClassVar, Final
+
+from aiorts.errors import RecordError, WireError
+from aiorts.wire import LineReader, line_of
+from aiorts_log.errors import RecordingError
+from aiorts_log.flat import FlatPort, FlatReader, Head
+from aiorts_log.form import BadOctets
+
+__all__ = ("LinesReader", "line_encode", "looks_like_lines")
+
+_LATEST: Final = 2**63
+_KEYS: Final = {"port", "type", "tm", "data", "log_time"}
+
+
+def line_encode(port: str, record: Any, log_time: int) -> str:
+    """The line of a sample, without its end."""
+    return f'{line_of(port, record)[:-1]}, "log_time": {log_time}}}'
+
+
+def looks_like_lines(first: bytes) -> bool:
+    """Whether a file that begins with these octets has JSON lines with samples."""
+    line, end, _ = first.lstrip().partition(b"\n")
+    if not line.startswith(b"{"):
+        return False
+    try:
+        plain = json.loads(line)
+    except (ValueError, RecursionError):
+        return not end and line.startswith(b'{"port"')  # a first line longer than what was looked at
+    return isinstance(plain, dict) and "data" in plain
+
+
+class _Port(FlatPort):
+    """A port of JSON lines; the octets of a sample are its line."""
+
+    @cached_property
+    def decode(self) -> Callable[[bytes], Any]:
+        """Makes a record of a line; RecordingError when its type is not known here."""
+        if self.unknown:
+            raise RecordingError(f"port {self.name!r}: {self.unknown}")
+        reader = LineReader({self.name: self.type})
+
+        def take(data: bytes) -> Any:
+            found = _parsed(data)
+            log_time = found.pop("log_time", 0)
+            try:
+                return reader.sample(json.dumps(found), log_time)[1]
+            except RecordError as error:
+                raise WireError(str(error)) from None
+
+        return take
+
+    def plain(self, data: bytes) -> Any:
+        """The data of a line as it stands there."""
+        return _parsed(data)["data"]
+
+
+class LinesReader(FlatReader):
+    """Open JSON lines. DamagedError, when samples are read, for a line that is none."""
+
+    encoding: ClassVar[str] = "jsonl"
+    port_kind = _Port
+    made_by: ClassVar[str] = "JSON lines"
+
+    def head(self, line: bytes) -> Head:
+        """Port, type, time, and the line itself. BadOctets for one that is no sample."""
+        found = _parsed(line)
+        names = found.get("port"), found.get("type")
+        time = found.get("log_time", found.get("tm"))
+        if not all(isinstance(name, str) for name in names) or "data" not in found or found.keys() - _KEYS:
+            raise BadOctets('expected {"port": NAME, "type": TYPE, "tm": TIME, "data": DATA}')
+        if isinstance(time, dict) and set(time) == {"sec", "nsec"}:
+            time = time["sec"] * 10**9 + time["nsec"]
+        if type(time) is not int or not 0 <= time < _LATEST:
+            raise BadOctets("has no time: aiorts log cat --log-time writes one for types without tm")
+        return Head(names, time, line)
+
+    def named(self, key: Any) -> tuple[str, str]:
+        """Port and type as they are."""
+        return key[0], key[1]
+
+    def published(self, data: bytes, log_time: int) -> int:
+        """The `tm` of a line; `log_time` when it has none."""
+        tm = _parsed(data).get("tm", log_time)
+        if isinstance(tm, dict):
+            tm = tm.get("sec", 0) * 10**9 + tm.get("nsec", 0)
+        return tm if type(tm) is int else log_time
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise BadOctets(f"no JSON: {str(error)[:80]}") from None
+    if not isinstance(found, dict):
+        raise BadOctets("expected an object")
+    return found

@@ -1,0 +1,289 @@
+"""Plays a recording: hands over each sample when it is due, and can be paused, stepped and moved while it does.
+
+What is due when is decided by `schedule`, what comes next by `read_ahead`; here it is waited for. Whoever sends may
+make it wait: the samples behind are late then, in order, and none is left out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+from aiorts import Clock, SimulatedClock
+from aiorts.types import with_tm
+from aiorts_log.read_ahead import ReadAhead, Reading
+from aiorts_log.schedule import Pace, Schedule
+
+__all__ = ("Player", "Playing")
+
+Send: TypeAlias = Callable[[Any, Any], Awaitable[None]]
+"""Hands a sample to whoever its route names."""
+_AT_ONCE: Final = 8
+"""Samples between two turns of the loop: what a connector's buffer holds unless its user says otherwise."""
+_LONGEST_SLEEP: Final = 100_000 * 1_000_000_000
+"""More nanoseconds than that are no whole number of them as seconds in a float."""
+_PAUSE: Final = 0.001
+"""Seconds after a pass that took no time: one without end would keep time itself from going on."""
+_STAMP_LIMIT: Final = 2**32 * 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Playing:
+    """How a recording is played.
+
+    Attributes:
+        pace: how fast.
+        passes: how often; 0 is without end.
+        absolute: whether time stamps stay as recorded; else they are shifted so that the first is the time of the
+            clock, and go on evenly over pauses, jumps, gaps and passes. 0, which is none, stays 0.
+        position: log time in ns from which the first pass plays; None is its beginning.
+        paused: whether it waits from the beginning.
+    """
+
+    pace: Pace
+    passes: int = 1
+    absolute: bool = False
+    position: int | None = None
+    paused: bool = False
+
+
+class Player:
+    """One replay of a recording, from its activation to its end.
+
+    Args:
+        reading: what is played.
+        playing: how.
+        clock: whose time it keeps; sleep: waits so many seconds of it.
+        send: hands a sample over, and may wait.
+        tell: called with a sentence about what was found on the way.
+
+    Attributes:
+        sent: samples that were handed over.
+        gaps: how many gaps were shortened; left_out: ns of them.
+        passes: how often it is played in all, 0 without end; may be changed.
+    """
+
+    def __init__(
+        self,
+        reading: Reading,
+        playing: Playing,
+        *,
+        clock: Clock,
+        sleep: Callable[[float], Awaitable[None]],
+        send: Send,
+        tell: Callable[[str], None],
+    ) -> None:
+        self.sent = self.gaps = self.left_out = 0
+        self.passes = playing.passes
+        self._clock, self._sleep, self._send, self._tell = clock, sleep, send, tell
+        self._ahead = ReadAhead(reading, in_place=isinstance(clock, SimulatedClock))
+        self._begin_at = playing.position
+        self._pace = playing.pace
+        self._schedule = Schedule(playing.pace, clock.monotonic_ns(), playing.position)
+        self._absolute = playing.absolute
+        self._offset: int | None = None
+        self._clamped = self._went_back = 0
+        self._target: int | None = None
+        """Where to play from, since somebody asked for it."""
+        self._task: asyncio.Task[Any] | None = None
+        self._sleeping = self._nudged = False
+        self._changed = asyncio.Event()
+        self._fresh: set[Any] = set()
+        """Who was sent something since the loop had its last turn."""
+        self._before: Any = None
+        if playing.paused:
+            self._schedule.pause(clock.monotonic_ns())
+
+    # -- asked for while it plays ----------------------------------------------------------------------------------
+
+    @property
+    def paused(self) -> bool:
+        """Whether it is paused."""
+        return self._schedule.paused
+
+    @property
+    def position(self) -> int | None:
+        """The log time that is played now, in ns; None before the first sample is known."""
+        return self._schedule.position(self._clock.monotonic_ns())
+
+    def pause(self) -> None:
+        """Send nothing more until it is resumed."""
+        self._schedule.pause(self._clock.monotonic_ns())
+        self._wake()
+
+    def resume(self) -> None:
+        """Go on where it was paused."""
+        self._schedule.resume(self._clock.monotonic_ns())
+        self._wake()
+
+    def step(self, count: int = 1) -> None:
+        """Send the next `count` samples although it is paused; of one that plays it is no more."""
+        self._schedule.allow(count)
+        self._wake()
+
+    def seek(self, position: int) -> None:
+        """Play from that log time on, paused or not."""
+        self._schedule.jump(self._clock.monotonic_ns(), position)
+        self._target = position
+        self._wake()
+
+    def change(self, pace: Pace) -> None:
+        """Another pace, from where it is."""
+        self._schedule.change(self._clock.monotonic_ns(), pace)
+        self._pace = pace
+        self._wake()
+
+    # -- playing ---------------------------------------------------------------------------------------------------
+
+    async def play(self) -> None:
+        """Play it to its end.
+
+        Raises:
+            RecordingError: it cannot be had, or not be read to its end; what could be read was sent before.
+        """
+        self._task = asyncio.current_task()
+        try:
+            await self._ahead.open()
+            await self._ahead.begin(self._begin_at)
+            await self._play()
+        finally:
+            await self._ahead.close()
+        self._tell_what_was_found()
+
+    async def _play(self) -> None:
+        done, restarted = 0, False
+        began = self._clock.monotonic_ns()
+        while True:
+            block = await self._ahead.block()
+            if self._target is None:
+                if restarted and block.samples:
+                    self._schedule.again(block.samples[0][1])
+                    restarted = False
+                await self._play_block(block.samples)
+            if self._target is not None:
+                target, self._target, restarted = self._target, None, False
+                await self._ahead.begin(target)
+            elif block.error is not None:
+                raise block.error
+            elif not block.samples and await self._is_over():
+                done += 1
+                if restarted or 0 < self.passes <= done:
+                    return
+                if self._clock.monotonic_ns() - began < 1e9 * _PAUSE:
+                    await self._sleep(_PAUSE)
+                began, restarted = self._clock.monotonic_ns(), True
+                await self._ahead.begin(None)
+
+    async def _is_over(self) -> bool:
+        """At the end, wait while it is paused: somebody may want to go back. False when he does."""
+        while self.paused and self._target is None:
+            self._changed.clear()
+            await self._changed.wait()
+        return self._target is None
+
+    async def _play_block(self, samples: list[tuple[Any, int, Any, bool]]) -> None:
+        """Hand over each when it is due, or all until somebody asks for another position."""
+        schedule, send, monotonic_ns = self._schedule, self._send, self._clock.monotonic_ns
+        adjusted, now = not self._absolute, monotonic_ns()
+        fresh, before = self._fresh, self._before
+        for target, log_time, record, stamped in samples:
+            if self._target is not None:
+                return
+            if cut := schedule.take(log_time):
+                self._note_cut(log_time, cut)
+            due = schedule.due
+            if due is None or due > now:
+                await self._until_due()
+                now = monotonic_ns()
+                fresh.clear()
+            if target is not before and target in fresh:
+                # Who reads several ports in one go would find what was recorded before it behind it.
+                await asyncio.sleep(0)
+                fresh.clear()
+            if self._target is not None:
+                return
+            await send(target, self._stamped(record) if stamped and adjusted else record)
+            self.sent += 1
+            schedule.sent(now)
+            fresh.add(target)
+            before = target
+            if not self.sent % _AT_ONCE:
+                await asyncio.sleep(0)
+                fresh.clear()
+        self._before = before
+
+    async def _until_due(self) -> None:
+        schedule = self._schedule
+        while self._target is None:
+            due = schedule.due
+            if due is None:
+                self._changed.clear()
+                await self._changed.wait()
+                continue
+            left = due - self._clock.monotonic_ns()
+            if left <= 0:
+                return
+            await self._sleep_unless_woken(min(left, _LONGEST_SLEEP) / 1e9)
+
+    async def _sleep_unless_woken(self, seconds: float) -> None:
+        self._sleeping = True
+        try:
+            await self._sleep(seconds)
+        except asyncio.CancelledError:
+            task = self._task
+            if not self._nudged or task is None or task.uncancel() > 0:
+                raise
+        finally:
+            self._sleeping = self._nudged = False
+
+    def _wake(self) -> None:
+        """Something has changed: look again at what is due."""
+        self._changed.set()
+        if self._sleeping and not self._nudged and self._task is not None:
+            self._nudged = True
+            self._task.cancel()
+
+    # -- stamps, and what was found --------------------------------------------------------------------------------
+
+    def _stamped(self, record: Any) -> Any:
+        tm = record.tm
+        if not tm:
+            return record
+        shift = self._schedule.shift
+        if self._offset is None:
+            self._offset = self._clock.time_ns() - tm - shift
+        shifted = tm + self._offset + shift
+        if not 0 <= shifted < _STAMP_LIMIT:
+            shifted = min(max(shifted, 0), _STAMP_LIMIT - 1)
+            self._clamped += 1
+        return with_tm(record, shifted)
+
+    def _note_cut(self, log_time: int, cut: int) -> None:
+        if cut < 0:
+            self._went_back += 1
+            if self._went_back == 1:
+                self._tell(f"its clock was set back by {-cut / 1e9:g} s; it is played in the order of its numbers")
+            return
+        self.gaps += 1
+        self.left_out += cut
+        most = (self._pace.max_gap or 0) / 1e9
+        self._tell(f"no sample for {cut / 1e9 + most:g} s before log time {log_time}; {most:g} s of it are waited for")
+
+    def _tell_what_was_found(self) -> None:
+        unreadable = self._ahead.unreadable
+        if unreadable.count:
+            self._tell(f"{unreadable.count} samples are none of their type and were left out: {unreadable.first}")
+        if self._clamped:
+            self._tell(f"{self._clamped} stamps would have been outside of what a stamp can be, and were brought back")
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with the recording, as far as that is known; "" is nothing."""
+        return self._ahead.fault
+
+    @property
+    def unreadable(self) -> int:
+        """Samples that were left out since they are none of their type."""
+        return self._ahead.unreadable.count

@@ -1,0 +1,61 @@
+"""Whether a file can be recorded into, found out without touching it, and who has it when it cannot."""
+
+from __future__ import annotations
+
+import os
+import stat
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from aiorts_log.errors import RecordingError
+from aiorts_log.file import Existing, held_by, part_path
+from aiorts_log.options import RecordingOptions
+
+__all__ = ("check_target", "continuing")
+
+_MOST_PARTS: Final = 1_000_000
+
+
+def check_target(path: str | os.PathLike[str], existing: Existing) -> None:
+    """Raise RecordingError when it is plain that a recording cannot be made there; nothing is made or changed.
+
+    What is told only by opening it (a full disk, another who is faster) is told then.
+    """
+    where = Path(path)
+    if not where.name or "\0" in str(where):
+        raise RecordingError(f"{str(where)!r}: expected the name of a file, such as run.mcap")
+    try:
+        mode = os.lstat(where).st_mode
+    except FileNotFoundError:
+        _check_folder(where)
+        return
+    except OSError as error:
+        raise RecordingError(f"{where}: cannot be written: {error.strerror or error}") from None
+    if not stat.S_ISREG(mode):
+        raise RecordingError(f"{where}: is no regular file; a recording needs one")
+    holder = held_by(where)
+    if holder:
+        raise RecordingError(f"{where}: {holder} writes it; name another file")
+    if existing == "refuse":
+        raise RecordingError(
+            f"{where}: is there already; --append continues it, --overwrite replaces it, or name another file"
+        )
+    if not os.access(where, os.R_OK | os.W_OK):
+        raise RecordingError(f"{where}: cannot be written: permission denied")
+
+
+def _check_folder(where: Path) -> None:
+    folder = where.absolute().parent
+    if not folder.is_dir():
+        raise RecordingError(f"{where}: there is no folder {str(folder)!r}; make it, or name another file")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise RecordingError(f"{where}: cannot be written: no permission in {str(folder)!r}")
+
+
+def continuing(options: RecordingOptions, path: Path) -> RecordingOptions:
+    """The same options, to continue what was recorded: in the last of its files that are there."""
+    part = options.part
+    while part < _MOST_PARTS and part_path(path, part + 1).exists():
+        part += 1
+    return replace(options, existing="append", part=part)
