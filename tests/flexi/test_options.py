@@ -27,6 +27,10 @@ ORIGINAL = {
 }
 
 
+WHILE_IT_RUNS = {"FlexiLogger": {"position", "step"}}
+"""Parameters that are of use to a component that runs already, and so have no option."""
+
+
 @pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
 def test_every_option_of_the_original_is_there(cls: type) -> None:
     known = [set(option.flags) for option in cls.options]
@@ -50,7 +54,7 @@ def test_every_option_sets_a_parameter_that_takes_it_and_every_parameter_has_one
             spec.check(option.value)
         if option.kind == "number":
             assert spec.type_text in ("int", "float", "float | None")
-    assert {option.param for option in cls.options} >= set(params)
+    assert {option.param for option in cls.options} >= set(params) - WHILE_IT_RUNS.get(cls.__name__, set())
 
 
 @pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
