@@ -13,6 +13,7 @@ import importlib.util
 import logging
 import os
 import signal
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -57,6 +58,21 @@ settings.load_profile("ci" if os.environ.get("CI") else "aiorts")
 def anyio_backend(request: pytest.FixtureRequest) -> Any:
     """The event loop of an async test: the standard one, then uvloop."""
     return request.param
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _bytecode_is_kept() -> Iterator[None]:
+    """Where bytecode is not to be written, let the processes of the tests write theirs to a folder of ours.
+
+    There are hundreds of them, and without it each takes half of its time to compile the same modules.
+    """
+    if not os.environ.get("PYTHONDONTWRITEBYTECODE"):
+        yield
+        return
+    with tempfile.TemporaryDirectory(prefix="aiorts-bytecode-") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.delenv("PYTHONDONTWRITEBYTECODE")
+        patch.setenv("PYTHONPYCACHEPREFIX", folder)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
