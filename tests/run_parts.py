@@ -1,15 +1,22 @@
-"""Real runs of the command line for tests: components, a process with pipes, a process on a terminal of its own."""
+"""Real runs of the command line for tests: components, a process with pipes or on a terminal, a command in this process."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from aiorts.cli.app import run_command
+from aiorts.kernel.catalogue import Catalogue
+from aiorts.kernel.offers import offer_from
 
 COMPONENTS = '''
 import time
@@ -110,6 +117,75 @@ def aiorts(folder: Path, *arguments: str, **options: Any) -> subprocess.Complete
     """A command, run to its end in the folder."""
     options = {"capture_output": True, "stdin": subprocess.DEVNULL, "text": True, "timeout": 30} | options
     return subprocess.run([sys.executable, "-m", "aiorts", *arguments], check=False, cwd=folder, **options)
+
+
+def here(*arguments: str | Path, stdin: str | bytes = "", **environment: str) -> subprocess.CompletedProcess[Any]:
+    """A command, run to its end in this process, on streams of its own.
+
+    Where text and exit status are what is promised, a process would show no more and take ten times as long. A path as
+    the first argument is the folder to run in. What the command prints is text, or bytes where its input is.
+    """
+    folder = arguments[0] if isinstance(arguments[0], Path) else None
+    words = [argument for argument in arguments if isinstance(argument, str)]
+    with contextlib.ExitStack() as stack:
+        if folder is not None:
+            stack.enter_context(contextlib.chdir(folder))
+        before = dict(os.environ)
+        stack.callback(lambda: (os.environ.clear(), os.environ.update(before)))
+        os.environ.update({"COLUMNS": "120", "AIORTS_PLUGINS": ""} | environment)
+        stack.enter_context(_as_if_just_begun())
+        files = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(3)]
+        files[0].write(stdin.encode() if isinstance(stdin, str) else stdin)
+        files[0].seek(0)
+        with _streams([file.fileno() for file in files]):
+            status = run_command(words)
+        said = []
+        for file in files[1:]:
+            file.seek(0)
+            said.append(file.read())
+        if isinstance(stdin, bytes):
+            return subprocess.CompletedProcess(words, status, *said)
+        return subprocess.CompletedProcess(words, status, *(data.decode() for data in said))
+
+
+@contextlib.contextmanager
+def _as_if_just_begun() -> Iterator[None]:
+    """Forget what another command has found, and then what this one has imported from elsewhere than the path."""
+    Catalogue._default = None
+    offer_from(None)
+    modules, path = set(sys.modules), list(sys.path)
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        for name in set(sys.modules) - modules:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and not file.startswith(tuple(filter(None, path))):
+                del sys.modules[name]
+
+
+@contextlib.contextmanager
+def _streams(descriptors: list[int]) -> Iterator[None]:
+    """Put the files in the place of the three standard streams, for Python and for the system."""
+    names = ("stdin", "stdout", "stderr")
+    streams = [getattr(sys, name) for name in names]
+    for stream in streams[1:]:
+        stream.flush()
+    kept = [os.dup(number) for number in range(3)]
+    for number, descriptor in enumerate(descriptors):
+        os.dup2(descriptor, number)
+    ours = [open(number, mode, encoding="utf-8", closefd=False) for number, mode in enumerate(("r", "w", "w"))]
+    try:
+        for name, stream in zip(names, ours, strict=True):
+            setattr(sys, name, stream)
+        yield
+    finally:
+        for name, stream, mine in zip(names, streams, ours, strict=True):
+            mine.close()
+            setattr(sys, name, stream)
+        for number, descriptor in enumerate(kept):
+            os.dup2(descriptor, number)
+            os.close(descriptor)
 
 
 def started(folder: Path, *arguments: str, **options: Any) -> subprocess.Popen[str]:
