@@ -1,4 +1,4 @@
-"""Real runs of the command line for tests: components, a process with pipes or on a terminal, a command in this process."""
+"""Real runs of the command line for tests: processes with pipes or on a terminal, commands in this process."""
 
 from __future__ import annotations
 
@@ -125,15 +125,15 @@ def here(*arguments: str | Path, stdin: str | bytes = "", **environment: str) ->
     Where text and exit status are what is promised, a process would show no more and take ten times as long. A path as
     the first argument is the folder to run in. What the command prints is text, or bytes where its input is.
     """
-    folder = arguments[0] if isinstance(arguments[0], Path) else None
-    words = [argument for argument in arguments if isinstance(argument, str)]
+    words = [str(argument) for argument in arguments]
     with contextlib.ExitStack() as stack:
-        if folder is not None:
-            stack.enter_context(contextlib.chdir(folder))
+        stack.enter_context(_as_if_just_begun())
+        if isinstance(arguments[0], Path):
+            sys.path.insert(0, words.pop(0))
+            stack.enter_context(contextlib.chdir(sys.path[0]))
         before = dict(os.environ)
         stack.callback(lambda: (os.environ.clear(), os.environ.update(before)))
         os.environ.update({"COLUMNS": "120", "AIORTS_PLUGINS": ""} | environment)
-        stack.enter_context(_as_if_just_begun())
         files = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(3)]
         files[0].write(stdin.encode() if isinstance(stdin, str) else stdin)
         files[0].seek(0)
@@ -174,7 +174,7 @@ def _streams(descriptors: list[int]) -> Iterator[None]:
     kept = [os.dup(number) for number in range(3)]
     for number, descriptor in enumerate(descriptors):
         os.dup2(descriptor, number)
-    ours = [open(number, mode, encoding="utf-8", closefd=False) for number, mode in enumerate(("r", "w", "w"))]
+    ours = [os.fdopen(number, mode, encoding="utf-8", closefd=False) for number, mode in enumerate(("r", "w", "w"))]
     try:
         for name, stream in zip(names, ours, strict=True):
             setattr(sys, name, stream)

@@ -13,6 +13,7 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts.cli.demo.chart import Strip
+from run_parts import here
 
 HOSTILE = {"LANG": "C", "LC_ALL": "C", "PYTHONIOENCODING": "ascii", "TERM": "dumb", "COLUMNS": "1", "NO_COLOR": "1"}
 
@@ -59,7 +60,7 @@ def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> N
 
 
 def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
-    source = aiorts("demo", "--source")
+    source = here("demo", "--source")
     assert (source.returncode, source.stderr) == (0, "")
     (tmp_path / "motor.py").write_text(source.stdout)
     done = subprocess.run([sys.executable, "motor.py"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
@@ -68,7 +69,7 @@ def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
 
 
 def test_what_it_saves_runs_and_passes_its_tests(tmp_path: Path) -> None:
-    saved = aiorts("demo", "--save", "my motor/first", cwd=tmp_path)
+    saved = here(tmp_path, "demo", "--save", "my motor/first")
     assert (saved.returncode, saved.stderr) == (0, "")
     folder = tmp_path / "my motor" / "first"
     assert sorted(path.name for path in folder.iterdir()) == ["motor.py", "system.toml", "test_motor.py"]
@@ -77,8 +78,8 @@ def test_what_it_saves_runs_and_passes_its_tests(tmp_path: Path) -> None:
     lines = done.stdout.splitlines()
     assert len(lines) >= 25
     assert abs(int(lines[-1].rpartition(" ")[2]) - 50 * 9.5493) < 50
-    assert aiorts("run", str(folder / "system.toml"), "--simulate", "--set", "motor.load=2").stdout != done.stdout
-    assert aiorts("inspect", f"{folder / 'motor.py'}:Control").returncode == 0
+    assert here("run", str(folder / "system.toml"), "--simulate", "--set", "motor.load=2").stdout != done.stdout
+    assert here("inspect", f"{folder / 'motor.py'}:Control").returncode == 0
     tested = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
         cwd=folder,

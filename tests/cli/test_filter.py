@@ -13,7 +13,6 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts_flexi.grammar import LONGEST_MAP
-
 from run_parts import here
 
 pytestmark = pytest.mark.row(123)

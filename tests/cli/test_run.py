@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts.cli.app import run_command
+from run_parts import here
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -156,12 +157,12 @@ SOURCE_AND_SINK = """
 
 @pytest.mark.parametrize("loop", ["auto", "asyncio", "uvloop"])
 def test_it_ends_when_the_source_has_finished_and_all_was_taken(write: Callable[[str], Path], loop: str) -> None:
-    done = aiorts("run", write(SOURCE_AND_SINK), "--loop", loop, "--set", "counter.count=10")
+    done = here("run", write(SOURCE_AND_SINK), "--loop", loop, "--set", "counter.count=10")
     assert (done.returncode, done.stdout, done.stderr) == (0, "total 45\n", "")
 
 
 def test_it_ends_at_the_status_that_a_component_asks_for(write: Callable[[str], Path]) -> None:
-    done = aiorts("run", write(one("Stopper")))
+    done = here("run", write(one("Stopper")))
     assert (done.returncode, done.stderr) == (7, "")
 
 
@@ -173,7 +174,7 @@ def test_it_ends_after_its_duration_in_virtual_time_too(write: Callable[[str], P
         ["--duration", "1000", "--simulate"],
         ["--duration", "20", "--speed", "100"],
     ):
-        done = aiorts("run", path, *arguments)
+        done = here("run", path, *arguments)
         assert (done.returncode, done.stdout, done.stderr) == (0, "ready\nstopped\n", "")
     assert time.monotonic() - begun < 20
 
@@ -182,19 +183,19 @@ def test_it_ends_after_its_duration_in_virtual_time_too(write: Callable[[str], P
 def test_a_component_in_error_is_one_line_and_a_status_when_asked(
     write: Callable[[str], Path], strict: list[str], status: int
 ) -> None:
-    done = aiorts("run", write(one("Failing")), "--duration", "0.1", *strict)
+    done = here("run", write(one("Failing")), "--duration", "0.1", *strict)
     assert done.returncode == status
     assert only_line(done).startswith("aiorts: E-COMPONENT: it.on_execute: ValueError: no such luck; ")
 
 
 def test_debug_shows_the_traceback(write: Callable[[str], Path]) -> None:
-    done = aiorts("run", write(one("Failing")), "--for", "0.1", "--debug")
+    done = here("run", write(one("Failing")), "--for", "0.1", "--debug")
     assert "Traceback (most recent call last)" in done.stderr
     assert "raise ValueError" in done.stderr
 
 
 def test_a_component_that_cannot_be_made_ends_the_run(write: Callable[[str], Path]) -> None:
-    done = aiorts("run", write(one("Unmade")))
+    done = here("run", write(one("Unmade")))
     assert done.returncode == 1
     assert only_line(done).startswith("aiorts: E-COMPONENT: it: ValueError: not today; ")
 
@@ -242,14 +243,14 @@ def test_a_mistake_is_one_line_with_what_was_meant(
 def test_a_file_that_does_not_load_is_named_with_its_line(write: Callable[[str], Path]) -> None:
     path = write(one("Ready").replace("parts.py", "bad.py"))
     (path.parent / "bad.py").write_text("import sys\nraise SystemExit(9)\n")
-    done = aiorts("run", path)
+    done = here("run", path)
     assert done.returncode == 2
     assert "bad.py, line 2 cannot be loaded: SystemExit: 9" in only_line(done)
 
 
 @pytest.mark.parametrize("arguments", [["run"], ["run", "missing.toml"], ["rum"], ["--nope"]])
 def test_a_bad_command_line_is_one_line_and_status_2(arguments: list[str]) -> None:
-    done = aiorts(*arguments)
+    done = here(*arguments)
     assert done.returncode == 2
     only_line(done)
 
