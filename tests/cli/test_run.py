@@ -256,8 +256,7 @@ def test_a_bad_command_line_is_one_line_and_status_2(arguments: list[str]) -> No
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
-@pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
-@pytest.mark.parametrize(("number", "status"), [("SIGINT", 130), ("SIGTERM", 143)])
+@pytest.mark.parametrize(("loop", "number", "status"), [("asyncio", "SIGINT", 130), ("uvloop", "SIGTERM", 143)])
 def test_a_signal_ends_it_in_order(write: Callable[[str], Path], loop: str, number: str, status: int) -> None:
     process = started(write(one("Ready")), "--loop", loop)
     process.send_signal(getattr(signal, number))

@@ -32,8 +32,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.fault("F10")
-@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
-@pytest.mark.parametrize("target", ["system.toml", "parts.py:Slow"])
+@pytest.mark.parametrize(
+    ("target", "name", "status"),
+    [
+        ("system.toml", "SIGINT", 130),
+        ("system.toml", "SIGTERM", 143),
+        ("system.toml", "SIGHUP", 129),
+        ("parts.py:Slow", "SIGTERM", 143),
+    ],
+)
 def test_a_signal_ends_it_in_order_within_five_seconds(folder: Path, target: str, name: str, status: int) -> None:
     process = started(folder, target)
     at = time.monotonic()
