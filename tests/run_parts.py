@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -188,11 +189,35 @@ def _streams(descriptors: list[int]) -> Iterator[None]:
             os.close(descriptor)
 
 
+@contextlib.contextmanager
+def limited(*processes: subprocess.Popen[Any], seconds: float = 40.0) -> Iterator[None]:
+    """End the processes by force when the block has not ended by then, or fails.
+
+    What is read of a process that says nothing ends with it: one test fails, and not the whole run at its time limit.
+    """
+
+    def end() -> None:
+        for process in processes:
+            process.kill()
+
+    timer = threading.Timer(seconds, end)
+    timer.start()
+    try:
+        yield
+    except BaseException:
+        end()
+        raise
+    finally:
+        timer.cancel()
+        timer.join()
+
+
 def started(folder: Path, *arguments: str, **options: Any) -> subprocess.Popen[str]:
     """A run that has said that it is ready."""
     process = begun(folder, *arguments, **options)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
+    with limited(process):
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
     return process
 
 
@@ -247,8 +272,9 @@ class Terminal:
 
     def end(self) -> int:
         """Read to the end; the exit status."""
-        while self._read():
-            pass
+        with limited(self.process):
+            while self._read():
+                pass
         return self.process.wait(timeout=20)
 
     def _read(self) -> bool:

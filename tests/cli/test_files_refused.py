@@ -43,7 +43,7 @@ contexts.b = {{kind = "periodic", rate = {rate}, members = ["snk"]}}
 
 def aiorts(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "aiorts", *arguments], cwd=folder, capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "aiorts", *arguments], cwd=folder, capture_output=True, text=True, timeout=40
     )
 
 
@@ -89,5 +89,5 @@ def test_a_process_that_goes_on_after_a_run_is_left_alone(tmp_path: Path) -> Non
         "stopping.LONGEST_STOP = 0.5\nstatus = run_command(['run', 'system.toml'])\n"
         "time.sleep(1.0)\nprint('goes on', status)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stdout.split()[-3:]) == (0, ["goes", "on", "0"]), done.stderr

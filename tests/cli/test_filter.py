@@ -13,7 +13,7 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts_flexi.grammar import LONGEST_MAP
-from run_parts import here
+from run_parts import here, limited
 
 pytestmark = pytest.mark.row(123)
 
@@ -23,7 +23,7 @@ PAPERS = (
 )
 
 
-def aiorts(*arguments: str, stdin: str = "", timeout: float = 60) -> subprocess.CompletedProcess[str]:
+def aiorts(*arguments: str, stdin: str = "", timeout: float = 40) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "aiorts", *arguments], input=stdin, capture_output=True, text=True, timeout=timeout
     )
@@ -40,7 +40,7 @@ def test_three_filters_in_a_pipe_print_five_lines() -> None:
         f" | {command} flexifilter -i TimedDouble -o TimedLong -m '0>1000>0'"
         f" | {command} flexidump -p TimedLong"
     )
-    done = subprocess.run(["bash", "-o", "pipefail", "-c", pipe], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", pipe], capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stderr) == (0, "")
     found = done.stdout.splitlines()
     assert len(found) == 5
@@ -170,10 +170,11 @@ def test_a_terminal_is_told_what_is_awaited() -> None:
         text=True,
     )
     os.close(follower)
-    assert process.stderr is not None
-    assert "reading JSON lines for input0 (TimedLong)" in process.stderr.readline()
-    os.write(leader, b"5\n\x04")
-    out, err = process.communicate(timeout=30)
+    with limited(process):
+        assert process.stderr is not None
+        assert "reading JSON lines for input0 (TimedLong)" in process.stderr.readline()
+        os.write(leader, b"5\n\x04")
+        out, err = process.communicate(timeout=30)
     os.close(leader)
     assert (out, err, process.returncode) == ("5\n", "", 0)
 

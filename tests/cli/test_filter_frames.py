@@ -121,7 +121,7 @@ def test_a_terminal_gets_no_binary_frames() -> None:
             stdin=subprocess.DEVNULL,
             stdout=theirs,
             stderr=subprocess.PIPE,
-            timeout=60,
+            timeout=40,
         )
     finally:
         os.close(ours)
@@ -142,10 +142,11 @@ def test_a_reader_that_goes_ends_the_writer_quietly() -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert writer.stdout is not None
-    assert writer.stderr is not None
-    assert len(writer.stdout.read(1000)) == 1000
-    writer.stdout.close()
-    assert writer.wait(30) in (0, 141)
-    assert writer.stderr.read() == b""
-    writer.stderr.close()
+    with run_parts.limited(writer):
+        assert writer.stdout is not None
+        assert writer.stderr is not None
+        assert len(writer.stdout.read(1000)) == 1000
+        writer.stdout.close()
+        assert writer.wait(30) in (0, 141)
+        assert writer.stderr.read() == b""
+        writer.stderr.close()

@@ -49,7 +49,7 @@ def aiorts(
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([*found, *filter(None, [os.environ.get("PYTHONPATH", "")])])},
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from run_parts import aiorts, here
+from run_parts import aiorts, here, limited
 
 PARTS = '''
 import time
@@ -99,13 +99,14 @@ def test_the_end_costs_few_cycles_where_each_takes_longer_than_its_period(folder
         text=True,
         cwd=folder,
     )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "cycle\n"
-    if not more:
+    with limited(process):
+        assert process.stdout is not None
         assert process.stdout.readline() == "cycle\n"
-        process.send_signal(getattr(signal, way))
-    asked = time.monotonic()
-    said, _ = process.communicate(timeout=30)
+        if not more:
+            assert process.stdout.readline() == "cycle\n"
+            process.send_signal(getattr(signal, way))
+        asked = time.monotonic()
+        said, _ = process.communicate(timeout=30)
     # One that runs, one that begins, one for a slow machine; in 1 s four begin.
     assert said.count("cycle") <= (6 if more else 3)
     assert process.returncode == (0 if more else 128 + getattr(signal, way))
@@ -181,10 +182,9 @@ def test_a_component_alone_without_data_says_how_it_gets_some(folder: Path) -> N
         text=True,
         cwd=folder,
     )
-    assert process.stderr is not None
-    try:
+    with limited(process):
+        assert process.stderr is not None
         line = process.stderr.readline()
-    finally:
         process.terminate()
         process.communicate(timeout=30)
     hint = "in-port raw has no connection, nothing will come; as a filter: aiorts --plugins . newest\n"

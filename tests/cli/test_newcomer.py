@@ -76,7 +76,7 @@ def aiorts(folder: Path, *arguments: str, stdin: str = "", plugins: str = "") ->
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         cwd=folder,
         env={**os.environ, "AIORTS_PLUGINS": plugins, "COLUMNS": "120"},
     )

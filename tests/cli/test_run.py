@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts.cli.app import run_command
-from run_parts import here
+from run_parts import here, limited
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -122,8 +122,9 @@ def started(path: Path, *arguments: str) -> subprocess.Popen[str]:
         text=True,
         cwd=ROOT,
     )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
+    with limited(process):
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
     return process
 
 
@@ -324,18 +325,21 @@ FLOOD = """
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX pipes")
 @pytest.mark.fault("F11")
 def test_a_reader_that_goes_away_ends_it_quietly(write: Callable[[str], Path]) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "aiorts", "run", str(write(FLOOD))],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    ) as process:
+    with (
+        subprocess.Popen(
+            [sys.executable, "-m", "aiorts", "run", str(write(FLOOD))],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        ) as process,
+        limited(process),
+    ):
         assert process.stdout is not None
         assert process.stderr is not None
         assert process.stdout.readline().startswith("input0 TimedLong")
         process.stdout.close()
-        assert process.wait(timeout=5) in (0, 141)
+        assert process.wait(timeout=10) in (0, 141)
         assert process.stderr.read() == ""
 
 

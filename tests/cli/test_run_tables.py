@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from run_parts import aiorts, here
+from run_parts import aiorts, here, limited
 
 PARTS = """
 import time
@@ -196,7 +196,10 @@ def test_systemd_is_told_when_it_asks(folder: Path) -> None:
         ours.settimeout(20.0)
         environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "1000000"}
         command = [sys.executable, "-m", "aiorts", "run", "system.toml"]
-        with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as child:
+        with (
+            subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as child,
+            limited(child),
+        ):
             told: list[str] = []
             while not told or not told[-1].startswith("STOPPING=1"):
                 told.append(ours.recv(1000).decode())
@@ -216,7 +219,7 @@ def test_nothing_of_it_in_simulated_time(folder: Path) -> None:
         ours.setblocking(False)
         environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify")}
         command = [sys.executable, "-m", "aiorts", "run", "system.toml", "--simulate"]
-        subprocess.run(command, cwd=folder, env=environment, check=True, timeout=60, capture_output=True)
+        subprocess.run(command, cwd=folder, env=environment, check=True, timeout=40, capture_output=True)
         with pytest.raises(BlockingIOError):
             ours.recv(1000)
 

@@ -53,7 +53,7 @@ def test_it_works_or_says_in_a_line_why_not(folder: Path, command: str, home: st
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         check=False,
         stdin=subprocess.DEVNULL,
     )
@@ -72,7 +72,7 @@ def test_a_component_by_file_from_a_deleted_folder_is_one_line(folder: Path) -> 
             cwd=folder,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=40,
             check=False,
         )
         assert done.returncode == 2
@@ -115,7 +115,7 @@ def test_an_argument_of_a_process_that_is_no_text_is_one_line(folder: Path) -> N
         [os.fsencode(sys.executable), b"-m", b"aiorts", b"run", b"\xff\xfe.toml"],
         cwd=folder,
         capture_output=True,
-        timeout=60,
+        timeout=40,
         check=False,
     )
     assert done.returncode == 2

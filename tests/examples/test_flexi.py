@@ -17,7 +17,7 @@ pytestmark = pytest.mark.row(123)
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, timeout=40)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def module(name: str, folder: Path = EXAMPLE) -> Any:
 def ran(folder: Path, *arguments: str) -> tuple[int, list[str], str]:
     """A command: exit status, lines of standard output, standard error."""
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=50, check=False
+        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=40, check=False
     )
     return done.returncode, done.stdout.splitlines(), done.stderr
 

@@ -22,6 +22,7 @@ from aiorts import Component, EventContext, Kernel, PeriodicContext
 from aiorts.errors import ClosedError, ConfigurationError
 from aiorts.events import LoopStall
 from aiorts.testing import simulated
+from run_parts import limited
 
 pytestmark = pytest.mark.anyio
 
@@ -226,7 +227,7 @@ def child(tmp_path: Path, *args: str) -> subprocess.Popen[str]:
 @pytest.mark.parametrize("how", ["spin", "sleep", "logging"])
 def test_after_the_limit_the_process_ends_with_70_for_who_restarts_it(how: str, tmp_path: Path) -> None:
     began = time.monotonic()
-    with child(tmp_path, how, "0.8", "exit") as process:
+    with child(tmp_path, how, "0.8", "exit") as process, limited(process):
         _, said = process.communicate(timeout=30)
     assert process.returncode == 70
     assert time.monotonic() - began < 15
@@ -239,7 +240,11 @@ def test_after_the_limit_the_process_ends_with_70_for_who_restarts_it(how: str, 
 
 
 def test_a_process_that_was_stopped_is_no_stall_and_is_watched_afterwards(tmp_path: Path) -> None:
-    with child(tmp_path, "idle", "0.8", "exit") as idle, child(tmp_path, "busy", "0.8", "exit") as busy:
+    with (
+        child(tmp_path, "idle", "0.8", "exit") as idle,
+        child(tmp_path, "busy", "0.8", "exit") as busy,
+        limited(idle, busy),
+    ):
         both = {"idle": idle, "busy": busy}
         for process in both.values():
             assert process.stdout is not None
