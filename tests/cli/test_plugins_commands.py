@@ -114,7 +114,7 @@ def test_a_command_that_fails_is_one_line_and_its_traceback_is_there_on_demand(g
     assert done.stderr.count("\n") == 1
     assert "\x1b" not in done.stderr
     assert done.stderr.endswith("`aiorts --debug fails` shows the traceback\n")
-    debug = here("--plugins", str(greets), "--debug", "fails")
+    debug = aiorts("--plugins", str(greets), "--debug", "fails")
     assert debug.returncode == 1
     assert "greets.py" in debug.stderr
     assert "Traceback" in debug.stderr
