@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import select
 import signal
@@ -154,10 +155,12 @@ def _as_if_just_begun() -> Iterator[None]:
     """Forget what another command has found, and then what this one has imported from elsewhere than the path."""
     Catalogue._default = None
     offer_from(None)
+    gc.freeze()  # a run collects what it begins with: not all that the test session holds
     modules, path = set(sys.modules), list(sys.path)
     try:
         yield
     finally:
+        gc.unfreeze()
         sys.path[:] = path
         for name in set(sys.modules) - modules:
             file = getattr(sys.modules[name], "__file__", None)
