@@ -110,7 +110,7 @@ def test_the_end_costs_few_cycles_where_each_takes_longer_than_its_period(folder
     # One that runs, one that begins, one for a slow machine; in 1 s four begin.
     assert said.count("cycle") <= (6 if more else 3)
     assert process.returncode == (0 if more else 128 + getattr(signal, way))
-    assert time.monotonic() - asked < 4.5
+    assert time.monotonic() - asked < 10.0
 
 
 def run_system(folder: Path, reader: str, kind: str, *more: str, option: str = "") -> subprocess.CompletedProcess[str]:
