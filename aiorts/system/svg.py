@@ -58,9 +58,7 @@ def svg(seen: Picture) -> str:
     for number, arrow in enumerate(seen.arrows):
         way, (x, y) = layout.way(number)
         what = f"{'.'.join(arrow.source)} → {'.'.join(arrow.target)}" + (f" ({arrow.label})" if arrow.label else "")
-        lines.append(
-            f'<path class="wire" marker-end="url(#tip)" d="{way}"><title>{_escaped(what)}</title></path>'
-        )
+        lines.append(f'<path class="wire" marker-end="url(#tip)" d="{way}"><title>{_escaped(what)}</title></path>')
         if arrow.label:
             width = len(arrow.label) * 5.6 + 4
             labels.append(
