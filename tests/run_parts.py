@@ -1,15 +1,24 @@
-"""Real runs of the command line for tests: components, a process with pipes, a process on a terminal of its own."""
+"""Real runs of the command line for tests: processes with pipes or on a terminal, commands in this process."""
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import os
 import select
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from aiorts.cli.app import run_command
+from aiorts.kernel.catalogue import Catalogue
+from aiorts.kernel.offers import offer_from
 
 COMPONENTS = '''
 import time
@@ -112,11 +121,106 @@ def aiorts(folder: Path, *arguments: str, **options: Any) -> subprocess.Complete
     return subprocess.run([sys.executable, "-m", "aiorts", *arguments], check=False, cwd=folder, **options)
 
 
+def here(*arguments: str | Path, stdin: str | bytes = "", **environment: str) -> subprocess.CompletedProcess[Any]:
+    """A command, run to its end in this process, on streams of its own.
+
+    Where text and exit status are what is promised, a process would show no more and take ten times as long. A path as
+    the first argument is the folder to run in. What the command prints is text, or bytes where its input is.
+    """
+    words = [str(argument) for argument in arguments]
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_as_if_just_begun())
+        if isinstance(arguments[0], Path):
+            sys.path.insert(0, words.pop(0))
+            stack.enter_context(contextlib.chdir(sys.path[0]))
+        before = dict(os.environ)
+        stack.callback(lambda: (os.environ.clear(), os.environ.update(before)))
+        os.environ.update({"COLUMNS": "120", "AIORTS_PLUGINS": ""} | environment)
+        files = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(3)]
+        files[0].write(stdin.encode() if isinstance(stdin, str) else stdin)
+        files[0].seek(0)
+        with _streams([file.fileno() for file in files]):
+            status = run_command(words)
+        said = []
+        for file in files[1:]:
+            file.seek(0)
+            said.append(file.read())
+        if isinstance(stdin, bytes):
+            return subprocess.CompletedProcess(words, status, *said)
+        return subprocess.CompletedProcess(words, status, *(data.decode() for data in said))
+
+
+@contextlib.contextmanager
+def _as_if_just_begun() -> Iterator[None]:
+    """Forget what another command has found, and then what this one has imported from elsewhere than the path."""
+    Catalogue._default = None
+    offer_from(None)
+    gc.freeze()  # a run collects what it begins with: not all that the test session holds
+    modules, path = set(sys.modules), list(sys.path)
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.path[:] = path
+        for name in set(sys.modules) - modules:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and not file.startswith(tuple(filter(None, path))):
+                del sys.modules[name]
+
+
+@contextlib.contextmanager
+def _streams(descriptors: list[int]) -> Iterator[None]:
+    """Put the files in the place of the three standard streams, for Python and for the system."""
+    names = ("stdin", "stdout", "stderr")
+    streams = [getattr(sys, name) for name in names]
+    for stream in streams[1:]:
+        stream.flush()
+    kept = [os.dup(number) for number in range(3)]
+    for number, descriptor in enumerate(descriptors):
+        os.dup2(descriptor, number)
+    ours = [os.fdopen(number, mode, encoding="utf-8", closefd=False) for number, mode in enumerate(("r", "w", "w"))]
+    try:
+        for name, stream in zip(names, ours, strict=True):
+            setattr(sys, name, stream)
+        yield
+    finally:
+        for name, stream, mine in zip(names, streams, ours, strict=True):
+            mine.close()
+            setattr(sys, name, stream)
+        for number, descriptor in enumerate(kept):
+            os.dup2(descriptor, number)
+            os.close(descriptor)
+
+
+@contextlib.contextmanager
+def limited(*processes: subprocess.Popen[Any], seconds: float = 40.0) -> Iterator[None]:
+    """End the processes by force when the block has not ended by then, or fails.
+
+    What is read of a process that says nothing ends with it: one test fails, and not the whole run at its time limit.
+    """
+
+    def end() -> None:
+        for process in processes:
+            process.kill()
+
+    timer = threading.Timer(seconds, end)
+    timer.start()
+    try:
+        yield
+    except BaseException:
+        end()
+        raise
+    finally:
+        timer.cancel()
+        timer.join()
+
+
 def started(folder: Path, *arguments: str, **options: Any) -> subprocess.Popen[str]:
     """A run that has said that it is ready."""
     process = begun(folder, *arguments, **options)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
+    with limited(process):
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
     return process
 
 
@@ -171,8 +275,9 @@ class Terminal:
 
     def end(self) -> int:
         """Read to the end; the exit status."""
-        while self._read():
-            pass
+        with limited(self.process):
+            while self._read():
+                pass
         return self.process.wait(timeout=20)
 
     def _read(self) -> bool:

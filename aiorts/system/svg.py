@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
-from xml.sax.saxutils import escape, quoteattr
 
 from aiorts.system.layout import Box, Picture, Pin
 
@@ -54,19 +53,17 @@ def svg(seen: Picture) -> str:
             f'<rect class="lane" x="{left:g}" y="{top:.0f}" width="{layout.width - 2 * left:.0f}" '
             f'height="{height:.0f}" rx="8" fill="{_LANES[shade % len(_LANES)]}"/>'
         )
-        lines.append(f'<text class="title" x="{left + 12:g}" y="{top + 17:.0f}">{escape(group.title)}</text>')
+        lines.append(f'<text class="title" x="{left + 12:g}" y="{top + 17:.0f}">{_escaped(group.title)}</text>')
     labels = []
     for number, arrow in enumerate(seen.arrows):
         way, (x, y) = layout.way(number)
         what = f"{'.'.join(arrow.source)} → {'.'.join(arrow.target)}" + (f" ({arrow.label})" if arrow.label else "")
-        lines.append(
-            f'<path class="wire" marker-end="url(#tip)" d={quoteattr(way)}><title>{escape(what)}</title></path>'
-        )
+        lines.append(f'<path class="wire" marker-end="url(#tip)" d="{way}"><title>{_escaped(what)}</title></path>')
         if arrow.label:
             width = len(arrow.label) * 5.6 + 4
             labels.append(
                 f'<rect class="paper" x="{x - width:.0f}" y="{y - 9:.0f}" width="{width:.0f}" height="11" rx="2"/>'
-                f'<text class="label" x="{x - 2:.0f}" y="{y:.0f}" text-anchor="end">{escape(arrow.label)}</text>'
+                f'<text class="label" x="{x - 2:.0f}" y="{y:.0f}" text-anchor="end">{_escaped(arrow.label)}</text>'
             )
     for spot in layout.spots.values():
         if spot.box is not None:
@@ -74,12 +71,17 @@ def svg(seen: Picture) -> str:
     return "\n".join([*lines, *labels, "</svg>"]) + "\n"
 
 
+def _escaped(text: str) -> str:
+    """As XML's text. `xml.sax.saxutils` has it, too, but imports what opens URLs, which every start would pay for."""
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
 def _box(box: Box, spot: _Spot) -> list[str]:
     x, y, middle = spot.x, spot.y, spot.x + spot.width / 2
     lines = [
         f'<rect class="box" x="{x:.1f}" y="{y:.1f}" width="{spot.width:.1f}" height="{spot.height:.1f}" rx="5"/>',
-        f'<text class="name" x="{middle:.1f}" y="{y + 17:.1f}" text-anchor="middle">{escape(box.name)}</text>',
-        f'<text class="type" x="{middle:.1f}" y="{y + 32:.1f}" text-anchor="middle">{escape(box.type)}</text>',
+        f'<text class="name" x="{middle:.1f}" y="{y + 17:.1f}" text-anchor="middle">{_escaped(box.name)}</text>',
+        f'<text class="type" x="{middle:.1f}" y="{y + 32:.1f}" text-anchor="middle">{_escaped(box.type)}</text>',
     ]
     if box.pins:
         end = x + spot.width
@@ -91,11 +93,11 @@ def _box(box: Box, spot: _Spot) -> list[str]:
         edge, text = (x + spot.width, x + spot.width - 8) if pin.out else (x, x + 8)
         side = "end" if pin.out else "start"
         lines.append(f'<circle class="{"out" if pin.out else "in"}" cx="{edge:.1f}" cy="{where:.1f}" r="3.5"/>')
-        lines.append(f'<text x="{text:.1f}" y="{where + 4:.1f}" text-anchor="{side}">{escape(pin.name)}</text>')
+        lines.append(f'<text x="{text:.1f}" y="{where + 4:.1f}" text-anchor="{side}">{_escaped(pin.name)}</text>')
         if pin.type:
             beside = text + (-1 if pin.out else 1) * (len(pin.name) * _CHAR + 10)
             place = f'x="{beside:.1f}" y="{where + 4:.1f}" text-anchor="{side}"'
-            lines.append(f'<text class="type" {place}>{escape(pin.type)}</text>')
+            lines.append(f'<text class="type" {place}>{_escaped(pin.type)}</text>')
     return lines
 
 

@@ -39,7 +39,7 @@ def test_example_runs_without_posix_only_modules() -> None:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=50,
+        timeout=40,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -58,7 +58,7 @@ def test_every_module_can_be_imported_without_posix_only_modules() -> None:
     ]
     body = "import importlib\nfor name in sys.argv[1:]: importlib.import_module(name)\n"
     code = RUN_WITHOUT[: RUN_WITHOUT.index("sys.argv[0]")].replace("import runpy, sys", "import sys") + body
-    done = subprocess.run([sys.executable, "-c", code, *modules], cwd=ROOT, capture_output=True, text=True, timeout=50)
+    done = subprocess.run([sys.executable, "-c", code, *modules], cwd=ROOT, capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stderr) == (0, "")
 
 

@@ -14,11 +14,12 @@ from pathlib import Path
 import pytest
 from test_layers import ROOT
 
+pytestmark = pytest.mark.timeout(300)
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "aiorts", "plugins", "examples", "tests")
 
 
 def run(*command: str | Path, cwd: Path) -> str:
-    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True, check=False)
+    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True, check=False, timeout=100)
     assert done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"
     return done.stdout
 

@@ -51,7 +51,9 @@ def test_compare_with_itself_says_so(tmp_path: Path) -> None:
     assert bench("push", *TINY, "--json", "-o", str(old)).exit_code == 0
     result = bench("push", *TINY, "--compare", str(old))
     assert result.exit_code == 0, result.output
-    assert "CHANGED" in result.stdout or "no change beyond the spread" in result.stdout
+    # On a machine that is too busy it judges none of the three rows, and says that.
+    judged = ("CHANGED", "no change beyond the spread", "3 rows not judged")
+    assert any(said in result.stdout for said in judged), result.stdout
 
 
 @pytest.mark.parametrize(

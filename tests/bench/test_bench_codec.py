@@ -24,7 +24,7 @@ def test_a_codec_of_a_plugin_stands_beside_ours_and_a_broken_one_is_left_out(tmp
         [sys.executable, "-m", "aiorts", "--plugins", str(tmp_path), *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         env={**os.environ},
     )
     assert done.returncode == 0, done.stderr

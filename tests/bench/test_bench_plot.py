@@ -105,5 +105,5 @@ def test_png_is_one(tmp_path: Path, rates: str) -> None:
     """In a process of its own: matplotlib keeps its fonts open."""
     words = ["--subscription=flush", "--loop=asyncio", "--scale=0.05", "--rounds=2", "--plot=plot.png"]
     command = [sys.executable, "-m", "aiorts", "bench", "push", *words, f"--producer-rate={rates}"]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=40)
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from aiorts.bench import registry, results
+from aiorts.bench import registry, results, runner
 from aiorts.bench.case import COST, Aim, Case, Reading
 from aiorts.bench.registry import Bench, Options, with_aims
 from aiorts.bench.report import Report
@@ -51,6 +51,8 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         benches = {"one": bench("one", 1.0), "two": bench("two", own, *faults)}
         monkeypatch.setattr(registry, "load", benches.__getitem__)
         monkeypatch.setattr(results, "PARTS", tuple(Part(name) for name in benches))
+        # What a case leaves is collected before the next one: nothing here, but all that the test session holds.
+        monkeypatch.setattr(runner.gc, "collect", lambda: 0)
         outcome = CliRunner().invoke(main, [str(tmp_path / "R.md"), *words])
         file = tmp_path / "R.md"
         return SimpleNamespace(

@@ -175,42 +175,53 @@ def test_what_is_on_standard_output_is_json_or_nothing(command: str, words: list
         assert isinstance(json.loads(out), dict | list), (arguments, out)
 
 
-@pytest.mark.fault("F14")
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--help"],
-        ["types", "Pose"],
-        ["inspect", "TimedPose2D"],
-        ["inspect", "arm.py:日"],
-        ["inspect", "FlexiFilter"],
-        ["plugins"],
-        ["help", "errors"],
-    ],
+IN_ANY = (
+    ["--help"],
+    ["types", "Pose"],
+    ["inspect", "TimedPose2D"],
+    ["inspect", "arm.py:日"],
+    ["inspect", "FlexiFilter"],
+    ["plugins"],
+    ["help", "errors"],
 )
-def test_commands_work_in_any_surroundings(arguments: list[str], tmp_path: Path) -> None:
+ONE_BY_ONE = """
+import os, sys
+from aiorts.cli.app import run_command
+for arguments in {}:
+    assert run_command(arguments) == 0, arguments
+    sys.stdout.flush()
+    os.write(1, b"\\0")
+"""
+
+
+@pytest.mark.fault("F14")
+def test_commands_work_in_any_surroundings(tmp_path: Path) -> None:
+    """All in one process, whose surroundings they are."""
     (tmp_path / "arm.py").write_text(
         "from aiorts import Component\nclass 日(Component):\n    '''Größe \\x1b[31m.'''\n", encoding="utf-8"
     )
     hostile = {"LANG": "C", "LC_ALL": "C", "PYTHONIOENCODING": "ascii", "TERM": "dumb", "COLUMNS": "1", "NO_COLOR": "1"}
     environment = {name: value for name, value in os.environ.items() if name != "HOME"}
     done = subprocess.run(
-        [sys.executable, "-m", "aiorts", *arguments],
+        [sys.executable, "-c", ONE_BY_ONE.format(ascii(IN_ANY))],
         env={**environment, **hostile},
         cwd=tmp_path,
         capture_output=True,
-        timeout=60,
+        timeout=40,
     )
     assert (done.returncode, done.stderr) == (0, b"")
-    assert done.stdout.isascii()
-    assert b"\x1b" not in done.stdout
-    assert len(done.stdout) > 100 or "arm.py:日" in arguments
+    *shown, rest = done.stdout.split(b"\0")
+    assert (len(shown), rest) == (len(IN_ANY), b"")
+    for arguments, text in zip(IN_ANY, shown, strict=True):
+        assert text.isascii()
+        assert b"\x1b" not in text
+        assert len(text) > 100 or "arm.py:日" in arguments
 
 
 @pytest.mark.fault("F14")
 def test_an_argument_that_is_no_text_is_shown_by_number() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "aiorts", "inspect", b"Timed\xff\x1b[31m"], capture_output=True, timeout=60
+        [sys.executable, "-m", "aiorts", "inspect", b"Timed\xff\x1b[31m"], capture_output=True, timeout=40
     )
     assert (done.returncode, done.stdout) == (2, b"")
     assert rb"\udcff" in done.stderr
@@ -218,10 +229,10 @@ def test_an_argument_that_is_no_text_is_shown_by_number() -> None:
 
 
 @pytest.mark.fault("F12")
-@pytest.mark.parametrize("command", ["types", "inspect TimedLong", "help errors", "plugins"])
+@pytest.mark.parametrize("command", ["types", "plugins"])
 def test_a_full_disk_is_one_line(command: str) -> None:
     done = subprocess.run(
-        ["bash", "-c", f"{sys.executable} -m aiorts {command} >/dev/full"], capture_output=True, text=True, timeout=60
+        ["bash", "-c", f"{sys.executable} -m aiorts {command} >/dev/full"], capture_output=True, text=True, timeout=40
     )
     assert done.returncode == 1
     assert done.stderr.startswith("aiorts: E-OUTPUT: ")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from run_parts import here
 
 PARTS = """
 from aiorts import Component, OutPort
@@ -57,11 +57,5 @@ def test_the_clock_of_the_file_is_taken_and_the_command_line_wins(
     rate: float,
     said: str,
 ) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "aiorts", "run", write(clock, rate), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
+    done = here("run", write(clock, rate), *arguments)
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, said, "")

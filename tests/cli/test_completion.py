@@ -28,7 +28,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> str:
 def script(path: str) -> str:
     """What `aiorts completion bash` prints."""
     environment = {**os.environ, "PATH": path}
-    done = subprocess.run(["aiorts", "completion", "bash"], env=environment, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["aiorts", "completion", "bash"], env=environment, capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout
 
@@ -47,7 +47,7 @@ def bash(path: str, script: str, *words: str) -> list[str]:
         env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
     )
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.split()
@@ -91,7 +91,7 @@ def ask(shell: str, path: str, before: tuple[str, ...], word: str) -> list[str]:
         },
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
     )
     assert done.stderr == ""
     return done.stdout.splitlines()
@@ -141,7 +141,7 @@ def test_names_are_completed_without_importing_what_has_them() -> None:
         env={**os.environ, "_AIORTS_COMPLETE": "bash_complete", "COMP_WORDS": "aiorts fl", "COMP_CWORD": "1"},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
     )
     assert "plain,flexifilter" in done.stdout
     assert not {"aiorts_flexi", "numpy", "asyncio", "aiorts.types"} & set(done.stderr.split())

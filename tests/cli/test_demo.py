@@ -13,13 +13,14 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts.cli.demo.chart import Strip
+from run_parts import here
 
 HOSTILE = {"LANG": "C", "LC_ALL": "C", "PYTHONIOENCODING": "ascii", "TERM": "dumb", "COLUMNS": "1", "NO_COLOR": "1"}
 
 
 def aiorts(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "aiorts", *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=40)
 
 
 def start(environment: dict[str, str]) -> subprocess.Popen[str]:
@@ -34,11 +35,12 @@ def start(environment: dict[str, str]) -> subprocess.Popen[str]:
 
 
 @pytest.mark.fault("F14")
+@pytest.mark.timeout(120)
 def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> None:
     began = time.monotonic()
     runs = [start({}), start({**HOSTILE, "HOME": str(tmp_path / "none")})]
     for process in runs:
-        out, err = process.communicate(timeout=50)
+        out, err = process.communicate(timeout=40)
         assert (process.returncode, err) == (0, "")
         assert out.isascii()
         assert "\x1b" not in out
@@ -59,16 +61,17 @@ def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> N
 
 
 def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
-    source = aiorts("demo", "--source")
+    source = here("demo", "--source")
     assert (source.returncode, source.stderr) == (0, "")
     (tmp_path / "motor.py").write_text(source.stdout)
-    done = subprocess.run([sys.executable, "motor.py"], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "motor.py"], cwd=tmp_path, capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(done.stdout.splitlines()) >= 10
 
 
+@pytest.mark.timeout(120)
 def test_what_it_saves_runs_and_passes_its_tests(tmp_path: Path) -> None:
-    saved = aiorts("demo", "--save", "my motor/first", cwd=tmp_path)
+    saved = here(tmp_path, "demo", "--save", "my motor/first")
     assert (saved.returncode, saved.stderr) == (0, "")
     folder = tmp_path / "my motor" / "first"
     assert sorted(path.name for path in folder.iterdir()) == ["motor.py", "system.toml", "test_motor.py"]
@@ -77,14 +80,14 @@ def test_what_it_saves_runs_and_passes_its_tests(tmp_path: Path) -> None:
     lines = done.stdout.splitlines()
     assert len(lines) >= 25
     assert abs(int(lines[-1].rpartition(" ")[2]) - 50 * 9.5493) < 50
-    assert aiorts("run", str(folder / "system.toml"), "--simulate", "--set", "motor.load=2").stdout != done.stdout
-    assert aiorts("inspect", f"{folder / 'motor.py'}:Control").returncode == 0
+    assert here("run", str(folder / "system.toml"), "--simulate", "--set", "motor.load=2").stdout != done.stdout
+    assert here("inspect", f"{folder / 'motor.py'}:Control").returncode == 0
     tested = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
     )
     assert tested.returncode == 0, tested.stdout
     assert "2 passed" in tested.stdout
@@ -121,7 +124,7 @@ def test_where_nothing_can_be_written_is_one_line(
 @pytest.mark.fault("F11")
 def test_a_reader_that_has_seen_enough_ends_it_quietly() -> None:
     done = subprocess.run(
-        ["bash", "-c", f"{sys.executable} -m aiorts demo | head -3"], capture_output=True, text=True, timeout=60
+        ["bash", "-c", f"{sys.executable} -m aiorts demo | head -3"], capture_output=True, text=True, timeout=40
     )
     assert (len(done.stdout.splitlines()), done.stderr) == (3, "")
 

@@ -20,7 +20,7 @@ def doctor(*arguments: str, prepare: Any = None, **environment: str) -> subproce
         env={**os.environ, **environment},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         preexec_fn=prepare,
     )
 

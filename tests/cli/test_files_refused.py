@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from run_parts import here
+
 PARTS = """
 from aiorts import Component, InPort, OutPort
 from aiorts.types import TimedLong
@@ -41,7 +43,7 @@ contexts.b = {{kind = "periodic", rate = {rate}, members = ["snk"]}}
 
 def aiorts(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "aiorts", *arguments], cwd=folder, capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "aiorts", *arguments], cwd=folder, capture_output=True, text=True, timeout=40
     )
 
 
@@ -58,7 +60,7 @@ def aiorts(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def test_what_is_wrong_with_a_file_is_said_at_once(tmp_path: Path, text: str, said: str, checked: int) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     (tmp_path / "system.toml").write_text(text)
-    run, check = aiorts(tmp_path, "run", "system.toml"), aiorts(tmp_path, "check", "system.toml")
+    run, check = here(tmp_path, "run", "system.toml"), here(tmp_path, "check", "system.toml")
     assert (run.returncode, check.returncode) == (2, checked)
     assert said in run.stderr
     assert said in (check.stdout + check.stderr)
@@ -74,7 +76,7 @@ def test_a_slow_clock_loses_no_sample_at_the_end(tmp_path: Path) -> None:
 def test_samples_lost_at_the_end_are_a_failure(tmp_path: Path) -> None:
     (tmp_path / "parts.py").write_text(PARTS)
     (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Deaf"))
-    done = aiorts(tmp_path, "run", "system.toml")
+    done = here(tmp_path, "run", "system.toml")
     assert done.returncode == 1
     assert "E-UNREAD" in done.stderr
 
@@ -84,8 +86,8 @@ def test_a_process_that_goes_on_after_a_run_is_left_alone(tmp_path: Path) -> Non
     (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Sink"))
     program = (
         "import time\nfrom aiorts.cli import stopping\nfrom aiorts.cli.app import run_command\n"
-        "stopping.LONGEST_STOP = 1.0\nstatus = run_command(['run', 'system.toml'])\n"
-        "time.sleep(2.0)\nprint('goes on', status)\n"
+        "stopping.LONGEST_STOP = 0.5\nstatus = run_command(['run', 'system.toml'])\n"
+        "time.sleep(1.0)\nprint('goes on', status)\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stdout.split()[-3:]) == (0, ["goes", "on", "0"]), done.stderr

@@ -13,6 +13,7 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts_flexi.grammar import LONGEST_MAP
+from run_parts import here, limited
 
 pytestmark = pytest.mark.row(123)
 
@@ -22,7 +23,7 @@ PAPERS = (
 )
 
 
-def aiorts(*arguments: str, stdin: str = "", timeout: float = 60) -> subprocess.CompletedProcess[str]:
+def aiorts(*arguments: str, stdin: str = "", timeout: float = 40) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "aiorts", *arguments], input=stdin, capture_output=True, text=True, timeout=timeout
     )
@@ -39,7 +40,7 @@ def test_three_filters_in_a_pipe_print_five_lines() -> None:
         f" | {command} flexifilter -i TimedDouble -o TimedLong -m '0>1000>0'"
         f" | {command} flexidump -p TimedLong"
     )
-    done = subprocess.run(["bash", "-o", "pipefail", "-c", pipe], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", pipe], capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stderr) == (0, "")
     found = done.stdout.splitlines()
     assert len(found) == 5
@@ -47,7 +48,7 @@ def test_three_filters_in_a_pipe_print_five_lines() -> None:
 
 
 def test_the_command_of_the_paper_prints_its_map_and_ends() -> None:
-    done = aiorts(*PAPERS.split())
+    done = here(*PAPERS.split())
     assert (done.returncode, done.stderr) == (0, "")
     assert "input0:1  x 0.1   output0:3" in done.stdout
 
@@ -97,7 +98,7 @@ def test_good_maps_are_tables(text: str, capsys: pytest.CaptureFixture[str]) -> 
 @pytest.mark.fault("F07")
 @pytest.mark.parametrize("check", [[], ["--check"]])
 def test_a_mistake_in_typed_text_is_one_error_with_the_place_marked(check: list[str]) -> None:
-    done = aiorts("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", "-m", "0>garbage", *check)
+    done = here("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", "-m", "0>garbage", *check)
     assert (done.returncode, done.stdout) == (2, "")
     error, quoted, mark = done.stderr.splitlines()
     assert error.startswith("aiorts: E-CONFIG: ")
@@ -107,7 +108,7 @@ def test_a_mistake_in_typed_text_is_one_error_with_the_place_marked(check: list[
 @pytest.mark.fault("F08")
 @pytest.mark.parametrize(("kind", "constant", "data"), [("TimedLong", "0", 0), ("TimedBoolean", "False", False)])
 def test_a_constant_that_is_false_is_sent_like_any_other(kind: str, constant: str, data: object) -> None:
-    done = aiorts("flexiconst", "-p", kind, "-c", constant, "--count", "1")
+    done = here("flexiconst", "-p", kind, "-c", constant, "--count", "1")
     assert done.returncode == 0
     assert lines(done.stdout) == [data]
 
@@ -115,14 +116,14 @@ def test_a_constant_that_is_false_is_sent_like_any_other(kind: str, constant: st
 @pytest.mark.fault("F08")
 def test_a_constant_is_never_code(tmp_path: Path) -> None:
     canary = tmp_path / "canary"
-    done = aiorts("flexiconst", "-p", "TimedLong", "-c", f"__import__('os').mkdir({str(canary)!r})", "--count", "1")
+    done = here("flexiconst", "-p", "TimedLong", "-c", f"__import__('os').mkdir({str(canary)!r})", "--count", "1")
     assert done.returncode == 2
     assert "expected a literal" in done.stderr
     assert not canary.exists()
 
 
 def test_good_lines_go_through_and_a_bad_one_makes_the_exit_status_1() -> None:
-    done = aiorts("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", "-m", "0>1000>0", stdin="1\nx\n2\n")
+    done = here("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", "-m", "0>1000>0", stdin="1\nx\n2\n")
     assert lines(done.stdout) == [1000, 2000]
     assert done.returncode == 1
     assert done.stderr.startswith("aiorts: E-LINE: standard input, line 2: ")
@@ -138,7 +139,7 @@ def test_a_hundred_thousand_lines_go_through_and_none_is_lost() -> None:
 
 def test_a_component_that_fails_ends_the_filter_with_status_1() -> None:
     sums = [{"port": f"input{number % 2}", "data": data} for number, data in enumerate([1, 32767, -9])]
-    done = aiorts("flexiadd", "-p", "TimedShort:2", stdin="\n".join(map(json.dumps, sums)))
+    done = here("flexiadd", "-p", "TimedShort:2", stdin="\n".join(map(json.dumps, sums)))
     assert done.returncode == 1
     assert lines(done.stdout) == [1]  # 1 + 32767 is more than a TimedShort holds
     assert "E-CONVERT" in done.stderr
@@ -147,13 +148,13 @@ def test_a_component_that_fails_ends_the_filter_with_status_1() -> None:
 @pytest.mark.parametrize("name", ["flexifilter", "flexidump"])
 def test_after_count_samples_it_ends(name: str) -> None:
     options = ["-p", "TimedLong"] if name == "flexidump" else ["-i", "TimedLong", "-o", "TimedLong"]
-    done = aiorts(name, *options, "--count", "2", stdin="1\n2\n3\n4\n")
+    done = here(name, *options, "--count", "2", stdin="1\n2\n3\n4\n")
     assert done.returncode == 0
     assert len(done.stdout.splitlines()) == 2
 
 
 def test_at_the_end_of_input_what_is_left_is_processed_and_components_are_deactivated() -> None:
-    done = aiorts("flexidump", "-p", "TimedLong", "--rate-limit", "0.001", "--debug", stdin="1\n2\n3\n")
+    done = here("flexidump", "-p", "TimedLong", "--rate-limit", "0.001", "--debug", stdin="1\n2\n3\n")
     assert done.returncode == 0
     assert len(done.stdout.splitlines()) == 1
     assert "2 samples were not shown" in done.stderr  # which it says when it is deactivated
@@ -169,21 +170,22 @@ def test_a_terminal_is_told_what_is_awaited() -> None:
         text=True,
     )
     os.close(follower)
-    assert process.stderr is not None
-    assert "reading JSON lines for input0 (TimedLong)" in process.stderr.readline()
-    os.write(leader, b"5\n\x04")
-    out, err = process.communicate(timeout=30)
+    with limited(process):
+        assert process.stderr is not None
+        assert "reading JSON lines for input0 (TimedLong)" in process.stderr.readline()
+        os.write(leader, b"5\n\x04")
+        out, err = process.communicate(timeout=30)
     os.close(leader)
     assert (out, err, process.returncode) == ("5\n", "", 0)
 
 
 def test_help_and_unknown_names() -> None:
-    done = aiorts("flexidump", "--help")
+    done = here("flexidump", "--help")
     assert done.returncode == 0
     assert "--rate-limit" in done.stdout
-    done = aiorts("flexidmp")
+    done = here("flexidmp")
     assert done.returncode == 2
     assert "did you mean 'flexidump'?" in done.stderr
-    done = aiorts("flexidump", "--colour")
+    done = here("flexidump", "--colour")
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1

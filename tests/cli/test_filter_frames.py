@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import run_parts
 from aiorts.system.frames import framed
 from aiorts.types import TimedDouble, TimedLong
 from aiorts.wire import MsgpackCodec
@@ -20,8 +21,8 @@ CODEC = MsgpackCodec()
 DUMP = ("flexidump", "-p", "TimedLong", "--format", "values")
 
 
-def aiorts(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run([sys.executable, "-m", "aiorts", *arguments], input=stdin, capture_output=True, timeout=60)
+def here(*arguments: str, stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    return run_parts.here(*arguments, stdin=stdin)
 
 
 def frames(*values: int) -> bytes:
@@ -29,12 +30,12 @@ def frames(*values: int) -> bytes:
 
 
 def test_what_a_filter_writes_is_what_the_next_one_reads() -> None:
-    made = aiorts("flexiconst", "-p", "TimedDouble", "-c", "6.2", "-r", "500", "--count", "5", "--codec", "msgpack")
+    made = here("flexiconst", "-p", "TimedDouble", "-c", "6.2", "-r", "500", "--count", "5", "--codec", "msgpack")
     assert (made.returncode, made.stderr) == (0, b"")
     arguments = ("flexifilter", "-i", "TimedDouble", "-o", "TimedLong", "-m", "0>1000>0", "--codec", "msgpack")
-    turned = aiorts(*arguments, stdin=made.stdout)
+    turned = here(*arguments, stdin=made.stdout)
     assert (turned.returncode, turned.stderr) == (0, b"")
-    shown = aiorts(*DUMP, "--codec", "msgpack", stdin=turned.stdout)
+    shown = here(*DUMP, "--codec", "msgpack", stdin=turned.stdout)
     assert (shown.returncode, shown.stdout, shown.stderr) == (0, b"6200\n" * 5, b"")
 
 
@@ -43,7 +44,7 @@ def test_frames_are_as_they_are_written_down() -> None:
 
 
 def test_every_frame_of_many_arrives_in_order_in_any_pieces() -> None:
-    done = aiorts(*DUMP, "--codec", "msgpack", stdin=frames(*range(20_000)))
+    done = here(*DUMP, "--codec", "msgpack", stdin=frames(*range(20_000)))
     assert done.returncode == 0
     assert done.stdout.split() == [b"%d" % number for number in range(20_000)]
 
@@ -61,7 +62,7 @@ def test_every_frame_of_many_arrives_in_order_in_any_pieces() -> None:
 def test_a_bad_frame_is_one_line_and_counted_and_the_good_ones_are_processed(
     data: bytes, good: list[bytes], fault: bytes
 ) -> None:
-    done = aiorts(*DUMP, "--codec", "msgpack", stdin=data)
+    done = here(*DUMP, "--codec", "msgpack", stdin=data)
     assert done.stdout.split() == good
     assert done.returncode == 1
     assert done.stderr.startswith(b"aiorts: E-FRAME: standard input, frame ")
@@ -71,19 +72,19 @@ def test_a_bad_frame_is_one_line_and_counted_and_the_good_ones_are_processed(
 
 def test_frames_name_the_port_where_there_are_several() -> None:
     data = framed("input1", CODEC.encode(TimedLong(1, 7))) + framed("none", CODEC.encode(TimedLong(1, 8)))
-    done = aiorts("flexidump", "-p", "TimedLong", "-p", "TimedLong", "--codec", "msgpack", stdin=data)
+    done = here("flexidump", "-p", "TimedLong", "-p", "TimedLong", "--codec", "msgpack", stdin=data)
     assert done.stdout.startswith(b"input1 TimedLong")
     assert b"frame 2: no in-port 'none'; there are input0, input1" in done.stderr
     assert done.returncode == 1
 
 
 def test_count_ends_both_ends() -> None:
-    done = aiorts(*DUMP, "--codec", "msgpack", "--count", "3", stdin=frames(1, 2, 3, 4, 5))
+    done = here(*DUMP, "--codec", "msgpack", "--count", "3", stdin=frames(1, 2, 3, 4, 5))
     assert (done.returncode, done.stdout.split()) == (0, [b"1", b"2", b"3"])
 
 
 def test_an_unknown_codec_is_refused_with_a_near_one() -> None:
-    done = aiorts(*DUMP, "--codec", "msgpck")
+    done = here(*DUMP, "--codec", "msgpck")
     assert done.returncode == 2
     assert done.stderr == b"aiorts: E-PLUGIN: no codec named 'msgpck'; did you mean msgpack?\n"
 
@@ -97,7 +98,7 @@ def test_a_codec_of_a_plugin_is_used(tmp_path: Path) -> None:
     )
     project(tmp_path, "turned", {"turned": text}, {"codecs/turned": "turned:Turned"})
     data = framed("x", CODEC.encode(TimedLong(1, 42))[::-1])
-    done = aiorts("--plugins", str(tmp_path), *DUMP, "--codec", "turned", stdin=data)
+    done = here("--plugins", str(tmp_path), *DUMP, "--codec", "turned", stdin=data)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"42\n", b"")
 
 
@@ -105,7 +106,7 @@ def test_a_codec_that_fails_ends_the_filter_and_nothing_hangs(tmp_path: Path) ->
     text = "class Broken:\n    def encode(self, *any): raise OverflowError('no')\n    decode = encode\n"
     project(tmp_path, "broken", {"broken": text}, {"codecs/broken": "broken:Broken"})
     for arguments in (("flexiconst", "-p", "TimedLong", "-c", "1", "--count", "2"), DUMP):
-        done = aiorts("--plugins", str(tmp_path), *arguments, "--codec", "broken", "--for", "20", stdin=frames(1))
+        done = here("--plugins", str(tmp_path), *arguments, "--codec", "broken", "--for", "20", stdin=frames(1))
         assert done.returncode == 1
         assert b"OverflowError: no" in done.stderr
         assert b"Traceback" not in done.stderr
@@ -120,7 +121,7 @@ def test_a_terminal_gets_no_binary_frames() -> None:
             stdin=subprocess.DEVNULL,
             stdout=theirs,
             stderr=subprocess.PIPE,
-            timeout=60,
+            timeout=40,
         )
     finally:
         os.close(ours)
@@ -141,10 +142,11 @@ def test_a_reader_that_goes_ends_the_writer_quietly() -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
-    assert writer.stdout is not None
-    assert writer.stderr is not None
-    assert len(writer.stdout.read(1000)) == 1000
-    writer.stdout.close()
-    assert writer.wait(30) in (0, 141)
-    assert writer.stderr.read() == b""
-    writer.stderr.close()
+    with run_parts.limited(writer):
+        assert writer.stdout is not None
+        assert writer.stderr is not None
+        assert len(writer.stdout.read(1000)) == 1000
+        writer.stdout.close()
+        assert writer.wait(30) in (0, 141)
+        assert writer.stderr.read() == b""
+        writer.stderr.close()

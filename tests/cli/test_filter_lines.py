@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from typing import Any
 
 import pytest
 
 from campaign import CAMPAIGN
+from run_parts import here
 
 pytestmark = pytest.mark.row(123)
 NESTED = 100_000
 
 
-def aiorts(*arguments: str, stdin: bytes = b"", timeout: float = 60) -> tuple[int, list[Any], list[str]]:
+def aiorts(*arguments: str, stdin: bytes = b"") -> tuple[int, list[Any], list[str]]:
     """Exit status, lines of standard output as JSON, lines of standard error."""
-    done = subprocess.run(
-        [sys.executable, "-m", "aiorts", *arguments], input=stdin, capture_output=True, timeout=timeout
-    )
+    done = here(*arguments, stdin=stdin)
     return (
         done.returncode,
         [json.loads(line) for line in done.stdout.decode().splitlines()],

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from aiorts.cli.app import run_command
+from run_parts import here
 
 TYPES = """
 from dataclasses import dataclass
@@ -48,7 +49,7 @@ def aiorts(
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([*found, *filter(None, [os.environ.get("PYTHONPATH", "")])])},
     )
@@ -71,7 +72,7 @@ def aiorts(
     ],
 )
 def test_a_value_may_begin_with_a_minus_sign(arguments: list[str], stdin: str, out: str) -> None:
-    done = aiorts(*arguments, stdin=stdin)
+    done = here(*arguments, stdin=stdin)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.endswith(f"{out}\n")
 
@@ -154,7 +155,7 @@ def test_each_of_the_six_takes_type_modules_and_a_verbosity(tmp_path: Path, name
 
 
 def test_without_verbosity_nothing_is_said_of_the_ports() -> None:
-    done = aiorts("flexidump", *SIX["flexidump"], "-v", "0", "--debug")
+    done = here("flexidump", *SIX["flexidump"], "-v", "0", "--debug")
     assert done.returncode == 0
     assert "ports: " not in done.stderr
 

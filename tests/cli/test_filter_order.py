@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from typing import Any
 
@@ -14,6 +12,7 @@ from aiorts.errors import WriteTimeout
 from aiorts.system.pipes import Feed
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
+from run_parts import here
 
 pytestmark = pytest.mark.row(123)
 LINES = [("input0", 1), ("selection", 1), ("input1", 2), ("input0", 3), ("selection", 0), ("input0", 4), ("input1", 5)]
@@ -25,8 +24,7 @@ def line(port: str, data: float) -> str:
 
 def ran(*arguments: str, stdin: str) -> tuple[int, list[str], list[str]]:
     """Exit status, `data` of each line written, and what was said."""
-    command = [sys.executable, "-m", "aiorts", *arguments]
-    done = subprocess.run(command, input=stdin, capture_output=True, text=True, timeout=60)
+    done = here(*arguments, stdin=stdin)
     values = [written.rpartition(": ")[2].rstrip("}") for written in done.stdout.splitlines()]
     return done.returncode, values, done.stderr.splitlines()
 
@@ -80,8 +78,7 @@ def test_a_bad_line_changes_no_pin() -> None:
     arguments = ("-i", "TimedDoubleSeq:2", "-i", "TimedLong", "-o", "TimedLongSeq:3", "-m", "0:0>0:0,0:1>0:1,1>0:2")
     data = '{"port": "input0", "tm": 1, "data": %s}\n'
     stdin = data % "[1, 2]" + data % "[5, 1e20]" + line("input1", 7)
-    command = [sys.executable, "-m", "aiorts", "flexifilter", *arguments]
-    done = subprocess.run(command, input=stdin, capture_output=True, text=True, timeout=60)
+    done = here("flexifilter", *arguments, stdin=stdin)
     assert done.returncode == 1
     assert "line 2: " in done.stderr
     assert [text.rpartition('"data": ')[2] for text in done.stdout.splitlines()] == ["[1, 2, 0]}", "[1, 2, 7]}"]

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from campaign import CAMPAIGN
+from run_parts import limited
 
 pytestmark = [
     pytest.mark.row(123),
@@ -46,7 +47,7 @@ def ended(command: str, keep: list[int] | None = None, **streams: int) -> Ended:
     )
     assert process.stdout is not None
     assert process.stderr is not None
-    with process.stdout as out, process.stderr as err:
+    with limited(process), process.stdout as out, process.stderr as err:
         said, complained = out.read().decode(), err.read().decode()
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -56,10 +57,10 @@ def ended(command: str, keep: list[int] | None = None, **streams: int) -> Ended:
 @pytest.mark.fault("F11")
 @pytest.mark.parametrize("command", [f"yes 1 | {DUMP}", f"yes 1 | {FILTER}", CONST], ids=["dump", "filter", "const"])
 def test_a_reader_that_takes_one_line_ends_it_quietly_and_soon(command: str) -> None:
-    for _ in range(100 if CAMPAIGN else 2):
+    for _ in range(100 if CAMPAIGN else 1):
         began = time.monotonic()
         done = subprocess.run(
-            ["bash", "-c", f"{command} | head -1; echo ${{PIPESTATUS[-2]}}"], capture_output=True, text=True, timeout=60
+            ["bash", "-c", f"{command} | head -1; echo ${{PIPESTATUS[-2]}}"], capture_output=True, text=True, timeout=40
         )
         took = time.monotonic() - began
         line, status = done.stdout.splitlines()
@@ -136,10 +137,11 @@ def test_a_terminal_that_is_hung_up_is_the_end_of_input() -> None:
         text=True,
     )
     os.close(follower)
-    assert process.stderr is not None
-    assert "reading JSON lines" in process.stderr.readline()
-    os.close(leader)
-    assert process.communicate(timeout=30) == ("", "")
+    with limited(process):
+        assert process.stderr is not None
+        assert "reading JSON lines" in process.stderr.readline()
+        os.close(leader)
+        assert process.communicate(timeout=30) == ("", "")
     assert process.returncode == 0
 
 
@@ -201,15 +203,18 @@ def test_who_reads_a_dump_and_stalls_delays_no_other_component(way: str, tmp_pat
     (tmp_path / "late.py").write_text(LATE)
     text = SYSTEM.replace("WAY", way).replace("TEXT", "x" * 200).replace("REPORT", str(tmp_path / "report"))
     (tmp_path / "system.toml").write_text(text)
-    with subprocess.Popen(
-        [sys.executable, "-m", "aiorts", "run", str(tmp_path / "system.toml")],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    ) as process:
+    with (
+        subprocess.Popen(
+            [sys.executable, "-m", "aiorts", "run", str(tmp_path / "system.toml")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        ) as process,
+        limited(process),
+    ):
         assert process.stdout is not None
         assert process.stderr is not None
         first = os.read(process.stdout.fileno(), 1)
-        time.sleep(2.0)
+        time.sleep(1.4)
         process.send_signal(signal.SIGINT)
         began = time.monotonic()
         process.wait(30)
@@ -218,7 +223,7 @@ def test_who_reads_a_dump_and_stalls_delays_no_other_component(way: str, tmp_pat
     assert process.returncode == 130
     assert b"E-STOP" not in said  # nothing is left behind that has to be ended by force
     assert took < 10.0  # 2 s: a hook that waits is cancelled when its grace is over
-    assert 30_000 < len(shown) < 200_000  # a pipe full, and not what 2 s bring
+    assert 30_000 < len(shown) < 200_000  # a pipe full, and not what 1.4 s bring
     count, late = (tmp_path / "report").read_text().split()
     assert int(count) > 100
     assert float(late) - 0.01 < 0.05  # 0.1 ms on a machine that is free
@@ -238,7 +243,7 @@ def test_a_slow_reader_of_a_pipe_that_does_not_block_gets_every_byte(codec: tupl
         env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
     )
     os.close(writing)
-    with open(reading, "rb") as pipe:
+    with limited(process), open(reading, "rb") as pipe:
         pieces = [pipe.read(1)]
         time.sleep(0.5)  # the pipe is full: 64 kB
         pieces.append(pipe.read())

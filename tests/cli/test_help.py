@@ -96,7 +96,7 @@ def test_the_first_screen(capsys: pytest.CaptureFixture[str]) -> None:
     "command", [["-m", "aiorts"], ["-c", "import sys; from aiorts.cli import main; sys.exit(main())"]]
 )
 def test_version(command: list[str]) -> None:
-    done = subprocess.run([sys.executable, *command, "--version"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, *command, "--version"], capture_output=True, text=True, timeout=40)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"aiorts {aiorts.__version__}\n", "")
 
 
@@ -162,7 +162,7 @@ def test_the_help_comes_at_once() -> None:
     """Nothing heavy is imported for the first screen: a generous bound, and what must not be there."""
     code = "import sys; from aiorts.cli.app import run_command; run_command(['--help']); print(*sys.modules)"
     began = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=40)
     assert time.monotonic() - began < 10
     loaded = set(done.stdout.splitlines()[-1].split())
     assert not loaded & {

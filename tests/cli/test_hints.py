@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from run_parts import aiorts
+from run_parts import aiorts, here, limited
 
 PARTS = '''
 import time
@@ -99,23 +99,24 @@ def test_the_end_costs_few_cycles_where_each_takes_longer_than_its_period(folder
         text=True,
         cwd=folder,
     )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "cycle\n"
-    if not more:
+    with limited(process):
+        assert process.stdout is not None
         assert process.stdout.readline() == "cycle\n"
-        process.send_signal(getattr(signal, way))
-    asked = time.monotonic()
-    said, _ = process.communicate(timeout=30)
+        if not more:
+            assert process.stdout.readline() == "cycle\n"
+            process.send_signal(getattr(signal, way))
+        asked = time.monotonic()
+        said, _ = process.communicate(timeout=30)
     # One that runs, one that begins, one for a slow machine; in 1 s four begin.
     assert said.count("cycle") <= (6 if more else 3)
     assert process.returncode == (0 if more else 128 + getattr(signal, way))
-    assert time.monotonic() - asked < 4.5
+    assert time.monotonic() - asked < 10.0
 
 
 def run_system(folder: Path, reader: str, kind: str, *more: str, option: str = "") -> subprocess.CompletedProcess[str]:
     context = f'{kind}"\nrate = 20.0\n#' if kind == "periodic" else kind
     (folder / "system.toml").write_text(SYSTEM.format(reader=reader, kind=context, option=option))
-    return aiorts(folder, "run", "system.toml", "--simulate", *more)
+    return here(folder, "run", "system.toml", "--simulate", *more)
 
 
 @pytest.mark.parametrize(
@@ -181,10 +182,9 @@ def test_a_component_alone_without_data_says_how_it_gets_some(folder: Path) -> N
         text=True,
         cwd=folder,
     )
-    assert process.stderr is not None
-    try:
+    with limited(process):
+        assert process.stderr is not None
         line = process.stderr.readline()
-    finally:
         process.terminate()
         process.communicate(timeout=30)
     hint = "in-port raw has no connection, nothing will come; as a filter: aiorts --plugins . newest\n"
@@ -194,7 +194,7 @@ def test_a_component_alone_without_data_says_how_it_gets_some(folder: Path) -> N
 @pytest.mark.parametrize("arguments", [("run",), ("run", "--simulate"), ("check",)])
 def test_a_system_in_which_nothing_runs_is_an_error(folder: Path, arguments: tuple[str, ...]) -> None:
     (folder / "system.toml").write_text(NO_CONTEXT)
-    done = aiorts(folder, *arguments, "system.toml")
+    done = here(folder, *arguments, "system.toml")
     assert done.returncode == 2
     assert "no context runs anything; add [contexts.NAME] with kind and members\n" in done.stdout + done.stderr
     assert "W-UNUSED" not in done.stdout
@@ -202,5 +202,5 @@ def test_a_system_in_which_nothing_runs_is_an_error(folder: Path, arguments: tup
 
 def test_a_transformer_that_nothing_is_connected_to_is_not_waited_for(folder: Path) -> None:
     (folder / "system.toml").write_text(NONE_CONNECTED)
-    done = aiorts(folder, "run", "system.toml", "--simulate")
+    done = here(folder, "run", "system.toml", "--simulate")
     assert (done.returncode, done.stderr) == (0, "")

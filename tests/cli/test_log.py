@@ -17,7 +17,7 @@ import pytest
 
 from aiorts.cli.logfile import LogFile
 from aiorts.cli.options import Options, levels_of
-from run_parts import aiorts, begun, folder_of, started
+from run_parts import aiorts, begun, folder_of, here, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX locks and devices")
 SIMULATED = ("system.toml", "--simulate", "--for", "0.3")
@@ -55,17 +55,17 @@ def test_any_other_level_is_refused(text: str) -> None:
 
 
 def test_a_component_says_what_its_own_level_admits(folder: Path) -> None:
-    done = aiorts(folder, "run", *SIMULATED, "--log-level", "error,sink=info")
+    done = here(folder, "run", *SIMULATED, "--log-level", "error,sink=info")
     assert done.stderr == "aiorts: info: sink: ready\n"
-    done = aiorts(folder, "run", *SIMULATED, "--log-level", "info,sink=error")
+    done = here(folder, "run", *SIMULATED, "--log-level", "info,sink=error")
     assert done.stderr == ""
-    done = aiorts(folder, "run", *SIMULATED, "-v")
+    done = here(folder, "run", *SIMULATED, "-v")
     assert done.stderr == "aiorts: info: sink: ready\n"
 
 
 def test_json_is_an_object_in_a_line_with_where_and_what(folder: Path) -> None:
     arguments = (*SIMULATED, "--set", "sink.limit=3", "--log-format", "json", "-v")
-    done = aiorts(folder, "run", *arguments)
+    done = here(folder, "run", *arguments)
     ready, failed = map(json.loads, done.stderr.splitlines())
     assert re.fullmatch(TIME, ready.pop("time"))
     assert re.fullmatch(TIME, failed.pop("time"))
@@ -78,7 +78,7 @@ def test_json_is_an_object_in_a_line_with_where_and_what(folder: Path) -> None:
         "code": "E-COMPONENT",
         "message": "ValueError: too much",
     }
-    last = aiorts(folder, "run", *arguments, "--debug").stderr.splitlines()
+    last = here(folder, "run", *arguments, "--debug").stderr.splitlines()
     traces = [line["traceback"] for line in map(json.loads, last) if "traceback" in line]
     assert len(traces) == 1
     assert traces[0].endswith("ValueError: too much")
@@ -87,7 +87,7 @@ def test_json_is_an_object_in_a_line_with_where_and_what(folder: Path) -> None:
 @pytest.mark.fault("F18")
 @pytest.mark.parametrize("arguments", [["nix.toml"], ["parts.py:Conter"], ["system.toml", "--set", "sink.limit=x"]])
 def test_a_run_that_fails_before_it_begins_is_json_too(folder: Path, arguments: list[str]) -> None:
-    done = aiorts(folder, "run", *arguments, "--log-format", "json")
+    done = here(folder, "run", *arguments, "--log-format", "json")
     assert done.returncode == 2
     (line,) = map(json.loads, done.stderr.splitlines())
     assert line["code"].startswith("E-")
@@ -106,7 +106,7 @@ def test_in_virtual_time_two_logs_are_the_same_bytes(folder: Path) -> None:
 def test_the_file_has_every_line_and_standard_error_what_is_wrong(folder: Path) -> None:
     for _ in range(2):
         arguments = (*SIMULATED, "--set", "sink.limit=3", "--log-file", "run.log", "-v")
-        done = aiorts(folder, "run", *arguments)
+        done = here(folder, "run", *arguments)
         assert done.stderr.startswith("aiorts: E-COMPONENT: sink.on_execute: ValueError: too much;")
         assert done.stderr.count("\n") == 1
     lines = [re.sub(f"^{TIME} ", "", line) for line in (folder / "run.log").read_text().splitlines()]
@@ -141,7 +141,7 @@ def test_many_who_begin_at_once_leave_one_with_the_file(folder: Path) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_said_once_and_the_run_goes_on(folder: Path) -> None:
-    done = aiorts(folder, "run", "parts.py:Talker", "--rate", "50", "--for", "0.5", "--log-file", "/dev/full")
+    done = here(folder, "run", "parts.py:Talker", "--rate", "50", "--for", "0.5", "--log-file", "/dev/full")
     assert done.returncode == 0
     full = [line for line in done.stderr.splitlines() if "E-LOG" in line]
     assert len(full) == 1
@@ -184,15 +184,15 @@ def test_nobody_is_kept_from_a_device_or_waits_for_a_pipe(folder: Path) -> None:
     first.close()
     second.close()
     os.mkfifo(folder / "pipe")
-    done = aiorts(folder, "run", "parts.py:Counter", "--log-file", "pipe")
+    done = here(folder, "run", "parts.py:Counter", "--log-file", "pipe")
     assert done.returncode == 2
     assert "a pipe that nobody reads" in done.stderr
 
 
 def test_a_component_in_error_is_named_again_at_the_end_when_that_was_long_ago(folder: Path) -> None:
     arguments = ("system.toml", "--set", "sink.limit=3", "--simulate", "--for")
-    soon = aiorts(folder, "run", *arguments, "0.5").stderr.splitlines()
-    late = aiorts(folder, "run", *arguments, "50").stderr.splitlines()
+    soon = here(folder, "run", *arguments, "0.5").stderr.splitlines()
+    late = here(folder, "run", *arguments, "50").stderr.splitlines()
     assert len(soon) == 1
     assert late == [
         *soon,

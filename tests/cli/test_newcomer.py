@@ -14,6 +14,7 @@ from aiorts.cli.report import LONGEST, shortened
 from aiorts.errors import PluginError, WiringError
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
+from run_parts import here
 
 PARTS = """
 from collections.abc import Iterator
@@ -75,7 +76,7 @@ def aiorts(folder: Path, *arguments: str, stdin: str = "", plugins: str = "") ->
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         cwd=folder,
         env={**os.environ, "AIORTS_PLUGINS": plugins, "COLUMNS": "120"},
     )
@@ -97,7 +98,7 @@ def aiorts(folder: Path, *arguments: str, stdin: str = "", plugins: str = "") ->
 )
 def test_a_constructor_that_makes_no_component_is_one_line(folder: Path, arguments: list[str], said: str) -> None:
     (folder / "own.toml").write_text(SYSTEM.replace("LowPass", "NoSuper"))
-    done = aiorts(folder, *arguments)
+    done = here(folder, *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("aiorts: E-PLUGIN: ")
     assert done.stderr.endswith(said)
@@ -123,19 +124,19 @@ async def test_a_kernel_names_the_class_that_cannot_be_constructed_and_keeps_the
 def test_the_help_lists_what_the_environment_names_and_finds_functions(folder: Path) -> None:
     (folder / "p").mkdir()
     (folder / "p" / "parts.py").write_text(PARTS)
-    for done in (aiorts(folder, "--help", plugins="p"), aiorts(folder, "--plugins", "p", "--help")):
+    for done in (here(folder, "--help", AIORTS_PLUGINS="p"), here(folder, "--plugins", "p", "--help")):
         assert done.returncode == 0
         listed = done.stdout.split("Components, as filters:")[1].replace(",", " ").split()
         assert {"lowpass", "scale", "half", "third"} <= set(listed)
         assert "plain" not in listed
     for name, said in (("scale", "4.0"), ("half", "1.0"), ("third", "2.0")):
-        done = aiorts(folder, name, stdin="2\n", plugins="p")
+        done = here(folder, name, stdin="2\n", AIORTS_PLUGINS="p")
         assert (done.returncode, done.stderr) == (0, "")
         assert f'"data": {said}' in done.stdout
 
 
 def test_the_help_of_ones_own_component_shows_its_ports_and_the_range_of_its_parameters(folder: Path) -> None:
-    done = aiorts(folder, "--plugins", ".", "lowpass", "--help")
+    done = here(folder, "--plugins", ".", "lowpass", "--help")
     shown = " ".join(done.stdout.split())
     assert "in raw TimedDouble m out smooth TimedDouble m" in shown
     assert '{"port": "raw", "data": ...}' in shown
@@ -144,18 +145,18 @@ def test_the_help_of_ones_own_component_shows_its_ports_and_the_range_of_its_par
 
 
 def test_inspect_names_the_parameter_that_an_option_sets(folder: Path) -> None:
-    shown = aiorts(folder, "inspect", "FlexiConst").stdout
+    shown = here(folder, "inspect", "FlexiConst").stdout
     assert "-p, --port       sets outputs" in shown
 
 
 def test_the_help_of_flexifilter_explains_maps_by_examples_that_are_true(folder: Path) -> None:
-    shown = aiorts(folder, "flexifilter", "--help").stdout
+    shown = here(folder, "flexifilter", "--help").stdout
     for example in ("0>1000>0", "0>1.8+32>0", "0:2>0,1>1:3"):
         assert f'-m "{example}"' in shown
-    done = aiorts(folder, *["flexifilter", "-i", "TimedDouble", "-o", "TimedDouble", "-m", "0>1.8+32>0"], stdin="100\n")
+    done = here(folder, *["flexifilter", "-i", "TimedDouble", "-o", "TimedDouble", "-m", "0>1.8+32>0"], stdin="100\n")
     assert '"data": 212.0' in done.stdout
     ports = "-i TimedDoubleSeq:3 -i TimedLong -o TimedDouble -o TimedDoubleSeq:4"
-    assert aiorts(folder, *f"flexifilter {ports} -m 0:2>0,1>1:3 --check".split()).returncode == 0
+    assert here(folder, *f"flexifilter {ports} -m 0:2>0,1>1:3 --check".split()).returncode == 0
 
 
 # -- messages ----------------------------------------------------------------------------------------------------------
@@ -167,7 +168,7 @@ def test_a_plugin_s_error_names_its_own_file_and_keeps_cause_and_remedy(folder: 
     (deep / "lp.py").write_text(
         "from aiorts import component\n\n@component\ndef counter(*, n: int = 3):\n    yield 1.0\n"
     )
-    done = aiorts(folder, "inspect", f"{deep}/lp.py:counter")
+    done = here(folder, "inspect", f"{deep}/lp.py:counter")
     assert done.returncode == 2
     assert "signature.py" not in done.stderr
     assert "the result has no type hint; write" in done.stderr
@@ -216,7 +217,7 @@ async def test_connect_given_texts_says_where_ports_come_from() -> None:
     ],
 )
 def test_a_mistake_on_the_command_line_says_what_to_write(folder: Path, arguments: list[str], said: str) -> None:
-    done = aiorts(folder, *arguments)
+    done = here(folder, *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert said in done.stderr
     assert not (folder / "g.png").exists()
@@ -237,7 +238,7 @@ def test_a_mistake_on_the_command_line_says_what_to_write(folder: Path, argument
 def test_run_and_check_place_an_error_alike(folder: Path, old: str, new: str, place: str) -> None:
     (folder / "wrong.toml").write_text(SYSTEM.replace(old, new))
     for command in (["check"], ["run", "--for", "0.1"]):
-        done = aiorts(folder, *command, "wrong.toml")
+        done = here(folder, *command, "wrong.toml")
         errors = [line for line in done.stderr.splitlines() + done.stdout.splitlines() if ": E-" in line]
         assert done.returncode in (1, 2)
         assert f"wrong.toml:{place}: " in errors[0]
@@ -248,7 +249,7 @@ def test_run_and_check_place_an_error_alike(folder: Path, old: str, new: str, pl
 
 def test_a_line_of_output1_is_for_input1_and_another_name_says_what_there_is(folder: Path) -> None:
     lines = '{"port": "output1", "data": 7}\n{"port": "input0", "data": 5}\n{"port": "outpt", "data": 1}\n'
-    done = aiorts(folder, *["flexidump", "-p", "TimedLong", "-p", "TimedLong", "--format", "text"], stdin=lines)
+    done = here(folder, *["flexidump", "-p", "TimedLong", "-p", "TimedLong", "--format", "text"], stdin=lines)
     assert done.returncode == 1
     assert sorted((line.split()[0], line.split()[-1]) for line in done.stdout.splitlines()) == [
         ("input0", "5"),
@@ -260,8 +261,8 @@ def test_a_line_of_output1_is_for_input1_and_another_name_says_what_there_is(fol
 
 def test_a_text_that_is_no_number_is_a_bad_line_as_the_help_of_flexifilter_says(folder: Path) -> None:
     options = ["flexifilter", "-i", "TimedString", "-o", "TimedDouble"]
-    done = aiorts(folder, *options, stdin='"1"\n"x"\n"3"\n')
+    done = here(folder, *options, stdin='"1"\n"x"\n"3"\n')
     assert (done.returncode, len(done.stdout.splitlines())) == (1, 2)
     assert done.stderr.startswith("aiorts: E-LINE: standard input, line 2")
     assert "got 'x'" in done.stderr
-    assert "the others go on" in " ".join(aiorts(folder, "flexifilter", "--help").stdout.split())
+    assert "the others go on" in " ".join(here(folder, "flexifilter", "--help").stdout.split())

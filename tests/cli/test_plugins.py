@@ -26,7 +26,7 @@ BROKEN = {
 
 
 def aiorts(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "aiorts", *arguments], capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, "-m", "aiorts", *arguments], capture_output=True, text=True, timeout=40)
 
 
 def write(folder: Path, module: str, text: str, name: str) -> None:

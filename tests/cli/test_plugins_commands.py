@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from plugin_dists import COMPONENT, project
+from run_parts import here
 
 COMMAND = """
 import click
@@ -37,7 +38,7 @@ def aiorts(*arguments: str, plugins: str = "", stdin: str = "") -> subprocess.Co
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         env={**os.environ, "AIORTS_PLUGINS": plugins},
     )
 
@@ -55,33 +56,33 @@ def test_a_folder_named_for_all_commands_or_in_the_environment_is_seen_by_each(g
         aiorts("hello", "--times", "2", plugins=os.pathsep.join(("", str(tmp_path / "none"), str(greets)))),
     ):
         assert (done.returncode, done.stdout, done.stderr) == (0, "hello hello \n", "")
-    assert aiorts("hello").returncode == 2
-    assert f"folder {greets}" in aiorts("--plugins", str(greets), "plugins").stdout
-    assert aiorts("--plugins", str(greets), "good", "--for", "0.05").returncode == 0
+    assert here("hello").returncode == 2
+    assert f"folder {greets}" in here("--plugins", str(greets), "plugins").stdout
+    assert here("--plugins", str(greets), "good", "--for", "0.05").returncode == 0
     (tmp_path / "system.toml").write_text(
         'schema = 1\n[components.one]\ntype = "Good"\n[contexts.c]\nkind = "event"\nmembers = ["one"]\n'
     )
-    run = aiorts("--plugins", str(greets), "run", str(tmp_path / "system.toml"), "--duration", "0.05")
+    run = here("--plugins", str(greets), "run", str(tmp_path / "system.toml"), "--duration", "0.05")
     assert (run.returncode, run.stderr) == (0, "")
-    assert "no component named 'Good'" in aiorts("run", str(tmp_path / "system.toml")).stderr
+    assert "no component named 'Good'" in here("run", str(tmp_path / "system.toml")).stderr
 
 
 def test_a_folder_that_is_not_there_is_refused_where_it_is_typed_and_reported_where_it_is_not(tmp_path: Path) -> None:
-    typed = aiorts("--plugins", str(tmp_path / "none"), "plugins")
+    typed = here("--plugins", str(tmp_path / "none"), "plugins")
     assert (typed.returncode, typed.stdout) == (2, "")
     assert typed.stderr.startswith("aiorts: E-USAGE: ")
     assert "does not exist" in typed.stderr
-    told = aiorts("plugins", plugins=str(tmp_path / "none"))
+    told = here("plugins", AIORTS_PLUGINS=str(tmp_path / "none"))
     assert told.returncode == 1
     assert "FlexiDump" in told.stdout
     assert "No such file or directory" in told.stderr
-    assert aiorts("--version", plugins=str(tmp_path / "none")).returncode == 0
+    assert here("--version", AIORTS_PLUGINS=str(tmp_path / "none")).returncode == 0
 
 
 def test_help_names_commands_of_plugins_and_components_without_importing_them(greets: Path) -> None:
     (greets / "greets.py").rename(greets / "away.py")
     try:
-        done = aiorts("--plugins", str(greets), "--help")
+        done = here("--plugins", str(greets), "--help")
     finally:
         (greets / "away.py").rename(greets / "greets.py")
     assert (done.returncode, done.stderr) == (0, "")
@@ -107,7 +108,7 @@ def test_a_command_of_a_plugin_ends_as_it_wants(greets: Path, name: str, status:
 
 @pytest.mark.fault("F05")
 def test_a_command_that_fails_is_one_line_and_its_traceback_is_there_on_demand(greets: Path) -> None:
-    done = aiorts("--plugins", str(greets), "fails")
+    done = here("--plugins", str(greets), "fails")
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith("aiorts: E-PLUGIN: command 'fails' of folder ")
     assert done.stderr.count("\n") == 1
@@ -120,8 +121,8 @@ def test_a_command_that_fails_is_one_line_and_its_traceback_is_there_on_demand(g
 
 
 def test_aiorts_own_commands_come_first_and_the_clash_is_reported(greets: Path) -> None:
-    assert "SYSTEM.toml" in aiorts("--plugins", str(greets), "run", "--help").stdout
-    done = aiorts("--plugins", str(greets), "plugins")
+    assert "SYSTEM.toml" in here("--plugins", str(greets), "run", "--help").stdout
+    done = here("--plugins", str(greets), "plugins")
     assert done.returncode == 1
     faults = done.stderr.splitlines()
     assert len(faults) == 2
@@ -133,10 +134,10 @@ def test_aiorts_own_commands_come_first_and_the_clash_is_reported(greets: Path) 
 def test_components_that_differ_in_capitals_alone_are_refused_as_a_command(tmp_path: Path) -> None:
     entries = {"components/Good": "greets:Good", "components/GOOD": "greets:Good"}
     project(tmp_path, "greets", {"greets": COMPONENT}, entries)
-    done = aiorts("--plugins", str(tmp_path), "good")
+    done = here("--plugins", str(tmp_path), "good")
     assert done.returncode == 2
     assert "`aiorts good` is offered twice" in done.stderr
-    assert "`aiorts good` is offered twice" in aiorts("--plugins", str(tmp_path), "plugins").stderr
+    assert "`aiorts good` is offered twice" in here("--plugins", str(tmp_path), "plugins").stderr
 
 
 def test_nothing_that_is_listed_commands_the_terminal(tmp_path: Path) -> None:
@@ -146,9 +147,9 @@ def test_nothing_that_is_listed_commands_the_terminal(tmp_path: Path) -> None:
         f'[project.entry-points."aiorts.{odd}"]\n"x" = "x:y"\n'
     )
     for arguments in (("plugins",), ("plugins", "--json"), ("--help",)):
-        done = aiorts("--plugins", str(tmp_path), *arguments)
+        done = here("--plugins", str(tmp_path), *arguments)
         assert not [c for c in done.stdout + done.stderr if not c.isprintable() and c != "\n"]
-    listed = aiorts("--plugins", str(tmp_path), "plugins")
+    listed = here("--plugins", str(tmp_path), "plugins")
     assert listed.stdout.count("folder") == 2
     assert "Ünï" in listed.stdout
 
@@ -177,7 +178,7 @@ def test_a_module_of_types_is_named_on_the_command_line(tmp_path: Path, way: str
         input='{"below": 2.5}\n',
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": os.environ.get("PYTHONPATH", "")},
     )
@@ -196,7 +197,7 @@ def test_a_module_of_types_is_named_on_the_command_line(tmp_path: Path, way: str
 def test_a_module_of_types_that_cannot_be_had_is_one_line(tmp_path: Path, text: str | None, expected: str) -> None:
     if text is not None:
         (tmp_path / "depths.py").write_text(text)
-    done = aiorts("--plugins", str(tmp_path), "flexidump", "-p", "TimedLong", "--type-mod", "depths")
+    done = here("--plugins", str(tmp_path), "flexidump", "-p", "TimedLong", "--type-mod", "depths")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("aiorts: E-PLUGIN: ")
     assert "--type-mod" in done.stderr
@@ -206,11 +207,14 @@ def test_a_module_of_types_that_cannot_be_had_is_one_line(tmp_path: Path, text: 
 
 
 def test_inspect_sees_the_folders_named_for_every_command(greets: Path) -> None:
-    for done in (aiorts("--plugins", str(greets), "inspect", "Good"), aiorts("inspect", "Good", plugins=str(greets))):
+    for done in (
+        here("--plugins", str(greets), "inspect", "Good"),
+        here("inspect", "Good", AIORTS_PLUGINS=str(greets)),
+    ):
         assert done.returncode == 0, done.stderr
         assert f"folder {greets}" in done.stdout
 
 
 def test_doctor_sees_the_folders_named_for_every_command(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text("[project\n")
-    assert str(tmp_path) in aiorts("--plugins", str(tmp_path), "doctor").stdout
+    assert str(tmp_path) in here("--plugins", str(tmp_path), "doctor").stdout

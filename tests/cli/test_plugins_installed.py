@@ -53,7 +53,7 @@ def aiorts(site: Path, *arguments: str, stdin: str = "") -> subprocess.Completed
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         env={**os.environ, "PYTHONPATH": path},
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from aiorts.cli.app import run_command
-from run_parts import aiorts, folder_of
+from run_parts import folder_of, here
 
 
 @pytest.fixture
@@ -29,12 +29,12 @@ def folder(tmp_path: Path) -> Path:
     ],
 )
 def test_one_component_runs_alone_in_a_context_that_fits_it(folder: Path, arguments: list[str], said: str) -> None:
-    done = aiorts(folder, "run", *arguments)
+    done = here(folder, "run", *arguments)
     assert (done.returncode, done.stdout, done.stderr) == (0, said, "")
 
 
 def test_a_file_elsewhere_is_named_by_its_path(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    done = aiorts(tmp_path_factory.mktemp("elsewhere"), "run", f"{folder}/parts.py:Counter", "--simulate")
+    done = here(tmp_path_factory.mktemp("elsewhere"), "run", f"{folder}/parts.py:Counter", "--simulate")
     assert (done.returncode, done.stdout) == (0, "wrote 3 in periodic 10.0\n")
 
 
@@ -43,7 +43,7 @@ def test_one_that_cannot_be_made_is_named(folder: Path) -> None:
         "from aiorts import Component\nclass Unmade(Component):\n"
         "    def on_initialize(self):\n        raise OSError('no')\n"
     )
-    done = aiorts(folder, "run", "unmade.py:Unmade")
+    done = here(folder, "run", "unmade.py:Unmade")
     assert done.returncode == 1
     assert done.stderr == "aiorts: E-COMPONENT: unmade: OSError: no; --debug shows the traceback\n"
 
@@ -61,7 +61,7 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
     folder: Path, home: str, source: str, status: int, said: str
 ) -> None:
     (folder / "bad.py").write_text(source)
-    done = aiorts(folder, "run", f"{home}:Bad")
+    done = here(folder, "run", f"{home}:Bad")
     assert done.returncode == status
     assert done.stderr.count("\n") == 1
     assert said.replace("bad.py", home) in done.stderr

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from run_parts import aiorts
+from run_parts import aiorts, here, limited
 
 PARTS = """
 import time
@@ -149,9 +149,9 @@ def test_one_file_with_every_table_does_what_each_says(folder: Path, how: tuple[
 
 def test_another_set_and_another_value_from_the_command_line(folder: Path) -> None:
     sets = ("--set", "one.active=soft", "--set", "two.gain=1", "--set", "two.fails=0")
-    done = aiorts(folder, "run", "system.toml", "--simulate", *sets)
+    done = here(folder, "run", "system.toml", "--simulate", *sets)
     assert [line for line in done.stdout.splitlines() if "sink" in line] == ["sink: 7", "sink: 14", "sink: 21"]
-    done = aiorts(folder, "run", "system.toml", "--simulate", "--set", "one.active=sof")
+    done = here(folder, "run", "system.toml", "--simulate", "--set", "one.active=sof")
     assert (done.returncode, done.stdout) == (2, "")
     assert "--set one.active=sof: one: no set 'sof'; did you mean soft?" in done.stderr
 
@@ -159,7 +159,7 @@ def test_another_set_and_another_value_from_the_command_line(folder: Path) -> No
 def test_a_source_that_waits_for_nobody_who_comes_says_for_whom(folder: Path) -> None:
     text = SYSTEM.replace('"sink active"]', '"sink error"]\ntimeout = 2.0')
     (folder / "system.toml").write_text(text)
-    done = aiorts(folder, "run", "system.toml", "--simulate")
+    done = here(folder, "run", "system.toml", "--simulate")
     assert done.returncode == 1
     assert "source: not started: after 2.0 s still not sink error: it is active" in done.stderr
 
@@ -170,7 +170,7 @@ def test_a_composite_that_stops_as_a_whole_goes_on_when_its_member_was_helped(fo
     text = text.replace('active = "stiff"\n', 'active = "stiff"\nparams.fails = 2\n')
     text = text.replace("[components.two.supervision]", "[components.one.supervision]").replace("reset", action)
     (folder / "system.toml").write_text(text)
-    done = aiorts(folder, "run", "system.toml", "--simulate", "--strict")
+    done = here(folder, "run", "system.toml", "--simulate", "--strict")
     assert done.stdout.splitlines()[-3:] == ["one active: gain 5", "two active: gain 7", "sink: 105"]
     assert done.returncode == 0
     assert done.stderr.count("ValueError: too warm") == 1
@@ -196,7 +196,10 @@ def test_systemd_is_told_when_it_asks(folder: Path) -> None:
         ours.settimeout(20.0)
         environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "1000000"}
         command = [sys.executable, "-m", "aiorts", "run", "system.toml"]
-        with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as child:
+        with (
+            subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as child,
+            limited(child),
+        ):
             told: list[str] = []
             while not told or not told[-1].startswith("STOPPING=1"):
                 told.append(ours.recv(1000).decode())
@@ -216,7 +219,7 @@ def test_nothing_of_it_in_simulated_time(folder: Path) -> None:
         ours.setblocking(False)
         environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify")}
         command = [sys.executable, "-m", "aiorts", "run", "system.toml", "--simulate"]
-        subprocess.run(command, cwd=folder, env=environment, check=True, timeout=60, capture_output=True)
+        subprocess.run(command, cwd=folder, env=environment, check=True, timeout=40, capture_output=True)
         with pytest.raises(BlockingIOError):
             ours.recv(1000)
 
@@ -224,7 +227,7 @@ def test_nothing_of_it_in_simulated_time(folder: Path) -> None:
 def test_an_option_that_does_nothing_is_told_once(folder: Path) -> None:
     text = SYSTEM.replace('to = "two.input"\n', 'to = "two.input"\nbuffer.lenght = 5\n')
     (folder / "system.toml").write_text(text)
-    done = aiorts(folder, "run", "system.toml", "--simulate")
+    done = here(folder, "run", "system.toml", "--simulate")
     line = text.split("\n").index("buffer.lenght = 5") + 1
     assert done.returncode == 0, done.stderr
     assert [one for one in done.stderr.splitlines() if "W-OPTION" in one] == [
@@ -235,7 +238,7 @@ def test_an_option_that_does_nothing_is_told_once(folder: Path) -> None:
 
 @pytest.mark.parametrize(("seconds", "told"), [("0.25", True), ("0.75", False)])
 def test_the_seconds_of_for_count_while_a_start_is_waited_for(folder: Path, seconds: str, told: bool) -> None:
-    done = aiorts(folder, "run", "system.toml", "--simulate", "--for", seconds)
+    done = here(folder, "run", "system.toml", "--simulate", "--for", seconds)
     assert done.returncode == 0
     assert ("source active" in done.stdout) is not told  # its start waits for half a second
     line = f"aiorts: W-START: --for {seconds}: over before everything was started; not active: source"

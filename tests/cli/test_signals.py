@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from campaign import CAMPAIGN
-from run_parts import begun, folder_of, started
+from run_parts import begun, folder_of, limited, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
 
@@ -32,8 +32,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.fault("F10")
-@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
-@pytest.mark.parametrize("target", ["system.toml", "parts.py:Slow"])
+@pytest.mark.parametrize(
+    ("target", "name", "status"),
+    [
+        ("system.toml", "SIGINT", 130),
+        ("system.toml", "SIGTERM", 143),
+        ("system.toml", "SIGHUP", 129),
+        ("parts.py:Slow", "SIGTERM", 143),
+    ],
+)
 def test_a_signal_ends_it_in_order_within_five_seconds(folder: Path, target: str, name: str, status: int) -> None:
     process = started(folder, target)
     at = time.monotonic()
@@ -74,8 +81,9 @@ def test_the_second_of_any_kind_ends_it_at_once(folder: Path, name: str, status:
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 def test_usr1_prints_state_and_stacks_and_the_run_goes_on(folder: Path, loop: str) -> None:
     process = started(folder, "system.toml", "--set", "sink.limit=20", "--loop", loop, "--no-status")
-    assert process.stdout is not None
-    assert process.stdout.readline() == "stopped in event\n"  # the sink went to error
+    with limited(process):
+        assert process.stdout is not None
+        assert process.stdout.readline() == "stopped in event\n"  # the sink went to error
     process.send_signal(signal.SIGUSR1)
     time.sleep(0.3)
     assert process.poll() is None
@@ -120,11 +128,12 @@ def test_usr1_shows_the_stack_even_where_nothing_of_python_can_run(folder: Path)
     time.sleep(0.2)
     at = time.monotonic()
     process.send_signal(signal.SIGUSR1)
-    assert process.stderr is not None
-    assert "(most recent call first)" in process.stderr.readline()
-    assert time.monotonic() - at < 2.5  # it holds the lock for 3 s
-    errors = process.stderr.read()
-    process.communicate(timeout=20)
+    with limited(process):
+        assert process.stderr is not None
+        assert "(most recent call first)" in process.stderr.readline()
+        assert time.monotonic() - at < 2.5  # it holds the lock for 3 s
+        errors = process.stderr.read()
+        process.communicate(timeout=20)
     assert process.returncode == 0
     assert "in on_execute" in errors
     assert "aiorts: component blockedinc" in errors
@@ -138,8 +147,9 @@ def test_usr1_tells_of_a_filter_too() -> None:
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout is not None
-    assert '"data": 1' in process.stdout.readline()
+    with limited(process):
+        assert process.stdout is not None
+        assert '"data": 1' in process.stdout.readline()
     process.send_signal(signal.SIGUSR1)
     time.sleep(0.3)
     process.send_signal(signal.SIGHUP)

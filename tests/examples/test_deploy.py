@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from run_parts import limited
+
 DEPLOY = Path(__file__).parents[2] / "examples" / "deploy"
 ROOT = DEPLOY.parents[1]
 
@@ -35,7 +37,7 @@ def test_systemd_takes_the_unit_file() -> None:
         ["systemd-analyze", "verify", "--man=no", str(DEPLOY / "robot.service")],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=40,
         check=False,
     )
     complaints = [line for line in (done.stdout + done.stderr).splitlines() if "robot.service" in line]
@@ -70,7 +72,7 @@ def test_it_is_ready_answers_the_watchdog_and_stops_at_sigterm(tmp_path: Path) -
             text=True,
         ) as robot:
             said: list[str] = []
-            try:
+            with limited(robot):
                 while "READY=1" not in said:
                     said += systemd.recv(4096).decode().split("\n")
                 said.clear()
@@ -80,8 +82,6 @@ def test_it_is_ready_answers_the_watchdog_and_stops_at_sigterm(tmp_path: Path) -
                 while "STOPPING=1" not in said:
                     said += systemd.recv(4096).decode().split("\n")
                 out, errors = robot.communicate(timeout=20)
-            finally:
-                robot.kill()
     assert robot.returncode == 0, errors
     assert "robot is ready" in out
     assert "after some samples" in out

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from run_parts import here
+
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "examples" / "flexi"
 
@@ -15,7 +17,7 @@ pytestmark = pytest.mark.row(123)
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, timeout=40)
 
 
 @pytest.mark.parametrize(
@@ -27,11 +29,11 @@ def run(*command: str) -> subprocess.CompletedProcess[str]:
     ],
 )
 def test_a_system_says_what_it_verified_and_fails_on_another_result(name: str, expected: str, got: str) -> None:
-    command = ["-m", "aiorts", "run", f"examples/flexi/{name}.toml", "--simulate"]
-    done = run(*command)
+    command = ["run", str(FOLDER / f"{name}.toml"), "--simulate"]
+    done = here(*command)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1] == f"{expected}, the last one {got}"
-    done = run(*command, "--set", "expect.last=7")
+    done = here(*command, "--set", "expect.last=7")
     assert done.returncode == 1
     assert done.stdout.splitlines()[-1].endswith(f" not verified: expected 7, got {got}")
 

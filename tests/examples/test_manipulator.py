@@ -17,6 +17,7 @@ from aiorts import Kernel, LifeCycleState
 from aiorts.kernel.plugins import load_file
 from aiorts.system import build, load
 from aiorts.testing import Rig, simulate
+from run_parts import here
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "manipulator"
@@ -32,14 +33,16 @@ def module(name: str, folder: Path = EXAMPLE) -> Any:
 def ran(folder: Path, *arguments: str) -> tuple[int, list[str], str]:
     """A command: exit status, lines of standard output, standard error."""
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=50, check=False
+        [sys.executable, *arguments], cwd=folder, capture_output=True, text=True, timeout=40, check=False
     )
     return done.returncode, done.stdout.splitlines(), done.stderr
 
 
 def simulated(*changes: str, folder: Path = EXAMPLE, file: str = "sim.toml") -> tuple[int, list[str], str]:
+    """In this process, as a command."""
     settings = [part for change in changes for part in ("--set", change)]
-    return ran(folder, "-m", "aiorts", "run", file, *settings)
+    done = here(folder, "run", file, *settings)
+    return done.returncode, done.stdout.splitlines(), done.stderr
 
 
 def played(capsys: pytest.CaptureFixture[str], file: Path, *changes: str) -> tuple[int, list[str]]:
@@ -66,7 +69,8 @@ def test_all_four_runs_are_as_promised_and_shown_in_one_table() -> None:
 
 
 def test_the_simulator_says_the_same_every_time(tmp_path: Path) -> None:
-    first, second = (simulated(f"judge.record={tmp_path / name}") for name in ("one", "two"))
+    command = ("-m", "aiorts", "run", "sim.toml", "--set")
+    first, second = (ran(EXAMPLE, *command, f"judge.record={tmp_path / name}") for name in ("one", "two"))
     assert first == second
     assert first[0] == 0
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()

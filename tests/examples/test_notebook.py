@@ -94,7 +94,7 @@ def test_jupyter_runs_it(tmp_path: Path) -> None:
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=50,
+        timeout=40,
         check=False,
     )
     assert done.returncode == 0, done.stderr

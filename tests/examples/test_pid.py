@@ -34,5 +34,5 @@ def test_the_system_file_is_the_readmes() -> None:
 
 def test_the_cart_comes_to_the_set_point() -> None:
     command = [sys.executable, "-m", "aiorts", "run", "system.toml", "--simulate", "--for", "5"]
-    done = subprocess.run(command, cwd=PID, capture_output=True, text=True, timeout=50, check=False)
+    done = subprocess.run(command, cwd=PID, capture_output=True, text=True, timeout=40, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "plant0 is at 0.000 m\n", "")

@@ -15,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PLUGIN = ROOT / "examples" / "plugin"
+pytestmark = pytest.mark.timeout(300)
 
 
 def run(*command: str | Path, stdin: str = "", cwd: Path = ROOT) -> str:
@@ -24,7 +25,7 @@ def run(*command: str | Path, stdin: str = "", cwd: Path = ROOT) -> str:
         input=stdin,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=60,
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": os.environ.get("PYTHONPATH") or path},
     )
@@ -62,8 +63,8 @@ def test_its_codec_stands_between_two_filters(tmp_path: Path) -> None:
     aiorts = (sys.executable, "-m", "aiorts", "--plugins", PLUGIN)
     frames = ["flexiconst", "-p", "TimedLong", "-c", "7", "--count", "2", "-r", "100", "--codec", "deflate"]
     dump = ["flexidump", "-p", "TimedLong", "--format", "values", "--codec", "deflate"]
-    made = subprocess.run([*aiorts, *frames], capture_output=True, timeout=60, cwd=tmp_path)
-    dumped = subprocess.run([*aiorts, *dump], input=made.stdout, capture_output=True, timeout=60, cwd=tmp_path)
+    made = subprocess.run([*aiorts, *frames], capture_output=True, timeout=40, cwd=tmp_path)
+    dumped = subprocess.run([*aiorts, *dump], input=made.stdout, capture_output=True, timeout=40, cwd=tmp_path)
     assert (dumped.returncode, dumped.stdout.split(), dumped.stderr) == (0, [b"7", b"7"], b"")
 
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from aiorts import SimulatedClock
 
 pytestmark = pytest.mark.anyio
+ONE_LOOP = pytest.mark.parametrize("anyio_backend", ["asyncio"])
+"""For what takes its time and is the same on every loop."""
 
 
 class Systemd:
@@ -53,9 +55,11 @@ class Systemd:
             return found
 
 
-@pytest.fixture(params=["path", "abstract"])
+@pytest.fixture
 def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]:
-    address = str(tmp_path / "notify") if request.param == "path" else f"@aiorts-test-{os.getpid()}-{time.time_ns()}"
+    """At a path, or at an abstract address where a test asks for that."""
+    abstract = getattr(request, "param", "path") == "abstract"
+    address = f"@aiorts-test-{os.getpid()}-{time.time_ns()}" if abstract else str(tmp_path / "notify")
     other_end = Systemd(address)
     yield other_end
     other_end.socket.close()
@@ -68,17 +72,19 @@ class Part(Component):
         super().__init__(name)
         self.go = asyncio.Event()
         self.waits = False
+        self.released = asyncio.Event()
 
     async def on_activated(self) -> None:
         await self.go.wait()
 
     async def on_execute(self) -> None:
         if self.waits:
-            await asyncio.sleep(3600)
+            await self.released.wait()
 
 
 @pytest.mark.fault("G12")
 @pytest.mark.row(17)
+@pytest.mark.parametrize("systemd", ["path", "abstract"], indirect=True)
 async def test_ready_comes_after_activation_and_stopping_at_the_end(systemd: Systemd) -> None:
     async with Kernel("robot") as kernel:
         part = await kernel.add(Part("part"))
@@ -102,7 +108,7 @@ async def test_ready_comes_after_activation_and_stopping_at_the_end(systemd: Sys
 async def test_pings_come_in_half_the_time_and_only_while_contexts_get_on(
     systemd: Systemd, caplog: pytest.LogCaptureFixture
 ) -> None:
-    environ = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "400000", "WATCHDOG_PID": str(os.getpid())}
+    environ = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "300000", "WATCHDOG_PID": str(os.getpid())}
     async with Kernel() as kernel:
         one, two = await kernel.add(Part("one")), await kernel.add(Part("two"))
         one.go.set()
@@ -114,15 +120,17 @@ async def test_pings_come_in_half_the_time_and_only_while_contexts_get_on(
         await asyncio.sleep(1.0)
         assert systemd.all().count("WATCHDOG=1") >= 5
         one.waits = True  # one of two contexts gets stuck
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(0.4)
         systemd.all()
-        await asyncio.sleep(0.6)
+        await asyncio.sleep(0.5)
         assert "WATCHDOG=1" not in systemd.all()
         said = [record for record in caplog.records if "watchdog is not answered" in record.getMessage()]
         assert len(said) == 1
         assert "one.on_execute" in said[0].getMessage()
+        one.released.set()
 
 
+@ONE_LOOP
 async def test_a_thread_that_is_stuck_is_a_context_that_does_not_get_on(systemd: Systemd) -> None:
     class Blocks(Component):
         blocks = True
@@ -144,7 +152,8 @@ async def test_a_thread_that_is_stuck_is_a_context_that_does_not_get_on(systemd:
         assert "WATCHDOG=1" in systemd.all()
 
 
-async def test_what_failed_is_in_the_status_in_one_line(systemd: Systemd) -> None:
+@simulated
+async def test_what_failed_is_in_the_status_in_one_line(systemd: Systemd, simulated_clock: SimulatedClock) -> None:
     class Fails(Component):
         async def on_execute(self) -> None:
             raise RuntimeError("no\nlink")
@@ -153,7 +162,7 @@ async def test_what_failed_is_in_the_status_in_one_line(systemd: Systemd) -> Non
         await kernel.start(PeriodicContext(100.0), await kernel.create(Fails, "arm"))
         kernel.notify_systemd(environ={"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "200000"})
         await kernel.components["arm"].context.activate()
-        await asyncio.sleep(0.3)
+        await simulated_clock.advance(0.3)
         said = systemd.all()
         assert "STATUS=0 of 1 active; in error: arm (RuntimeError: no link)" in said
         assert "WATCHDOG=1" in said  # the contexts get on
@@ -173,13 +182,14 @@ async def test_what_failed_is_in_the_status_in_one_line(systemd: Systemd) -> Non
         ({"NOTIFY_SOCKET": "/nowhere/at/all", "WATCHDOG_USEC": "100000"}, True, False),
     ],
 )
+@simulated
 async def test_only_what_the_environment_asks_for(
-    environ: dict[str, Any], told: bool, pings: bool, systemd: Systemd
+    environ: dict[str, Any], told: bool, pings: bool, systemd: Systemd, simulated_clock: SimulatedClock
 ) -> None:
     given = {name: systemd.address if value is None else value for name, value in environ.items()}
     async with Kernel() as kernel:
         assert kernel.notify_systemd(environ=given) is told
-        await asyncio.sleep(0.2)
+        await simulated_clock.advance(0.2)
         assert ("WATCHDOG=1" in systemd.all()) is pings
 
 
@@ -191,7 +201,7 @@ class Blocks(Component):
     ran = 0
     async def on_execute(self):
         self.ran += 1
-        if self.ran == 50:
+        if self.ran == 60:
             time.sleep(60)
 
 async def main():

@@ -93,8 +93,8 @@ def through(data: bytes, cuts: list[int] | None = None, loop: str = "asyncio") -
     try:
         aiorts.run(filter_.run(descriptor), loop=loop)
     finally:
+        os.close(descriptor)  # first: a writer whose pipe is full would be waited for without end
         thread.join()
-        os.close(descriptor)
     return filter_
 
 
