@@ -153,17 +153,21 @@ class Player:
         self._tell_what_was_found()
 
     async def _play(self) -> None:
-        done, restarted = 0, False
+        done, restarted, looked = 0, False, True
         began = self._clock.monotonic_ns()
         while True:
             block = await self._ahead.block()
             if self._target is None:
+                if looked:
+                    # However long it took to open the file, or to find the place: that is no reason for a burst.
+                    self._schedule.begin(self._clock.monotonic_ns())
+                    looked = False
                 if restarted and block.samples:
                     self._schedule.again(block.samples[0][1])
                     restarted = False
                 await self._play_block(block.samples)
             if self._target is not None:
-                target, self._target, restarted = self._target, None, False
+                target, self._target, restarted, looked = self._target, None, False, True
                 await self._ahead.begin(target)
             elif block.error is not None:
                 raise block.error

@@ -204,6 +204,14 @@ class Schedule:
             self._anchor += late
             self.shift += late
 
+    def begin(self, now: int) -> None:
+        """What comes next is there now: time that went by since it was looked for is not played."""
+        self._hold(now)
+        if self._pace.rate is None or not self._number:
+            if self._stopped is None:
+                self.shift += now - self._anchor
+            self._anchor = self._due_last = now
+
     # -- what else happens -----------------------------------------------------------------------------------------
 
     def pause(self, now: int) -> None:

@@ -204,7 +204,7 @@ class Arrivals:
         self._kernel = kernel
         self.moments: list[int] = []
 
-    async def listen(self, logger: FlexiLogger) -> None:
+    async def listen(self, logger: FlexiLogger, length: int = 100) -> None:
         arrivals = self
 
         class Listener(Component):
@@ -215,7 +215,7 @@ class Arrivals:
 
         listener = await self._kernel.create(Listener)
         for port in logger.ports.values():
-            await self._kernel.connect(port, listener.add_port(port.name, InPort(port.type)), length=100)
+            await self._kernel.connect(port, listener.add_port(port.name, InPort(port.type)), length=length)
         await self._kernel.start(EventContext(), listener, activate=True)
 
 
@@ -319,6 +319,21 @@ class TestReaders:
             assert got == [*range(0, 1000, 2)]
             await kernel.sleep(0.01)
             assert logger.has_finished
+
+    @pytest.mark.parametrize("params", [{"speed": None}, {"speed": None, "only": ["a"]}, {"rate": 1e6}])
+    @simulated
+    async def test_one_that_reads_as_it_comes_loses_nothing_at_any_speed(
+        self, params: dict[str, Any], tmp_path: Path
+    ) -> None:
+        steady(tmp_path / "a.mcap", 1000)
+        async with Kernel() as kernel:
+            logger = await replay(kernel, tmp_path / "a.mcap", **params)
+            came = Arrivals(kernel)
+            await came.listen(logger, length=8)  # what a connector has unless somebody says otherwise
+            await kernel.start(EventContext(), logger, activate=True)
+            await kernel.sleep(1.0)
+            assert logger.has_finished
+        assert len(came.moments) == (500 if "only" in params else 1000)
 
     @simulated
     async def test_of_one_that_wants_the_newest_the_others_are_counted(self, tmp_path: Path) -> None:

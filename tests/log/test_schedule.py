@@ -100,6 +100,22 @@ def test_a_position_given_is_where_the_clock_begins_to_run() -> None:
     assert play(Schedule(Pace(2.0), 100, BEGIN), [BEGIN + S, BEGIN + 2 * S], 100) == [100 + S // 2, 100 + S]
 
 
+@pytest.mark.parametrize("pace", [Pace(), Pace(rate=1.0)])
+def test_time_until_the_first_sample_is_there_is_not_played(pace: Pace) -> None:
+    schedule = Schedule(pace, 0)
+    schedule.begin(5 * S)
+    assert play(schedule, [BEGIN, BEGIN + S], 5 * S) == [5 * S, 6 * S]
+
+
+def test_nor_is_time_until_a_place_is_found_and_stamps_keep_step_over_it() -> None:
+    schedule = Schedule(Pace(), 0)
+    play(schedule, [BEGIN], 0)
+    schedule.jump(S, BEGIN + 100 * S)
+    schedule.begin(3 * S)
+    assert play(schedule, [BEGIN + 100 * S, BEGIN + 101 * S], 3 * S) == [3 * S, 4 * S]
+    assert BEGIN + 101 * S + schedule.shift == BEGIN + 4 * S
+
+
 class TestPause:
     def test_what_was_left_to_wait_for_is_left_when_it_goes_on(self) -> None:
         schedule = Schedule(Pace(), 0)
