@@ -272,14 +272,20 @@ class TestEnd:
         assert len(os.listdir("/dev/fd")) == files
 
     @pytest.mark.parametrize("strict", [False, True])
+    @pytest.mark.parametrize("torn", [False, True])
     @simulated
-    async def test_of_one_that_was_not_closed_everything_whole_is_played_and_then_that_is_told(
-        self, strict: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    async def test_of_one_that_breaks_off_or_is_damaged_everything_whole_is_played_and_then_that_is_told(
+        self, torn: bool, strict: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
     ) -> None:
         path = steady(tmp_path / "a.mcap", 1000, chunk=2000)
         with RecordingReader(path) as reader:
             place = reader.pieces[-1].offset
-        path.write_bytes(path.read_bytes()[: place + 100])
+        octets = bytearray(path.read_bytes())
+        if torn:
+            del octets[place + 100 :]
+        else:
+            octets[place + 100] ^= 1
+        path.write_bytes(octets)
         async with Kernel() as kernel:
             logger = await replay(kernel, path, strict=strict)
             ports = await taker(kernel, logger)
@@ -288,8 +294,8 @@ class TestEnd:
             assert logger.state is (LifeCycleState.ERROR if strict else LifeCycleState.INACTIVE)
             got = len(ports["a"].drain()) + len(ports["b"].drain())
         assert 900 < got < 1000
-        warnings = [line for line in caplog.messages if "was not closed" in line]
-        assert len(warnings) == 1
+        told = [line for line in caplog.messages if ("was not closed" if torn else "damaged at octet") in line]
+        assert len(told) == 1
 
     @simulated
     async def test_a_file_that_is_gone_by_then_is_an_error_that_names_it(self, tmp_path: Path) -> None:

@@ -449,7 +449,7 @@ class TestOnARealClock:
         class Slow(RecordingReader):
             def samples(self, **chosen: Any) -> Any:
                 for sample in super().samples(**chosen):
-                    if sample.sequence % 100 == 50:
+                    if sample.sequence == 100 or sample.sequence >= 256:
                         time.sleep(0.3)
                     yield sample
 
@@ -464,7 +464,7 @@ class TestOnARealClock:
             assert longest < 0.25
             task.cancel()
             await asyncio.wait([task])
-            assert time.monotonic() - before < 1.5  # it had three more of its waits in front of it
+            assert time.monotonic() - before < 10.0  # it had a whole block of waits in front of it, 77 s
 
     @pytest.mark.anyio
     async def test_large_samples_are_read_one_block_ahead_and_not_all(self, tmp_path: Path) -> None:
