@@ -23,13 +23,20 @@ from aiorts import (
 )
 from aiorts.errors import ConfigurationError, InvalidNameError, StateError, WiringError, WriteTimeout
 from aiorts.testing import simulate, simulated
-from aiorts.types import TimedDouble, TimedLong, TimedString
+from aiorts.types import TimedDouble, TimedLong, TimedString, record
 from aiorts_flexi.logger import BasicOperations, FlexiLogger
 from aiorts_flexi.replaying import Playback
 from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
 from play_parts import BEGIN, MS, S, foreign, recorded, steady
 
 pytestmark = pytest.mark.row(115)
+
+
+@record
+class Reading(TimedLong):
+    """A record of a subclass."""
+
+    volts: float = 0.0
 
 
 async def replay(kernel: Kernel, path: Path, **params: Any) -> FlexiLogger:
@@ -121,6 +128,20 @@ class TestPorts:
             assert set(sys.modules) - before == set()
         with RecordingReader(path) as reader:
             assert [s.port.plain(s.data)["data"] for s in reader.samples(ports=["b"])] == [0, 1]
+
+    @simulated
+    async def test_a_port_that_was_given_records_of_a_subclass_is_one_port(self, tmp_path: Path) -> None:
+        samples = [TimedLong(1, 1), Reading(2, 2, 0.5), TimedLong(3, 3)]
+        with RecordingWriter(tmp_path / "a.mcap", RecordingOptions(min_free=0)) as writer:
+            port = writer.add_port("a", TimedLong)
+            for number, sample in enumerate(samples):
+                writer.write(port, sample, BEGIN + number)
+        async with Kernel() as kernel:
+            logger = await replay(kernel, tmp_path / "a.mcap", absolute=True)
+            ports = await taker(kernel, logger)
+            await kernel.start(EventContext(), logger, activate=True)
+            await kernel.sleep(1.0)
+            assert ports["a"].drain() == samples
 
     @simulated
     async def test_of_another_file_they_are_other_ones(self, tmp_path: Path) -> None:
@@ -521,7 +542,7 @@ class Source(Component):
                 self.c.write_nowait(TimedString(tm - 4, ""))
 
 
-async def record(kernel: Kernel, source: Component, path: Path) -> FlexiLogger:
+async def recorder_of(kernel: Kernel, source: Component, path: Path) -> FlexiLogger:
     """A recorder of all out-ports of a component, active."""
     outs = [port for port in source.ports.values() if port.direction == "out"]
     recorder = await kernel.create(
@@ -551,7 +572,7 @@ def replayed_into(source: Path, target: Path, **params: Any) -> list[tuple[str, 
     async def main(clock: SimulatedClock) -> None:
         async with Kernel(clock=clock) as kernel:
             logger = await replay(kernel, source, **params)
-            await record(kernel, logger, target)
+            await recorder_of(kernel, logger, target)
             await kernel.start(EventContext(), logger, activate=True)
             while not logger.has_finished:
                 await kernel.sleep(1.0)
@@ -565,7 +586,7 @@ class TestDeterminism:
         async def main(clock: SimulatedClock) -> None:
             async with Kernel(clock=clock) as kernel:
                 source = await kernel.create(Source)
-                await record(kernel, source, folder / "first.mcap")
+                await recorder_of(kernel, source, folder / "first.mcap")
                 await source.send()
                 await kernel.sleep(1.0)
 
@@ -604,7 +625,7 @@ class TestDeterminism:
         async def main(clock: SimulatedClock) -> None:
             async with Kernel(clock=clock) as kernel:
                 source = await kernel.create(Source)
-                await record(kernel, source, tmp_path / "a.mcap")
+                await recorder_of(kernel, source, tmp_path / "a.mcap")
                 for i in range(20):
                     if i == 10:
                         clock.set_time_ns(clock.time_ns() - 3600 * S)
