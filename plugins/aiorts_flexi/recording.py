@@ -112,6 +112,8 @@ class Recording:
 
     def initialized(self) -> None:
         """Refuse a file that cannot be had before anything runs; it is made when the component is activated."""
+        if self._logger.kernel.components.get(self._logger.name, self._logger) is not self._logger:
+            return  # it takes the place of another one, whose file it takes over (`take_over`)
         try:
             check_target(self._logger.logfile, self._options.existing)
         except RecordingError as error:
@@ -131,6 +133,7 @@ class Recording:
             options,
             metadata=about(logger, self._segment),
             attachments={"system.toml": logger.kernel.origin.encode()} if logger.kernel.origin else None,
+            owner=self,
             tell=self._teller(self._segment),
             after=self._session,
             make=self.make_text_writer if logger.text else self.make_writer,
@@ -148,6 +151,8 @@ class Recording:
             raise
 
     def execute(self) -> None:
+        if self._session is not None and self._session.is_ordered and not self._closing:
+            self.activated()  # new code that had taken over went, and closed it: go on in another segment
         if self._session is not None and self._session.failure is not None:
             self._is_told = True
             raise self._session.failure
@@ -178,6 +183,8 @@ class Recording:
         session = self._session
         if session is None:
             return
+        if session.owner is not self:
+            return
         self._closing = True
         session.close()
         try:
@@ -189,6 +196,15 @@ class Recording:
         if session.failure is not None and not self._is_told:
             self._is_told = True
             raise session.failure
+
+    def take_over(self, old: Recording) -> None:
+        """Go on with what another one records, whose code was replaced; its ports are ours by now."""
+        options = self._options
+        vars(self).update({name: value for name, value in vars(old).items() if name != "_logger"})
+        self._options, self._looking = options, False
+        if self._session is not None:
+            self._session.belong(self, self._teller(self._segment))
+            self._number_ports(self._session)
 
     # -- samples ---------------------------------------------------------------------------------------------------
 

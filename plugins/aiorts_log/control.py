@@ -69,6 +69,7 @@ class BackgroundRecording:
 
     Args:
         path, options, metadata, attachments: see `RecordingWriter`.
+        owner: whose it is; nothing is done with that.
         tell: called in the thread with each notice; it must not wait for anything.
         after: a recording that has to be closed before this one is opened.
         make: what opens the file.
@@ -84,6 +85,7 @@ class BackgroundRecording:
         *,
         metadata: Mapping[str, Any] | None = None,
         attachments: Mapping[str, bytes] | None = None,
+        owner: object = None,
         tell: Callable[[Notice], None],
         after: BackgroundRecording | None = None,
         make: MakeWriter = RecordingWriter,
@@ -93,6 +95,7 @@ class BackgroundRecording:
         self._make: Callable[[], RecordingWriter] = partial(
             make, self.path, options, metadata=metadata, attachments=attachments
         )
+        self.owner = owner
         self._tell = tell
         self._after = after
         self._ports: list[_Port] = []
@@ -129,36 +132,46 @@ class BackgroundRecording:
         """Record samples of a port; from one thread at a time, never waiting. What finds no room is counted."""
         writer = self._direct
         if writer is None or len(records) > _AT_ONCE:
-            writer = self._put(_Batch(port, records, log_time, self._weight(port, records)))
+            writer = self._put(port, records, log_time)
         if writer is not None:
             for record in records:
                 writer.write(port, record, log_time)
 
-    def _weight(self, port: int, records: Sequence[Any]) -> int:
-        weigh = self._ports[port].weigh
-        if weigh is None or not records:
-            return SMALL * len(records)
-        some = records[:: -(-len(records) // _WEIGHED)]
-        return sum(map(weigh, some)) * len(records) // len(some)
-
-    def _put(self, batch: _Batch) -> RecordingWriter | None:
-        """Leave a batch to the thread; the writer itself when it can take a short one after all."""
+    def _put(self, port: int, records: Sequence[Any], log_time: int) -> RecordingWriter | None:
+        """Leave samples to the thread; the writer itself when it can take these few after all."""
         with self._lock:
-            if self._direct is not None and len(batch.records) <= _AT_ONCE:
+            if self._direct is not None and len(records) <= _AT_ONCE:
                 return self._direct
-            count = len(batch.records)
-            room = int((1.0 - self.load) * self.options.queue)
-            if self._closed.is_set() or self._octets + batch.octets > self.options.queue_octets:
-                room = 0
-            if room < count:
-                batch = batch._replace(records=batch.records[: max(0, room)])
-                self._dropped[batch.port] += count - len(batch.records)
-            self._waiting += len(batch.records)
-            self._octets += batch.octets
-            self._batches.append(batch)
-            self._direct = None
+            each = self._weight(port, records)
+            free = 0.0 if self._closed.is_set() else max(0.0, 1.0 - self.load)
+            room = int(min(free * self.options.queue, free * self.options.queue_octets / each))
+            if room < len(records):
+                self._dropped[port] += len(records) - room
+                records = records[:room]
+            if records:
+                self._waiting += len(records)
+                self._octets += each * len(records)
+                self._batches.append(_Batch(port, records, log_time, each * len(records)))
+                self._direct = None
         self._wake.set()
         return None
+
+    def _weight(self, port: int, records: Sequence[Any]) -> int:
+        """Octets that one of these samples holds on average, about."""
+        weigh = self._ports[port].weigh
+        if weigh is None or not records:
+            return SMALL
+        some = records[:: -(-len(records) // _WEIGHED)]
+        return sum(map(weigh, some)) // len(some)
+
+    def belong(self, owner: object, tell: Callable[[Notice], None]) -> None:
+        """It is somebody else's from now on."""
+        self.owner, self._tell = owner, tell
+
+    @property
+    def is_ordered(self) -> bool:
+        """Whether it was asked to end."""
+        return self._ordered
 
     @property
     def load(self) -> float:
