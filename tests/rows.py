@@ -101,6 +101,8 @@ FEATURES = {
     94: "Whoever manages the process is told of every step",
     95: "Logging by component, with levels and several sinks",
     105: "Observers with typed events; a slow one holds nobody up",
+    115: "Recordings are made by a component",
+    117: "A recording's format is versioned and safe: checked, readable after a crash, nothing in it is run",
     123: "Add, select, duplicate, dump, const, filter as components",
     124: "A component's interface changes while it runs",
     125: "Constants are literals: nothing is evaluated",

@@ -6,6 +6,12 @@
     params.names = ["pose", "speed"]
     params.logfile = "run.mcap"
 
+    async with Kernel() as kernel:
+        log = await kernel.create(FlexiLogger, inputs=("TimedDouble",), logfile="run.mcap")
+        await kernel.connect(wheel.speed, log.ports["input0"], length=1000)
+        await kernel.start(EventContext(), log, activate=True)
+        await kernel.sleep(10.0)
+
 Which of both is the parameter `mode`; each is a role of its own, in `recording.py` and `replaying.py`. This file has
 what a user sees: parameters, options, ports and the service port.
 """
@@ -13,10 +19,10 @@ what a user sees: parameters, options, ports and the service port.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol, Self
 
 from aiorts import InPort, OutPort, Param, Provided
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ConfigurationError, StateError
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
 from aiorts_flexi.recording import Recording
@@ -161,8 +167,9 @@ class FlexiLogger(FlexiComponent):
 
     def __init__(self, name: str = "") -> None:
         super().__init__(name)
+        self._recording: Final = Recording(self)
         self._replaying: Final = Replaying(self)
-        self._roles: Final[dict[str, Role]] = {"record": Recording(self), "replay": self._replaying}
+        self._roles: Final[dict[str, Role]] = {"record": self._recording, "replay": self._replaying}
 
     @property
     def role(self) -> Role:
@@ -205,6 +212,11 @@ class FlexiLogger(FlexiComponent):
 
     async def on_finalize(self) -> None:
         await self.role.finalized()
+
+    def on_reload(self, old: Self) -> None:
+        if self.mode != "record":
+            raise StateError(f"{self.name}: a replay is not reloaded; deactivate it, and create another one")
+        self._recording.take_over(old._recording)
 
     async def wait_closed(self) -> None:
         """Wait until the file of a recorder that was deactivated is complete: that goes on while others run."""

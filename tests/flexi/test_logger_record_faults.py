@@ -20,7 +20,7 @@ from aiorts.errors import ComponentError
 from aiorts.testing import simulated
 from aiorts.types import TimedLong, TimedOctetSeq
 from aiorts_flexi.recording import Recording
-from aiorts_log import RecordingError, RecordingWriter
+from aiorts_log import RecordingError, RecordingReader, RecordingWriter
 from aiorts_log.file import LogFile
 from campaign import CAMPAIGN
 from log_parts import read
@@ -149,8 +149,13 @@ async def test_what_was_lost_on_the_way_to_the_recorder_is_in_the_file_and_told_
             feed.write_nowait(TimedLong(0, number))
         await kernel.sleep(1.0)
         await context.deactivate(logger)
-    assert [record.data for _, _, record in read(path)] == list(range(992, 1000))
-    ((name, lost),) = ending(path)["dropped_before"].items()
+        found = ending(path)
+        await context.activate(logger)
+        feed.write_nowait(TimedLong(0, 1000))
+        await kernel.sleep(1.0)
+    assert [record.data for _, _, record in read(path)] == list(range(992, 1001))
+    assert "dropped_before" not in ending(path)  # nothing was lost of the second segment
+    ((name, lost),) = found["dropped_before"].items()
     assert lost == {"overwritten": 992}
     (warning,) = told(caplog, logging.WARNING)
     assert f"992 of {name}" in warning
@@ -293,6 +298,15 @@ class Slow(LogFile):
         return super().put(parts)
 
 
+class SlowToBegin(LogFile):
+    """A disk that sleeps when it is asked first."""
+
+    def put(self, parts: list[memoryview]) -> int:
+        if not self.size:
+            time.sleep(0.5)
+        return super().put(parts)
+
+
 @pytest.mark.fault("D05")
 @pytest.mark.anyio
 async def test_a_slow_disk_holds_up_neither_loop_nor_activation(
@@ -314,6 +328,31 @@ async def test_a_slow_disk_holds_up_neither_loop_nor_activation(
     assert stored == list(range(len(stored)))
     assert len(stored) + sum(ending(path)["dropped"].values()) == 300
     assert 0 < len(stored) < 300
+
+
+@pytest.mark.fault("D05")
+@pytest.mark.anyio
+async def test_what_waits_for_the_disk_is_bounded_in_octets_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    disk(monkeypatch, SlowToBegin)
+    async with Kernel() as kernel:
+        logger = await recorder(kernel, path, "TimedOctetSeq")
+        feed = (await feeders(kernel, logger))["input0"]
+        await active(kernel, logger, PeriodicContext(rate=50.0))
+        large = TimedOctetSeq(0, bytes(2**20))
+        for _ in range(3):
+            for _ in range(30):
+                feed.write_nowait(large)
+            await kernel.sleep(0.03)
+        await kernel.sleep(0.03)
+        waiting = logger.role._session.load  # type: ignore[attr-defined]
+        await closed(logger)
+    with RecordingReader(path) as reader:
+        assert waiting <= 1.0
+        assert 30 <= reader.count <= 64
+        assert reader.count + reader.endings[-1]["dropped"]["input0"] == 90
 
 
 @pytest.mark.fault("D19")
