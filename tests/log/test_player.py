@@ -387,15 +387,22 @@ class TestOnARealClock:
     async def test_it_is_never_early_and_a_thread_reads_and_goes(self, tmp_path: Path) -> None:
         steady(tmp_path / "a.mcap", 2000, MS)
         threads = threading.active_count()
+        reading: set[bool] = set()
         async with Kernel() as kernel:
             played = Played(kernel, tmp_path / "a.mcap", Pace(20.0))
+            take = played.player._send
+
+            async def looking(port: str, sample: Any) -> None:
+                await take(port, sample)
+                if sample.data % 500 == 0:
+                    reading.add(any(thread.name.startswith("aiorts replay") for thread in threading.enumerate()))
+
+            played.player._send = looking
             began = kernel.clock.monotonic_ns()
-            task = asyncio.ensure_future(played.player.play())
-            await kernel.sleep(0.02)
-            assert any(thread.name.startswith("aiorts replay") for thread in threading.enumerate())
-            await task
+            await played.player.play()
         assert played.values == list(range(2000))
         assert all(moment - began >= i * MS // 20 for i, (moment, _, _) in enumerate(played.samples))
+        assert reading == {True}
         await _until(lambda: threading.active_count() == threads)
 
     @pytest.mark.anyio
