@@ -120,7 +120,7 @@ class Recording:
             raise ConfigurationError(f"{self._logger.name}.logfile: {error}") from None
 
     def activated(self) -> None:
-        logger, path, options = self._logger, Path(self._logger.logfile), self._options
+        logger, path, options = self._logger, self._logger.logfile, self._options
         if path == self._own:
             options = continuing(options, path)
         check_target(path, options.existing)
