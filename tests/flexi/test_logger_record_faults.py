@@ -20,7 +20,7 @@ from aiorts.errors import ComponentError
 from aiorts.testing import simulated
 from aiorts.types import TimedLong, TimedOctetSeq
 from aiorts_flexi.recording import Recording
-from aiorts_log import RecordingError, RecordingReader, RecordingWriter
+from aiorts_log import RecordingError, RecordingReader, RecordingWriter, info_of
 from aiorts_log.file import LogFile
 from campaign import CAMPAIGN
 from log_parts import read
@@ -169,6 +169,8 @@ async def test_what_was_lost_on_the_way_to_the_recorder_is_in_the_file_and_told_
     assert "dropped_before" not in ending(path)  # nothing was lost of the second segment
     ((name, lost),) = found["dropped_before"].items()
     assert lost == {"overwritten": 992}
+    with RecordingReader(path) as reader:
+        assert info_of(reader).dropped == {f"{name} (overwritten)": 992}
     (warning,) = told(caplog, logging.WARNING)
     assert f"992 of {name}" in warning
 
