@@ -19,6 +19,7 @@ what a user sees: parameters, options, ports and the service port.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol, Self
 
 from aiorts import InPort, OutPort, Param, Provided
@@ -101,7 +102,7 @@ class FlexiLogger(FlexiComponent):
     names: tuple[str, ...] = Param(
         (), type=tuple[str, ...], doc='record: names of the in-ports; "" or missing: input0, input1, ...'
     )
-    logfile = Param("logger.mcap", doc="the file, .mcap; a path is counted from the current folder")
+    logfile = Param(Path("logger.mcap"), doc="the file; in a system file counted from the folder of that")
     paused = Param(False, doc="record: take samples and do not record them; replay: stand still")
     use_control = Param(False, doc="service port `Control`: stands still until `start()` is called")
     # What recording alone has.
@@ -138,6 +139,12 @@ class FlexiLogger(FlexiComponent):
     step = Param(0, ge=0, doc="replay: raised by N, the next N samples are sent although it is paused")
     strict = Param(False, doc="replay: a damaged or unfinished recording is an error")
 
+    help_text: ClassVar[str] = """
+    \b
+    Examples:
+      aiorts flexiconst -p TimedDouble -c 1.5 -r 1000 --count 5000 | aiorts flexilogger -p TimedDouble -l run.mcap
+      aiorts log info run.mcap
+    """
     interface: ClassVar[str] = "in: `input0`, `input1`, ..., or `names`; with -o out: the ports of the file"
     options: ClassVar[tuple[Option, ...]] = (
         Option(("-i", "--input"), "mode", "flag", "record (default)", value="record"),

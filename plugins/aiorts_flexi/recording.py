@@ -21,6 +21,7 @@ from aiorts_flexi.about import about
 from aiorts_flexi.ports import named_types
 from aiorts_log import RecordingError, RecordingOptions, RecordingWriter, TextWriter
 from aiorts_log.control import BackgroundRecording, MakeWriter, Notice
+from aiorts_log.info import MISSED
 from aiorts_log.target import check_target, continuing
 
 if TYPE_CHECKING:
@@ -38,8 +39,6 @@ _SOON: Final = 0.005
 _LATE: Final = 0.5
 """Seconds after which a failure to close is told, if it was not the component's end that asked for it."""
 _MB: Final = 1_000_000
-_MISSED: Final = ("overwritten", "rejected", "timeout", "lost")
-"""Why a connector dropped what its user wanted to have."""
 
 
 class Recording:
@@ -120,7 +119,7 @@ class Recording:
             raise ConfigurationError(f"{self._logger.name}.logfile: {error}") from None
 
     def activated(self) -> None:
-        logger, path, options = self._logger, Path(self._logger.logfile), self._options
+        logger, path, options = self._logger, self._logger.logfile, self._options
         if path == self._own:
             options = continuing(options, path)
         check_target(path, options.existing)
@@ -279,7 +278,7 @@ class Recording:
         return found
 
     def _tell_lost(self, lost: Counter[tuple[str, str]]) -> None:
-        missed = {name: n for (name, why), n in lost.items() if why in _MISSED}
+        missed = {name: n for (name, why), n in lost.items() if why in MISSED}
         if missed:
             names = ", ".join(f"{count} of {name}" for name, count in missed.items())
             self._logger.log.warning(

@@ -47,12 +47,12 @@ class Notice(NamedTuple):
 
 
 class _Batch(NamedTuple):
-    """Samples of one port with one log time, and what they hold in octets, about."""
+    """Samples of one port with one log time, and how many octets each holds, about."""
 
     port: int
     records: Sequence[Any]
     log_time: int
-    octets: int
+    each: int
 
 
 class _Port(NamedTuple):
@@ -151,7 +151,7 @@ class BackgroundRecording:
             if records:
                 self._waiting += len(records)
                 self._octets += each * len(records)
-                self._batches.append(_Batch(port, records, log_time, each * len(records)))
+                self._batches.append(_Batch(port, records, log_time, each))
                 self._direct = None
         self._wake.set()
         return None
@@ -276,16 +276,18 @@ class BackgroundRecording:
                     self._direct = writer
                     return
                 batch = self._batches[0]
-            for number, record in enumerate(batch.records, 1):
-                while writer.load > _AHEAD and writer.failure is None:
-                    sleep(_PAUSE)
-                writer.write(batch.port, record, batch.log_time)
-                if not number % _TURN:
-                    sleep(_YIELD)
+            for first in range(0, len(batch.records), _TURN):
+                some = batch.records[first : first + _TURN]
+                for record in some:
+                    while writer.load > _AHEAD and writer.failure is None:
+                        sleep(_PAUSE)
+                    writer.write(batch.port, record, batch.log_time)
+                with self._lock:
+                    self._waiting -= len(some)
+                    self._octets -= len(some) * batch.each
+                sleep(_YIELD)
             with self._lock:
                 self._batches.popleft()
-                self._waiting -= len(batch.records)
-                self._octets -= batch.octets
 
     def _look(self, writer: RecordingWriter) -> None:
         self._tell_drops(writer.statistics)

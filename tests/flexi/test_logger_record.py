@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import aiorts_flexi
 from aiorts import (
     Component,
     Context,
@@ -335,6 +338,16 @@ async def test_what_cannot_be_a_recording_is_refused_before_anything_runs(where:
     assert not (tmp_path / "target.mcap").exists()
 
 
+@pytest.fixture
+def same_code() -> Iterator[None]:
+    """Other tests find the classes that they have imported."""
+    module = sys.modules["aiorts_flexi.logger"]
+    yield
+    sys.modules["aiorts_flexi.logger"] = module
+    aiorts_flexi.logger = module  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("same_code")
 @simulated
 async def test_its_code_is_replaced_while_it_records(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -359,6 +372,7 @@ async def test_its_code_is_replaced_while_it_records(tmp_path: Path) -> None:
     assert ending(path)["stored"] == 3
 
 
+@pytest.mark.usefixtures("same_code")
 @simulated
 async def test_new_code_that_fails_gives_the_recording_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.mcap"
