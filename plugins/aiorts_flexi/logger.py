@@ -136,13 +136,14 @@ class FlexiLogger(FlexiComponent):
     skip: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: names of the ports that are left out")
     remap: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: OLD=NEW, other names for ports")
     position = Param("", doc="replay: play from there, also while it runs; as begin")
-    step = Param(0, ge=0, doc="replay: raised by N, the next N samples are sent although it is paused")
+    step = Param(0, ge=0, doc="replay: so many samples are sent although it is paused; raised by N, N more")
     strict = Param(False, doc="replay: a damaged or unfinished recording is an error")
 
     help_text: ClassVar[str] = """
     \b
     Examples:
       aiorts flexiconst -p TimedDouble -c 1.5 -r 1000 --count 5000 | aiorts flexilogger -p TimedDouble -l run.mcap
+      aiorts flexilogger -o -l run.mcap | aiorts flexidump -p TimedDouble
       aiorts log info run.mcap
     """
     interface: ClassVar[str] = "in: `input0`, `input1`, ..., or `names`; with -o out: the ports of the file"

@@ -437,6 +437,19 @@ class TestWhileItRuns:
             assert logger.has_finished
 
     @simulated
+    async def test_paused_from_the_beginning_it_sends_as_many_as_steps_say(self, tmp_path: Path) -> None:
+        steady(tmp_path / "a.mcap", 100)
+        async with Kernel() as kernel:
+            logger = await replay(kernel, tmp_path / "a.mcap", paused=True, step=3, only=["a"])
+            ports = await taker(kernel, logger)
+            context = await kernel.start(EventContext(), logger, activate=True)
+            for _ in range(2):
+                await kernel.sleep(5.0)
+                assert values(ports["a"]) == [0, 2, 4]
+                await context.deactivate()
+                await context.activate()
+
+    @simulated
     async def test_what_says_what_is_replayed_cannot_be_changed_meanwhile_and_all_stays_as_it_was(
         self, tmp_path: Path
     ) -> None:
