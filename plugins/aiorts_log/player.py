@@ -171,10 +171,12 @@ class Player:
                 await self._ahead.begin(target)
             elif block.error is not None:
                 raise block.error
-            elif not block.samples and await self._is_over():
+            elif not block.samples:
                 done += 1
                 if restarted or 0 < self.passes <= done:
-                    return
+                    if await self._is_over():
+                        return
+                    continue
                 if self._clock.monotonic_ns() - began < 1e9 * _PAUSE:
                     await self._sleep(_PAUSE)
                 began, restarted = self._clock.monotonic_ns(), True
@@ -195,6 +197,12 @@ class Player:
         for target, log_time, record, stamped in samples:
             if self._target is not None:
                 return
+            if target is not before and target in fresh:
+                # Who reads several ports in one go would find what was recorded before it behind it.
+                await asyncio.sleep(0)
+                fresh.clear()
+                if self._target is not None:
+                    return
             if cut := schedule.take(log_time):
                 self._note_cut(log_time, cut)
             due = schedule.due
@@ -202,15 +210,12 @@ class Player:
                 await self._until_due()
                 now = monotonic_ns()
                 fresh.clear()
-            if target is not before and target in fresh:
-                # Who reads several ports in one go would find what was recorded before it behind it.
-                await asyncio.sleep(0)
-                fresh.clear()
             if self._target is not None:
                 return
+            allowed = schedule.paused
             await send(target, self._stamped(record) if stamped and adjusted else record)
             self.sent += 1
-            schedule.sent(now)
+            schedule.sent(now, allowed=allowed)
             fresh.add(target)
             before = target
             if not self.sent % _AT_ONCE:

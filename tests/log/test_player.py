@@ -146,6 +146,33 @@ class TestWhilePlaying:
         assert played.values == list(range(600))
 
     @simulated
+    async def test_what_a_reader_holds_up_when_it_is_paused_goes_and_nothing_behind_it(self, tmp_path: Path) -> None:
+        steady(tmp_path / "a.mcap", 10)
+        async with Kernel() as kernel:
+            played = Played(kernel, tmp_path / "a.mcap")
+            take = played.player._send
+
+            async def slow(port: str, sample: Any) -> None:
+                await kernel.sleep(1.0)
+                await take(port, sample)
+
+            played.player._send = slow
+            task = asyncio.create_task(played.player.play())
+            await kernel.sleep(0.5)
+            played.player.pause()
+            await kernel.sleep(100.0)
+            assert played.values == [0]
+            played.player.step(2)
+            await kernel.sleep(0.5)
+            played.player.resume()
+            played.player.pause()
+            await kernel.sleep(100.0)
+            assert played.values == [0, 1]
+            played.player.resume()
+            await task
+        assert played.values == list(range(10))
+
+    @simulated
     async def test_a_jump_forth_or_back_plays_from_there(self, tmp_path: Path) -> None:
         steady(tmp_path / "a.mcap", 1000)
         async with Kernel() as kernel:
@@ -255,6 +282,19 @@ class TestWhilePlaying:
 
 
 class TestPasses:
+    @simulated
+    async def test_steps_go_on_from_the_end_of_a_pass_to_the_next(self, tmp_path: Path) -> None:
+        steady(tmp_path / "a.mcap", 3)
+        async with Kernel() as kernel:
+            played = Played(kernel, tmp_path / "a.mcap", passes=2, paused=True)
+            task = asyncio.create_task(played.player.play())
+            played.player.step(5)
+            await kernel.sleep(1.0)
+            assert played.values == [0, 1, 2, 0, 1]
+            played.player.resume()
+            await task
+        assert played.values == [0, 1, 2] * 2
+
     @simulated
     async def test_so_often_as_asked_each_as_far_behind_the_last_as_its_last_two_samples_were_apart(
         self, tmp_path: Path
