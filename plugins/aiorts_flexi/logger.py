@@ -6,6 +6,12 @@
     params.names = ["pose", "speed"]
     params.logfile = "run.mcap"
 
+    async with Kernel() as kernel:
+        log = await kernel.create(FlexiLogger, inputs=("TimedDouble",), logfile="run.mcap")
+        await kernel.connect(wheel.speed, log.ports["input0"], length=1000)
+        await kernel.start(EventContext(), log, activate=True)
+        await kernel.sleep(10.0)
+
 Which of both is the parameter `mode`; each is a role of its own, in `recording.py` and `replaying.py`. This file has
 what a user sees: parameters, options, ports and the service port.
 """
@@ -13,10 +19,11 @@ what a user sees: parameters, options, ports and the service port.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, Protocol
+from pathlib import Path
+from typing import Any, ClassVar, Final, Protocol, Self
 
 from aiorts import InPort, OutPort, Param, Provided
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ConfigurationError, StateError
 from aiorts_flexi.base import FlexiComponent
 from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
 from aiorts_flexi.recording import Recording
@@ -95,7 +102,7 @@ class FlexiLogger(FlexiComponent):
     names: tuple[str, ...] = Param(
         (), type=tuple[str, ...], doc='record: names of the in-ports; "" or missing: input0, input1, ...'
     )
-    logfile = Param("logger.mcap", doc="the file, .mcap; a path is counted from the current folder")
+    logfile = Param(Path("logger.mcap"), doc="the file; in a system file counted from the folder of that")
     paused = Param(False, doc="record: take samples and do not record them; replay: stand still")
     use_control = Param(False, doc="service port `Control`: stands still until `start()` is called")
     # What recording alone has.
@@ -129,9 +136,16 @@ class FlexiLogger(FlexiComponent):
     skip: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: names of the ports that are left out")
     remap: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: OLD=NEW, other names for ports")
     position = Param("", doc="replay: play from there, also while it runs; as begin")
-    step = Param(0, ge=0, doc="replay: raised by N, the next N samples are sent although it is paused")
+    step = Param(0, ge=0, doc="replay: so many samples are sent although it is paused; raised by N, N more")
     strict = Param(False, doc="replay: a damaged or unfinished recording is an error")
 
+    help_text: ClassVar[str] = """
+    \b
+    Examples:
+      aiorts flexiconst -p TimedDouble -c 1.5 -r 1000 --count 5000 | aiorts flexilogger -p TimedDouble -l run.mcap
+      aiorts flexilogger -o -l run.mcap | aiorts flexidump -p TimedDouble
+      aiorts log info run.mcap
+    """
     interface: ClassVar[str] = "in: `input0`, `input1`, ..., or `names`; with -o out: the ports of the file"
     options: ClassVar[tuple[Option, ...]] = (
         Option(("-i", "--input"), "mode", "flag", "record (default)", value="record"),
@@ -161,8 +175,9 @@ class FlexiLogger(FlexiComponent):
 
     def __init__(self, name: str = "") -> None:
         super().__init__(name)
+        self._recording: Final = Recording(self)
         self._replaying: Final = Replaying(self)
-        self._roles: Final[dict[str, Role]] = {"record": Recording(self), "replay": self._replaying}
+        self._roles: Final[dict[str, Role]] = {"record": self._recording, "replay": self._replaying}
 
     @property
     def role(self) -> Role:
@@ -205,6 +220,11 @@ class FlexiLogger(FlexiComponent):
 
     async def on_finalize(self) -> None:
         await self.role.finalized()
+
+    def on_reload(self, old: Self) -> None:
+        if self.mode != "record":
+            raise StateError(f"{self.name}: a replay is not reloaded; deactivate it, and create another one")
+        self._recording.take_over(old._recording)
 
     async def wait_closed(self) -> None:
         """Wait until the file of a recorder that was deactivated is complete: that goes on while others run."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -20,7 +20,8 @@ from aiorts.types import type_name
 from aiorts_flexi.about import about
 from aiorts_flexi.ports import named_types
 from aiorts_log import RecordingError, RecordingOptions, RecordingWriter, TextWriter
-from aiorts_log.control import BackgroundRecording, MakeWriter, Notice, Offered
+from aiorts_log.control import BackgroundRecording, MakeWriter, Notice
+from aiorts_log.info import MISSED
 from aiorts_log.target import check_target, continuing
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ("Recording",)
 
 _AT_ONCE: Final = 1000
-"""Samples handed on between two turns of the loop."""
+"""Samples taken of a port in one cycle when their writer can wait."""
 _FULL: Final = 0.75
 """How full the queue may be before who can wait has to."""
 _LOOK_AGAIN: Final = 0.005
@@ -38,8 +39,6 @@ _SOON: Final = 0.005
 _LATE: Final = 0.5
 """Seconds after which a failure to close is told, if it was not the component's end that asked for it."""
 _MB: Final = 1_000_000
-_MISSED: Final = ("overwritten", "rejected", "timeout", "lost")
-"""Why a connector dropped what its user wanted to have."""
 
 
 class Recording:
@@ -56,7 +55,6 @@ class Recording:
         self._segment = 0
         self._inputs: dict[str, tuple[InPort[Any], int]] = {}
         """Each in-port, and its number in the recording."""
-        self._backlog: deque[Offered] = deque()
         self._looking = False
         self._enabled = True
         self._paused = False
@@ -113,13 +111,15 @@ class Recording:
 
     def initialized(self) -> None:
         """Refuse a file that cannot be had before anything runs; it is made when the component is activated."""
+        if self._logger.kernel.components.get(self._logger.name, self._logger) is not self._logger:
+            return  # it takes the place of another one, whose file it takes over (`take_over`)
         try:
             check_target(self._logger.logfile, self._options.existing)
         except RecordingError as error:
             raise ConfigurationError(f"{self._logger.name}.logfile: {error}") from None
 
     def activated(self) -> None:
-        logger, path, options = self._logger, Path(self._logger.logfile), self._options
+        logger, path, options = self._logger, self._logger.logfile, self._options
         if path == self._own:
             options = continuing(options, path)
         check_target(path, options.existing)
@@ -132,6 +132,7 @@ class Recording:
             options,
             metadata=about(logger, self._segment),
             attachments={"system.toml": logger.kernel.origin.encode()} if logger.kernel.origin else None,
+            owner=self,
             tell=self._teller(self._segment),
             after=self._session,
             make=self.make_text_writer if logger.text else self.make_writer,
@@ -149,6 +150,8 @@ class Recording:
             raise
 
     def execute(self) -> None:
+        if self._session is not None and self._session.is_ordered and not self._closing:
+            self.activated()  # new code that had taken over went, and closed it: go on in another segment
         if self._session is not None and self._session.failure is not None:
             self._is_told = True
             raise self._session.failure
@@ -160,8 +163,7 @@ class Recording:
             return
         self._closing = True
         lost = self._lost() - self._lost_before
-        session.close(tuple(self._backlog), {"dropped_before": _by_connector(lost)} if lost else None)
-        self._backlog.clear()
+        session.close({"dropped_before": _by_connector(lost)} if lost else None)
         self._tell_lost(lost)
         self._inputs = {}
         if self._may_block:
@@ -180,6 +182,8 @@ class Recording:
         session = self._session
         if session is None:
             return
+        if session.owner is not self:
+            return
         self._closing = True
         session.close()
         try:
@@ -191,6 +195,15 @@ class Recording:
         if session.failure is not None and not self._is_told:
             self._is_told = True
             raise session.failure
+
+    def take_over(self, old: Recording) -> None:
+        """Go on with what another one records, whose code was replaced; its ports are ours by now."""
+        options = self._options
+        vars(self).update({name: value for name, value in vars(old).items() if name != "_logger"})
+        self._options, self._looking = options, False
+        if self._session is not None:
+            self._session.belong(self, self._teller(self._segment))
+            self._number_ports(self._session)
 
     # -- samples ---------------------------------------------------------------------------------------------------
 
@@ -215,59 +228,41 @@ class Recording:
         now = self._last = self._base + self._logger.clock.monotonic_ns()
         held = False
         for port, number in self._inputs.values():
-            if any(connector.blocks for connector in port.connectors) and not self._is_simulated:
-                held = self._take_some(port, number, now) or held
-                continue
-            samples = port.drain()
-            if len(samples) > _AT_ONCE or self._backlog:
-                self._backlog.extend([(number, sample, now) for sample in samples])
-            else:
-                for sample in samples:
-                    self._write(number, sample, now)
-            self._tell_taken(port.name, len(samples))
-        if self._backlog:
-            self._pump()
+            if self._is_simulated:
+                self._record_all(session, number, port.drain(), now)
+            elif any(connector.blocks for connector in port.connectors):
+                held = self._record_some(session, number, port, now) or held
+            elif samples := port.drain():
+                session.write(number, samples, now)
+                self._tell_taken(port.name, len(samples))
         if held:
-            self._look_again(_LOOK_AGAIN)
+            self._look_again()
 
-    def _take_some(self, port: InPort[Any], number: int, now: int) -> bool:
+    def _record_all(self, session: BackgroundRecording, number: int, samples: Sequence[Any], now: int) -> None:
+        """Without any loss: virtual time would run away from the disk, and waits."""
+        for sample in samples:
+            if session.load >= _FULL:
+                session.flush()
+            session.write(number, (sample,), now)
+
+    def _record_some(self, session: BackgroundRecording, number: int, port: InPort[Any], now: int) -> bool:
         """Take as much as there is room for; whether some had to be left there."""
-        session = self._session
-        assert session is not None  # noqa: S101 - only while there is one
         taken = 0
-        if not self._backlog:
-            while taken < _AT_ONCE and session.load < _FULL and port.is_new:
-                session.write(number, port.read_nowait(), now)
-                taken += 1
+        while taken < _AT_ONCE and session.load < _FULL and port.is_new:
+            session.write(number, (port.read_nowait(),), now)
+            taken += 1
         self._tell_taken(port.name, taken)
         return port.is_new
 
-    def _write(self, number: int, sample: Any, now: int) -> None:
-        session = self._session
-        assert session is not None  # noqa: S101 - only while there is one
-        if self._is_simulated and session.load >= _FULL:
-            session.flush()  # virtual time would run away from the disk
-        session.write(number, sample, now)
-
-    def _pump(self) -> None:
-        """Hand on the backlog, on the loop with turns of it between."""
-        for _ in range(len(self._backlog) if self._may_block else min(_AT_ONCE, len(self._backlog))):
-            self._write(*self._backlog.popleft())
-        if self._backlog:
-            self._look_again(0.0)
-
-    def _look_again(self, seconds: float) -> None:
-        if self._may_block:
-            return  # the next cycle does
-        if not self._looking:
+    def _look_again(self) -> None:
+        """Some samples were left in a port that their writer waits at."""
+        if not self._may_block and not self._looking:  # in a thread's context the next cycle does
             self._looking = True
-            self._logger.kernel.loop.call_later(seconds, self._look)
+            self._logger.kernel.loop.call_later(_LOOK_AGAIN, self._look)
 
     def _look(self) -> None:
         self._looking = False
-        if self._backlog:
-            self._pump()
-        elif self._session is not None and not self._closing:
+        if self._session is not None and not self._closing:
             self._take(record=self._enabled and not self._paused)
 
     def _tell_taken(self, name: str, count: int) -> None:
@@ -283,7 +278,7 @@ class Recording:
         return found
 
     def _tell_lost(self, lost: Counter[tuple[str, str]]) -> None:
-        missed = {name: n for (name, why), n in lost.items() if why in _MISSED}
+        missed = {name: n for (name, why), n in lost.items() if why in MISSED}
         if missed:
             names = ", ".join(f"{count} of {name}" for name, count in missed.items())
             self._logger.log.warning(

@@ -10,7 +10,6 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from aiorts import OutPort, WouldBlock
@@ -37,6 +36,8 @@ REPLAY_OPTIONS: Final = (
     Option(("--speed",), "speed", "number", "replay: 0.1..1000 times as fast, or max (default 1)", words={"max": None}),
     Option(("--start",), "begin", "text", "replay: from +SECONDS after the first sample, or seconds since 1970"),
     Option(("--end",), "end", "text", "replay: up to there, without it"),
+    Option(("--position",), "position", "text", "replay: the first pass begins there; as --start"),
+    Option(("--step",), "step", "number", "replay: send so many samples although it is paused"),
     Option(("--loop",), "loop", "number", "replay: N times; without N, or with 0, without end", bare="0"),
     Option(("--max-gap",), "max_gap", "number", "replay: seconds of a gap that are waited for (default 3600)"),
     Option(("--ports",), "only", "text", "replay: only these ports, separated by commas"),
@@ -151,7 +152,7 @@ class Replaying:
         return replayed_ports(self._look_into(values), values["only"], values["skip"], values["remap"])
 
     def _look_into(self, values: Mapping[str, Any]) -> Contents:
-        known, path = self._contents, Path(values["logfile"])
+        known, path = self._contents, values["logfile"]
         if known is None or known.path != path or self._player is None:
             # What is replayed stays what it was, even when somebody appends to the file meanwhile.
             known = self._contents = look_into(path, known)
@@ -215,6 +216,8 @@ class Replaying:
             send=_send,
             tell=self._warn,
         )
+        if plan.paused:
+            player.step(plan.steps)
         self._task = loop.create_task(self._play(player, plan), name=f"{logger.name} replays")
 
     def _types_of(self, plan: Plan, port: Replayed) -> list[Any]:

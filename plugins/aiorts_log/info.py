@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -10,6 +11,8 @@ from aiorts_log.survey import Gap
 
 __all__ = ("PortInfo", "RecordingInfo", "info_of")
 
+MISSED: Final = ("overwritten", "rejected", "timeout", "lost")
+"""Why a connector dropped what its user wanted to have."""
 GAP: Final = 1_000_000_000
 """Nanoseconds without any sample from which it is told; the writer begins a new chunk after such a time."""
 
@@ -35,7 +38,8 @@ class RecordingInfo:
         gaps: begin and end of each time of a second or more without samples.
         torn: the broken end of a recording that was not closed.
         fault: what else is wrong; "" when nothing is known to be.
-        dropped: samples that were offered to the writer and found no room, by port.
+        dropped: samples that found no room: by port those that the writer had to drop, by connector and reason those
+            that were dropped on the way to it.
     """
 
     path: str
@@ -72,6 +76,8 @@ def info_of(reader: RecordingReader) -> RecordingInfo:
         found = ending.get("dropped") if isinstance(ending, dict) else None
         for name, count in found.items() if isinstance(found, dict) else ():
             dropped[name] = dropped.get(name, 0) + (count if isinstance(count, int) else 0)
+        for name, count in _missed(ending):
+            dropped[name] = dropped.get(name, 0) + count
     header = reader.header
     return RecordingInfo(
         str(reader.path),
@@ -90,6 +96,15 @@ def info_of(reader: RecordingReader) -> RecordingInfo:
         reader.skipped,
         reader.metadata,
     )
+
+
+def _missed(ending: Any) -> Iterator[tuple[str, int]]:
+    """What connectors had no room for on the way to the recorder, of an ending that anybody may have written."""
+    before = ending.get("dropped_before") if isinstance(ending, dict) else None
+    for name, reasons in before.items() if isinstance(before, dict) else ():
+        for why, count in reasons.items() if isinstance(reasons, dict) else ():
+            if why in MISSED and isinstance(count, int):
+                yield f"{name} ({why})", count
 
 
 def _rate(count: int, seconds: float) -> float | None:

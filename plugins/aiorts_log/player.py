@@ -153,24 +153,30 @@ class Player:
         self._tell_what_was_found()
 
     async def _play(self) -> None:
-        done, restarted = 0, False
+        done, restarted, looked = 0, False, True
         began = self._clock.monotonic_ns()
         while True:
             block = await self._ahead.block()
             if self._target is None:
+                if looked:
+                    # However long it took to open the file, or to find the place: that is no reason for a burst.
+                    self._schedule.begin(self._clock.monotonic_ns())
+                    looked = False
                 if restarted and block.samples:
                     self._schedule.again(block.samples[0][1])
                     restarted = False
                 await self._play_block(block.samples)
             if self._target is not None:
-                target, self._target, restarted = self._target, None, False
+                target, self._target, restarted, looked = self._target, None, False, True
                 await self._ahead.begin(target)
             elif block.error is not None:
                 raise block.error
-            elif not block.samples and await self._is_over():
+            elif not block.samples:
                 done += 1
                 if restarted or 0 < self.passes <= done:
-                    return
+                    if await self._is_over():
+                        return
+                    continue
                 if self._clock.monotonic_ns() - began < 1e9 * _PAUSE:
                     await self._sleep(_PAUSE)
                 began, restarted = self._clock.monotonic_ns(), True
@@ -191,6 +197,12 @@ class Player:
         for target, log_time, record, stamped in samples:
             if self._target is not None:
                 return
+            if target is not before and target in fresh:
+                # Who reads several ports in one go would find what was recorded before it behind it.
+                await asyncio.sleep(0)
+                fresh.clear()
+                if self._target is not None:
+                    return
             if cut := schedule.take(log_time):
                 self._note_cut(log_time, cut)
             due = schedule.due
@@ -198,15 +210,12 @@ class Player:
                 await self._until_due()
                 now = monotonic_ns()
                 fresh.clear()
-            if target is not before and target in fresh:
-                # Who reads several ports in one go would find what was recorded before it behind it.
-                await asyncio.sleep(0)
-                fresh.clear()
             if self._target is not None:
                 return
+            allowed = schedule.paused
             await send(target, self._stamped(record) if stamped and adjusted else record)
             self.sent += 1
-            schedule.sent(now)
+            schedule.sent(now, allowed=allowed)
             fresh.add(target)
             before = target
             if not self.sent % _AT_ONCE:

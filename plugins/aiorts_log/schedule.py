@@ -165,9 +165,11 @@ class Schedule:
             return self._anchor
         return self._anchor + -(-(self._next - self._log) * mul // div)
 
-    def sent(self, now: int) -> None:
-        """The sample that was taken has been sent."""
+    def sent(self, now: int, *, allowed: bool = False) -> None:
+        """The sample that was taken has been sent; `allowed`: although it was paused when that began."""
         taken = self._next
+        if allowed and self._allowed:
+            self._allowed -= 1
         if taken is None:
             return
         if self._stopped is not None:
@@ -181,7 +183,6 @@ class Schedule:
 
     def _step_to(self, taken: int, now: int) -> None:
         """A sample went out while it is paused: from it on the rest is counted."""
-        self._allowed -= 1
         self._hold(now)
         before = self.position(now)
         self.shift -= taken - (taken if before is None else before)
@@ -203,6 +204,14 @@ class Schedule:
             late = max(0, now - self._due_at())
             self._anchor += late
             self.shift += late
+
+    def begin(self, now: int) -> None:
+        """What comes next is there now: time that went by since it was looked for is not played."""
+        self._hold(now)
+        if self._pace.rate is None or not self._number:
+            if self._stopped is None:
+                self.shift += now - self._anchor
+            self._anchor = self._due_last = now
 
     # -- what else happens -----------------------------------------------------------------------------------------
 

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import asyncio
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import aiorts_flexi
 from aiorts import (
     Component,
     Context,
     EventContext,
     ExternalContext,
     Kernel,
+    LifeCycleState,
     OutPort,
     PeriodicContext,
     Required,
     ThreadContext,
 )
-from aiorts.errors import ConfigurationError, ServiceError
+from aiorts.errors import ComponentError, ConfigurationError, ServiceError
 from aiorts.testing import simulated
 from aiorts.types import Point2D, Pose2D, RangeData, TimedDouble, TimedDoubleSeq, TimedLong, TimedPose2D, TimedString
 from aiorts_flexi.logger import BasicOperations, FlexiLogger
+from aiorts_flexi.recording import Recording
 from aiorts_log import RecordingReader, open_recording
 from log_parts import read
-from logger_parts import active, feeders, metadata, recorder
+from logger_parts import active, ending, feeders, metadata, recorder
 
 SECOND = 10**9
 
@@ -99,6 +105,31 @@ async def test_activated_again_it_goes_on_in_the_same_file_in_every_context(kind
     with RecordingReader(path) as reader:
         assert reader.clean
         assert [each["stored"] for each in reader.endings] == [5] * 10
+
+
+@pytest.mark.fault("D14")
+@simulated
+async def test_a_clock_that_is_put_back_does_not_turn_log_time_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with Kernel() as kernel:
+        clock: Any = kernel.clock
+        clock.set_time_ns(10_000 * SECOND)
+        logger = await recorder(kernel, path)
+        feed = await feeders(kernel, logger)
+        context = await active(kernel, logger)
+        for number in range(6):
+            await feed["input0"].write(TimedLong(0, number))
+            await kernel.sleep(1.0)
+            if number == 1:
+                clock.set_time_ns(6_400 * SECOND)  # an hour back, while it records
+            if number == 3:
+                clock.set_time_ns(2_800 * SECOND)  # and once more, while it does not
+                await context.deactivate(logger)
+                await context.activate(logger)
+    times = [log_time / SECOND - 10_000 for _, log_time, _ in read(path)]
+    assert times[:4] == [0.0, 1.0, 2.0, 3.0]
+    assert times[4] >= 3.0
+    assert times[5] - times[4] == 1.0
 
 
 @simulated
@@ -305,3 +336,69 @@ async def test_what_cannot_be_a_recording_is_refused_before_anything_runs(where:
                     existing=existing,
                 )
     assert not (tmp_path / "target.mcap").exists()
+
+
+@pytest.fixture
+def same_code() -> Iterator[None]:
+    """Other tests find the classes that they have imported."""
+    module = sys.modules["aiorts_flexi.logger"]
+    yield
+    sys.modules["aiorts_flexi.logger"] = module
+    aiorts_flexi.logger = module  # type: ignore[attr-defined]
+
+
+@pytest.mark.usefixtures("same_code")
+@simulated
+async def test_its_code_is_replaced_while_it_records(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with Kernel() as kernel:
+        old = await recorder(kernel, path)
+        feed = await feeders(kernel, old)
+        await active(kernel, old)
+        await feed["input0"].write(TimedLong(0, 1))
+        await kernel.sleep(0.1)
+        await kernel.reload("FlexiLogger")
+        new: Any = kernel.components[old.name]
+        assert new is not old
+        for number in (2, 3):
+            await feed["input0"].write(TimedLong(0, number))
+            await kernel.sleep(0.1)
+        await new.configure(paused=True)
+        await feed["input0"].write(TimedLong(0, 4))
+        await kernel.sleep(2.0)
+        assert (new.state, new.last_error) == (LifeCycleState.ACTIVE, None)
+    assert [record.data for _, _, record in read(path)] == [1, 2, 3]
+    assert len(metadata(path)) == 1
+    assert ending(path)["stored"] == 3
+
+
+@pytest.mark.usefixtures("same_code")
+@simulated
+async def test_new_code_that_fails_gives_the_recording_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.mcap"
+    async with Kernel() as kernel:
+        old = await recorder(kernel, path)
+        feed = await feeders(kernel, old)
+        await active(kernel, old)
+        await feed["input0"].write(TimedLong(0, 1))
+        await kernel.sleep(0.1)
+        execute = Recording.execute
+
+        def failing(self: Recording) -> None:
+            if self._logger is not old:
+                raise RuntimeError("new")
+            execute(self)
+
+        monkeypatch.setattr(Recording, "execute", failing)
+        reloading = asyncio.ensure_future(kernel.reload("FlexiLogger"))
+        for number in (2, 3, 4):
+            await kernel.sleep(0.1)
+            await feed["input0"].write(TimedLong(0, number))
+        with pytest.raises(ComponentError, match="the old code is in force again"):
+            await reloading
+        await kernel.sleep(0.1)
+        assert kernel.components[old.name] is old
+        await feed["input0"].write(TimedLong(0, 5))
+        await kernel.sleep(0.1)
+        assert old.last_error is None
+    assert [record.data for _, _, record in read(path)] == [1, 2, 3, 4, 5]

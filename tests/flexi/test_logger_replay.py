@@ -23,13 +23,20 @@ from aiorts import (
 )
 from aiorts.errors import ConfigurationError, InvalidNameError, StateError, WiringError, WriteTimeout
 from aiorts.testing import simulate, simulated
-from aiorts.types import TimedDouble, TimedLong, TimedString
+from aiorts.types import TimedDouble, TimedLong, TimedString, record
 from aiorts_flexi.logger import BasicOperations, FlexiLogger
 from aiorts_flexi.replaying import Playback
 from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
 from play_parts import BEGIN, MS, S, foreign, recorded, steady
 
 pytestmark = pytest.mark.row(115)
+
+
+@record
+class Reading(TimedLong):
+    """A record of a subclass."""
+
+    volts: float = 0.0
 
 
 async def replay(kernel: Kernel, path: Path, **params: Any) -> FlexiLogger:
@@ -123,6 +130,20 @@ class TestPorts:
             assert [s.port.plain(s.data)["data"] for s in reader.samples(ports=["b"])] == [0, 1]
 
     @simulated
+    async def test_a_port_that_was_given_records_of_a_subclass_is_one_port(self, tmp_path: Path) -> None:
+        samples = [TimedLong(1, 1), Reading(2, 2, 0.5), TimedLong(3, 3)]
+        with RecordingWriter(tmp_path / "a.mcap", RecordingOptions(min_free=0)) as writer:
+            port = writer.add_port("a", TimedLong)
+            for number, sample in enumerate(samples):
+                writer.write(port, sample, BEGIN + number)
+        async with Kernel() as kernel:
+            logger = await replay(kernel, tmp_path / "a.mcap", absolute=True)
+            ports = await taker(kernel, logger)
+            await kernel.start(EventContext(), logger, activate=True)
+            await kernel.sleep(1.0)
+            assert ports["a"].drain() == samples
+
+    @simulated
     async def test_of_another_file_they_are_other_ones(self, tmp_path: Path) -> None:
         steady(tmp_path / "a.mcap", 4)
         recorded(tmp_path / "b.mcap", [("other", BEGIN, TimedString(0, "x"))])
@@ -204,7 +225,7 @@ class Arrivals:
         self._kernel = kernel
         self.moments: list[int] = []
 
-    async def listen(self, logger: FlexiLogger) -> None:
+    async def listen(self, logger: FlexiLogger, length: int = 100) -> None:
         arrivals = self
 
         class Listener(Component):
@@ -215,7 +236,7 @@ class Arrivals:
 
         listener = await self._kernel.create(Listener)
         for port in logger.ports.values():
-            await self._kernel.connect(port, listener.add_port(port.name, InPort(port.type)), length=100)
+            await self._kernel.connect(port, listener.add_port(port.name, InPort(port.type)), length=length)
         await self._kernel.start(EventContext(), listener, activate=True)
 
 
@@ -272,14 +293,20 @@ class TestEnd:
         assert len(os.listdir("/dev/fd")) == files
 
     @pytest.mark.parametrize("strict", [False, True])
+    @pytest.mark.parametrize("torn", [False, True])
     @simulated
-    async def test_of_one_that_was_not_closed_everything_whole_is_played_and_then_that_is_told(
-        self, strict: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    async def test_of_one_that_breaks_off_or_is_damaged_everything_whole_is_played_and_then_that_is_told(
+        self, torn: bool, strict: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
     ) -> None:
         path = steady(tmp_path / "a.mcap", 1000, chunk=2000)
         with RecordingReader(path) as reader:
             place = reader.pieces[-1].offset
-        path.write_bytes(path.read_bytes()[: place + 100])
+        octets = bytearray(path.read_bytes())
+        if torn:
+            del octets[place + 100 :]
+        else:
+            octets[place + 100] ^= 1
+        path.write_bytes(octets)
         async with Kernel() as kernel:
             logger = await replay(kernel, path, strict=strict)
             ports = await taker(kernel, logger)
@@ -288,8 +315,8 @@ class TestEnd:
             assert logger.state is (LifeCycleState.ERROR if strict else LifeCycleState.INACTIVE)
             got = len(ports["a"].drain()) + len(ports["b"].drain())
         assert 900 < got < 1000
-        warnings = [line for line in caplog.messages if "was not closed" in line]
-        assert len(warnings) == 1
+        told = [line for line in caplog.messages if ("was not closed" if torn else "damaged at octet") in line]
+        assert len(told) == 1
 
     @simulated
     async def test_a_file_that_is_gone_by_then_is_an_error_that_names_it(self, tmp_path: Path) -> None:
@@ -319,6 +346,21 @@ class TestReaders:
             assert got == [*range(0, 1000, 2)]
             await kernel.sleep(0.01)
             assert logger.has_finished
+
+    @pytest.mark.parametrize("params", [{"speed": None}, {"speed": None, "only": ["a"]}, {"rate": 1e6}])
+    @simulated
+    async def test_one_that_reads_as_it_comes_loses_nothing_at_any_speed(
+        self, params: dict[str, Any], tmp_path: Path
+    ) -> None:
+        steady(tmp_path / "a.mcap", 1000)
+        async with Kernel() as kernel:
+            logger = await replay(kernel, tmp_path / "a.mcap", **params)
+            came = Arrivals(kernel)
+            await came.listen(logger, length=8)  # what a connector has unless somebody says otherwise
+            await kernel.start(EventContext(), logger, activate=True)
+            await kernel.sleep(1.0)
+            assert logger.has_finished
+        assert len(came.moments) == (500 if "only" in params else 1000)
 
     @simulated
     async def test_of_one_that_wants_the_newest_the_others_are_counted(self, tmp_path: Path) -> None:
@@ -393,6 +435,19 @@ class TestWhileItRuns:
             await kernel.sleep(0.001)
             assert got() == [*range(620, 1000)]
             assert logger.has_finished
+
+    @simulated
+    async def test_paused_from_the_beginning_it_sends_as_many_as_steps_say(self, tmp_path: Path) -> None:
+        steady(tmp_path / "a.mcap", 100)
+        async with Kernel() as kernel:
+            logger = await replay(kernel, tmp_path / "a.mcap", paused=True, step=3, only=["a"])
+            ports = await taker(kernel, logger)
+            context = await kernel.start(EventContext(), logger, activate=True)
+            for _ in range(2):
+                await kernel.sleep(5.0)
+                assert values(ports["a"]) == [0, 2, 4]
+                await context.deactivate()
+                await context.activate()
 
     @simulated
     async def test_what_says_what_is_replayed_cannot_be_changed_meanwhile_and_all_stays_as_it_was(
@@ -500,7 +555,7 @@ class Source(Component):
                 self.c.write_nowait(TimedString(tm - 4, ""))
 
 
-async def record(kernel: Kernel, source: Component, path: Path) -> FlexiLogger:
+async def recorder_of(kernel: Kernel, source: Component, path: Path) -> FlexiLogger:
     """A recorder of all out-ports of a component, active."""
     outs = [port for port in source.ports.values() if port.direction == "out"]
     recorder = await kernel.create(
@@ -530,7 +585,7 @@ def replayed_into(source: Path, target: Path, **params: Any) -> list[tuple[str, 
     async def main(clock: SimulatedClock) -> None:
         async with Kernel(clock=clock) as kernel:
             logger = await replay(kernel, source, **params)
-            await record(kernel, logger, target)
+            await recorder_of(kernel, logger, target)
             await kernel.start(EventContext(), logger, activate=True)
             while not logger.has_finished:
                 await kernel.sleep(1.0)
@@ -544,7 +599,7 @@ class TestDeterminism:
         async def main(clock: SimulatedClock) -> None:
             async with Kernel(clock=clock) as kernel:
                 source = await kernel.create(Source)
-                await record(kernel, source, folder / "first.mcap")
+                await recorder_of(kernel, source, folder / "first.mcap")
                 await source.send()
                 await kernel.sleep(1.0)
 
@@ -583,7 +638,7 @@ class TestDeterminism:
         async def main(clock: SimulatedClock) -> None:
             async with Kernel(clock=clock) as kernel:
                 source = await kernel.create(Source)
-                await record(kernel, source, tmp_path / "a.mcap")
+                await recorder_of(kernel, source, tmp_path / "a.mcap")
                 for i in range(20):
                     if i == 10:
                         clock.set_time_ns(clock.time_ns() - 3600 * S)

@@ -13,7 +13,9 @@ import pytest
 import aiorts
 from aiorts.bench.replay import measure_replay
 from aiorts.cli.app import run_command
+from aiorts.system import parse_options
 from aiorts.types import TimedDouble
+from aiorts_flexi.logger import FlexiLogger
 from aiorts_log import RecordingReader
 from campaign import CAMPAIGN
 from play_parts import BEGIN, MS, foreign, recorded, steady
@@ -74,6 +76,20 @@ def test_options_choose_what_is_played(
     # A filter writes what it finds by port; in a port nothing changes its place.
     for part in (0, 1):
         assert [line["data"] for line in out if line["data"] % 2 == part] == [n for n in expected if n % 2 == part]
+
+
+@pytest.mark.parametrize(
+    ("options", "params"),
+    [
+        ("-o --speed max", {"mode": "replay", "speed": None}),
+        ("-o --speed=2 --loop", {"mode": "replay", "speed": "2", "loop": "0"}),
+        ("--loop 3 -o", {"mode": "replay", "loop": "3"}),
+        ("--loop=3 --remap a=b --remap c=d", {"loop": "3", "remap": ("a=b", "c=d")}),
+        ("--loop -a", {"loop": "0", "absolute": True}),
+    ],
+)
+def test_in_a_system_file_the_same_options_say_the_same(options: str, params: dict[str, Any]) -> None:
+    assert parse_options(FlexiLogger, options.split()) == params
 
 
 def test_ports_have_the_names_that_they_are_given(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ def play(schedule: Schedule, times: list[int], now: int) -> list[int]:
         schedule.take(time)
         assert schedule.due is not None
         now = max(now, schedule.due)
-        schedule.sent(now)
+        schedule.sent(now, allowed=schedule.paused)
         moments.append(now)
     return moments
 
@@ -100,6 +100,22 @@ def test_a_position_given_is_where_the_clock_begins_to_run() -> None:
     assert play(Schedule(Pace(2.0), 100, BEGIN), [BEGIN + S, BEGIN + 2 * S], 100) == [100 + S // 2, 100 + S]
 
 
+@pytest.mark.parametrize("pace", [Pace(), Pace(rate=1.0)])
+def test_time_until_the_first_sample_is_there_is_not_played(pace: Pace) -> None:
+    schedule = Schedule(pace, 0)
+    schedule.begin(5 * S)
+    assert play(schedule, [BEGIN, BEGIN + S], 5 * S) == [5 * S, 6 * S]
+
+
+def test_nor_is_time_until_a_place_is_found_and_stamps_keep_step_over_it() -> None:
+    schedule = Schedule(Pace(), 0)
+    play(schedule, [BEGIN], 0)
+    schedule.jump(S, BEGIN + 100 * S)
+    schedule.begin(3 * S)
+    assert play(schedule, [BEGIN + 100 * S, BEGIN + 101 * S], 3 * S) == [3 * S, 4 * S]
+    assert BEGIN + 101 * S + schedule.shift == BEGIN + 4 * S
+
+
 class TestPause:
     def test_what_was_left_to_wait_for_is_left_when_it_goes_on(self) -> None:
         schedule = Schedule(Pace(), 0)
@@ -129,6 +145,17 @@ class TestPause:
         assert schedule.due is None
         schedule.resume(100 * S)
         assert schedule.due == 103 * S  # as long behind the sample that went out as was recorded
+
+    def test_one_that_was_on_its_way_when_it_was_paused_is_none_of_those_that_are_allowed(self) -> None:
+        schedule = Schedule(Pace(), 0)
+        play(schedule, [BEGIN], 0)
+        schedule.take(BEGIN + S)
+        schedule.pause(2 * S)
+        schedule.allow(1)
+        schedule.sent(3 * S)
+        assert play(schedule, [BEGIN + 2 * S], 3 * S) == [3 * S]
+        schedule.take(BEGIN + 3 * S)
+        assert schedule.due is None
 
     def test_steps_of_one_that_plays_are_none(self) -> None:
         schedule = Schedule(Pace(), 0)
@@ -276,7 +303,7 @@ def test_whatever_happens_stamps_keep_step_with_the_clock_and_nothing_bursts(act
             # Whoever plays sees to it as soon as it is due, or when the reader lets go of it.
             moment = max(now, due)
             assert first is not None
-            schedule.sent(moment)
+            schedule.sent(moment, allowed=schedule.paused)
             assert waiting + schedule.shift - first <= moment
             now, waiting = moment, None
         position = schedule.position(now)
@@ -302,7 +329,7 @@ def test_who_is_never_late_stamps_with_the_time_of_the_clock_itself(acts: list[t
             at += value
             schedule.take(at)
             assert schedule.due is not None
-            schedule.sent(now)
+            schedule.sent(now, allowed=True)
             assert at + schedule.shift == BEGIN + now
             now += 5
             schedule.resume(now)
