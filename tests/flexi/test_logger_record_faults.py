@@ -302,6 +302,26 @@ async def test_too_little_free_space_is_an_error_of_the_activation(tmp_path: Pat
         with contextlib.suppress(ComponentError):  # on a slow machine it is told a little later
             await context.activate(logger)
         assert "--min-free" in str(await until_error(logger))
+        assert list(tmp_path.iterdir()) == []  # nothing is left that a second try would refuse
+        await context.reset(logger)
+        await logger.configure(min_free=0.0)
+        await context.activate(logger)
+    assert read(tmp_path / "run.mcap") == []
+
+
+@pytest.mark.fault("D17")
+@pytest.mark.anyio
+async def test_a_file_that_somebody_else_made_meanwhile_is_never_taken_for_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with Kernel() as kernel:
+        logger = await recorder(kernel, path)
+        context = await kernel.start(EventContext(), logger)
+        path.write_text("the only copy")
+        for _ in range(3):
+            with pytest.raises(ComponentError, match="is there already"):
+                await context.activate(logger)
+            await context.reset(logger)
+    assert path.read_text() == "the only copy"
 
 
 class Slow(LogFile):
