@@ -22,7 +22,7 @@ from aiorts_log.form import (
     message_index,
 )
 
-__all__ = ("ChunkBuilder", "Content", "Message", "contents", "unpack")
+__all__ = ("ChunkBuilder", "Content", "Message", "Tally", "contents", "signed", "tally", "unpack")
 
 _SEPARATE: Final = 32_768
 """Octets from which a message is a part of its own: copying it together with others would cost more than it saves."""
@@ -48,6 +48,22 @@ class Content(NamedTuple):
     channels: list[Channel]
     skipped: int
     """Records of kinds that this version does not know."""
+
+
+class Tally(NamedTuple):
+    """How much a chunk holds: its messages are counted, not kept.
+
+    Attributes:
+        counts: by channel: messages, the sequence number of the first, and by how much those behind it are ahead.
+        start: the first log time; end: the last.
+    """
+
+    counts: dict[int, list[int]]
+    schemas: list[Schema]
+    channels: list[Channel]
+    skipped: int
+    start: int
+    end: int
 
 
 class ChunkBuilder:
@@ -147,7 +163,13 @@ def unpack(head: ChunkHead, octets: bytes, at: int) -> tuple[bytes, int]:
     return octets, at
 
 
-def contents(octets: bytes, at: int = 0, *, start: int = 0, end: int = 2**64 - 1) -> Content:
+def signed(number: int) -> int:
+    """A difference of sequence numbers, which have 32 bits and begin again."""
+    number &= 0xFFFF_FFFF
+    return number - 2**32 if number >= 2**31 else number
+
+
+def contents(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -> Content:
     """What stands in the checked records of a chunk (or in a run of records outside one).
 
     Args:
@@ -172,17 +194,67 @@ def contents(octets: bytes, at: int = 0, *, start: int = 0, end: int = 2**64 - 1
                 raise BadOctets("a message is outside the time that its chunk says")
             messages.append(new(cls, (channel, sequence, log_time, publish_time, octets[at + 31 : after])))
         else:
-            if stop - at < size:
-                raise BadOctets(f"{stop - at} octets are no record")
-            opcode, length = HEAD.unpack_from(octets, at)
-            after = at + size + length
-            if after > stop or opcode in (0, MESSAGE):
-                raise BadOctets(f"a record {opcode} says it has {length} octets, {stop - at - size} follow")
-            if opcode == SCHEMA:
-                found.schemas.append(Schema.take(octets[at + size : after]))
-            elif opcode == CHANNEL:
-                found.channels.append(Channel.take(octets[at + size : after]))
-            else:
-                skipped += 1
+            after, more = _other(octets, at, found.schemas, found.channels)
+            skipped += more
         at = after
     return found._replace(skipped=skipped)
+
+
+def tally(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -> Tally:
+    """How much stands there; arguments, checks and errors as of `contents`."""
+    counts: dict[int, list[int]] = {}
+    schemas: list[Schema] = []
+    channels: list[Channel] = []
+    take, size, stop = MESSAGE_HEAD.unpack_from, HEAD.size, len(octets)
+    skipped, first, last = 0, end, start
+    now, one, following = -1, [0, 0, 0], 0
+    """The channel of the message before, what is counted of it, and its next sequence number."""
+    next_of: dict[int, int] = {}
+    while at < stop:
+        if octets[at] == MESSAGE and stop - at >= 31:
+            _, length, channel, sequence, log_time, _ = take(octets, at)
+            at += size + length
+            if at > stop or length < 22:
+                raise BadOctets(f"a message says it has {length} octets, {stop - at + length} follow")
+            if log_time < first:
+                if log_time < start:
+                    raise BadOctets("a message is outside the time that its chunk says")
+                first = log_time
+            if log_time > last:
+                if log_time > end:
+                    raise BadOctets("a message is outside the time that its chunk says")
+                last = log_time
+            if channel != now:
+                next_of[now] = following
+                now = channel
+                if channel in counts:
+                    one, following = counts[channel], next_of[channel]
+                else:
+                    one = counts[channel] = [0, sequence, 0]
+                    following = sequence
+            one[0] += 1
+            if sequence != following:
+                one[2] += signed(sequence - following)
+            following = sequence + 1
+        else:
+            at, more = _other(octets, at, schemas, channels)
+            skipped += more
+    return Tally(counts, schemas, channels, skipped, first, last)
+
+
+def _other(octets: bytes, at: int, schemas: list[Schema], channels: list[Channel]) -> tuple[int, int]:
+    """Take a record that is no message; returns where the next begins, and 1 if it is of a kind not known here."""
+    size = HEAD.size
+    if len(octets) - at < size:
+        raise BadOctets(f"{len(octets) - at} octets are no record")
+    opcode, length = HEAD.unpack_from(octets, at)
+    after = at + size + length
+    if after > len(octets) or opcode in (0, MESSAGE):
+        raise BadOctets(f"a record {opcode} says it has {length} octets, {len(octets) - at - size} follow")
+    if opcode == SCHEMA:
+        schemas.append(Schema.take(octets[at + size : after]))
+    elif opcode == CHANNEL:
+        channels.append(Channel.take(octets[at + size : after]))
+    else:
+        return after, 1
+    return after, 0

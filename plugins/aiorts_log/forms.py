@@ -151,10 +151,18 @@ def encoder(encoding: Encoding) -> Callable[[Any], bytes]:
     if encoding == "msgpack":
         return MsgpackCodec().encode
     to_text = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode
+    check = MsgpackCodec().encode
 
     def encode(record: Any) -> bytes:
+        cls = type(record)
+        is_record = hasattr(cls, "__dataclass_fields__")
+        if is_record and not describe(cls).checked:
+            check(record)  # a plain dataclass holds whatever it was given
         plain = to_plain(record)
-        return to_text(plain if hasattr(type(record), "__dataclass_fields__") else {"value": plain}).encode()
+        try:
+            return to_text(plain if is_record else {"value": plain}).encode()
+        except ValueError as error:
+            raise RecordError(f"{cls.__name__}: no JSON: {str(error)[:80]}") from None
 
     return encode
 

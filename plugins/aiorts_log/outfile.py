@@ -115,12 +115,12 @@ class OutFile:
         """The channel for a port and type: the one that is in the file already, or a new one."""
         summary = self._summary
         known = (s for s in summary.schemas.values() if s[1:] == schema[1:])
-        schema = next(known, schema._replace(id=len(summary.schemas) + 1))
+        schema = next(known, schema._replace(id=max(summary.schemas, default=0) + 1))
         for channel in summary.channels.values():
             if (channel.schema, channel.topic, channel.encoding) == (schema.id, port, encoding):
                 return channel
-        channel = Channel(len(summary.channels) + 1, schema.id, port, encoding, dict(metadata))
-        if channel.id >= 2**16:
+        channel = Channel(max(summary.channels, default=0) + 1, schema.id, port, encoding, dict(metadata))
+        if max(channel.id, schema.id) >= 2**16:
             raise RecordingError(f"{self.path}: a recording has at most 65535 ports")
         if schema.id not in summary.schemas:
             self.builder.define(schema)

@@ -16,6 +16,7 @@ all its checks, in the tests.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import threading
 from collections import deque
@@ -102,6 +103,10 @@ class RecordingWriter:
         self.path = Path(path)
         self.options = options or RecordingOptions()
         self._metadata = dict(metadata or {})
+        try:
+            json.dumps(self._metadata, default=str)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise RecordingError(f"{path}: metadata: expected what JSON can carry: {error}") from None
         self._attachments = dict(attachments or {})
         self._kind = kind
         self._encode = encoder(self.options.encoding)
@@ -134,13 +139,23 @@ class RecordingWriter:
         self.close()
 
     def add_port(self, name: str, cls: type, metadata: Mapping[str, str] | None = None) -> int:
-        """Record a port from now on; returns the number to give to `write`.
+        """Record a port from now on; returns the number to give to `write`, the same again for a port that it has.
 
         Args:
             cls: the type of its samples; DeclarationError if it cannot travel.
             metadata: what else is to be said of it, such as its unit.
+
+        Raises:
+            RecordingError: there is a port of that name for samples of another type.
         """
         check_port_type(cls)
+        for number, port in enumerate(self._ports):
+            if port.name == name:
+                if port.cls is not cls:
+                    raise RecordingError(
+                        f"port {name!r}: is recorded already, as {name_of(port.cls)}; rename one of them"
+                    )
+                return number
         self._ports.append(_Port(name, cls, dict(metadata or {})))
         return len(self._ports) - 1
 
@@ -272,7 +287,7 @@ class RecordingWriter:
             self._taken_octets += octets
             try:
                 data = encode(record)
-            except AiortsError:
+            except (AiortsError, MemoryError):
                 port.refused += 1
                 continue
             if log_time < last:
