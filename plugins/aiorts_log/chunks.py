@@ -5,6 +5,7 @@ A chunk is the unit of trust: it is written in one piece, and nothing in it is b
 
 from __future__ import annotations
 
+import struct
 import zlib
 from typing import Final, NamedTuple
 
@@ -27,6 +28,8 @@ __all__ = ("ChunkBuilder", "Content", "Message", "Tally", "contents", "signed", 
 _SEPARATE: Final = 32_768
 """Octets from which a message is a part of its own: copying it together with others would cost more than it saves."""
 _FEW: Final = 64
+_SHORT: Final = 1_024
+"""Octets below which a message is put behind its head at once."""
 _HEAD: Final = MESSAGE_HEAD.pack
 
 
@@ -69,15 +72,27 @@ class Tally(NamedTuple):
 class ChunkBuilder:
     """Collects what the next chunk will hold."""
 
-    __slots__ = ("_parts", "_where", "count", "end", "octets", "start")
+    __slots__ = ("_parts", "_where", "octets")
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._where: dict[int, list[int]] = {}
-        self.count = 0
         self.octets = 0
-        self.start = 0
-        self.end = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no message in it."""
+        return not self._where
+
+    @property
+    def start(self) -> int:
+        """The first log time; 0 without messages."""
+        return min((where[0] for where in self._where.values()), default=0)
+
+    @property
+    def end(self) -> int:
+        """The last log time; 0 without messages."""
+        return max((where[-2] for where in self._where.values()), default=0)
 
     def define(self, definition: Schema | Channel) -> None:
         """Put in how messages are to be read."""
@@ -87,17 +102,16 @@ class ChunkBuilder:
 
     def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
         """Put in a message; log times never go back. Returns how many octets there are now."""
-        if not self.count:
-            self.start = log_time
-        self.end = log_time
         length, at = len(data), self.octets
         head = _HEAD(MESSAGE, 22 + length, channel, sequence & 0xFFFF_FFFF, log_time, publish_time)
-        self._parts += (head, data)
+        if length < _SHORT:
+            self._parts.append(head + data)
+        else:
+            self._parts += (head, data)
         try:
             self._where[channel] += (log_time, at)
         except KeyError:
             self._where[channel] = [log_time, at]
-        self.count += 1
         self.octets = at = at + 31 + length
         return at
 
@@ -113,16 +127,15 @@ class ChunkBuilder:
         crc = 0
         for part in parts:
             crc = zlib.crc32(part, crc)
-        head = ChunkHead(self.start, self.end, self.octets, crc, "", self.octets, 0).put()
+        start, end = self.start, self.end
+        head = ChunkHead(start, end, self.octets, crc, "", self.octets, 0).put()
         length = len(head) + self.octets
         indexes, places, at = [], {}, offset + length
         for channel, where in self._where.items():
             indexes.append(message_index(channel, where, len(where) // 2))
             places[channel] = at
             at += len(indexes[-1])
-        place = ChunkPlace(
-            self.start, self.end, offset, length, places, at - offset - length, "", self.octets, self.octets
-        )
+        place = ChunkPlace(start, end, offset, length, places, at - offset - length, "", self.octets, self.octets)
         taken = [head, *parts, *indexes]
         self.__init__()  # type: ignore[misc]
         return taken, place
@@ -206,39 +219,39 @@ def tally(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -> T
     schemas: list[Schema] = []
     channels: list[Channel] = []
     take, size, stop = MESSAGE_HEAD.unpack_from, HEAD.size, len(octets)
-    skipped, first, last = 0, end, start
-    now, one, following = -1, [0, 0, 0], 0
-    """The channel of the message before, what is counted of it, and its next sequence number."""
-    next_of: dict[int, int] = {}
+    skipped, first, last = 0, 2**64, -1
+    begun: dict[int, int] = {}
+    follows: dict[int, int] = {}
+    """By channel: where the present run of numbers without a hole begins, and the next number of it."""
+    follow = follows.get
     while at < stop:
-        if octets[at] == MESSAGE and stop - at >= 31:
-            _, length, channel, sequence, log_time, _ = take(octets, at)
+        try:
+            opcode, length, channel, sequence, log_time, _ = take(octets, at)
+        except struct.error:  # what is there is shorter than any message
+            opcode = length = channel = sequence = log_time = 0
+        if opcode == MESSAGE and length >= 22:
             at += size + length
-            if at > stop or length < 22:
+            if at > stop:
                 raise BadOctets(f"a message says it has {length} octets, {stop - at + length} follow")
             if log_time < first:
-                if log_time < start:
-                    raise BadOctets("a message is outside the time that its chunk says")
                 first = log_time
             if log_time > last:
-                if log_time > end:
-                    raise BadOctets("a message is outside the time that its chunk says")
                 last = log_time
-            if channel != now:
-                next_of[now] = following
-                now = channel
+            if follow(channel) != sequence:
                 if channel in counts:
-                    one, following = counts[channel], next_of[channel]
+                    counts[channel][0] += follows[channel] - begun[channel]
+                    counts[channel][2] += signed(sequence - follows[channel])
                 else:
-                    one = counts[channel] = [0, sequence, 0]
-                    following = sequence
-            one[0] += 1
-            if sequence != following:
-                one[2] += signed(sequence - following)
-            following = sequence + 1
+                    counts[channel] = [0, sequence, 0]
+                begun[channel] = sequence
+            follows[channel] = sequence + 1
         else:
             at, more = _other(octets, at, schemas, channels)
             skipped += more
+    if counts and not start <= first <= last <= end:
+        raise BadOctets("a message is outside the time that its chunk says")
+    for channel, found in counts.items():
+        found[0] += follows[channel] - begun[channel]
     return Tally(counts, schemas, channels, skipped, first, last)
 
 

@@ -146,17 +146,16 @@ _SCALARS: Final[dict[str, Callable[[bool], dict[str, Any]]]] = {
 }
 
 
-def encoder(encoding: Encoding) -> Callable[[Any], bytes]:
-    """What makes octets of a record. RecordError or LimitError when it cannot."""
+def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
+    """What makes octets of records of exactly this class, for one thread. RecordError or LimitError when it cannot."""
     if encoding == "msgpack":
-        return MsgpackCodec().encode
+        return MsgpackCodec().encoder(cls)
     to_text = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode
-    check = MsgpackCodec().encode
+    is_record = hasattr(cls, "__dataclass_fields__")
+    check = None if not is_record or describe(cls).checked else MsgpackCodec().encoder(cls)
 
     def encode(record: Any) -> bytes:
-        cls = type(record)
-        is_record = hasattr(cls, "__dataclass_fields__")
-        if is_record and not describe(cls).checked:
+        if check is not None:
             check(record)  # a plain dataclass holds whatever it was given
         plain = to_plain(record)
         try:

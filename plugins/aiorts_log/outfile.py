@@ -133,7 +133,7 @@ class OutFile:
         builder, file, summary = self.builder, self._file, self._summary
         if not builder.octets:
             return
-        if self.first is None and builder.count:
+        if self.first is None and not builder.is_empty:
             self.first = builder.start
         counts = builder.counts()
         parts, place = builder.take(file.size)

@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 
 from aiorts.types import TimedDouble, TimedLong, TimedString
+from aiorts.wire import MsgpackCodec
 from aiorts_log import Limits, RecordingError, RecordingOptions, RecordingReader, RecordingWriter, salvage
+from aiorts_log.file import LogFile
 from aiorts_log.form import HEADER, MAGIC, MESSAGE, MESSAGE_HEAD, Channel, ChunkHead, Schema, record
 from aiorts_log.forms import schema_of
 from aiorts_log.outfile import OutFile
@@ -53,26 +55,52 @@ def test_a_sample_that_cannot_be_written_is_refused_alone(
 
 
 @pytest.mark.fault("G02")
-def test_a_sample_for_which_there_is_no_memory_is_refused_alone(tmp_path: Path) -> None:
-    class Large:
-        """Refuses to become octets at the second call."""
+def test_a_sample_for_which_there_is_no_memory_is_refused_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The packer of the codec says so where the system would."""
+    genuine = MsgpackCodec.encoder
 
-        calls = 0
+    def encoder(self: MsgpackCodec, cls: type) -> Any:
+        encode = genuine(self, cls)
 
-        def __call__(self, value: Any) -> bytes:
-            Large.calls += 1
-            if Large.calls == 2:
+        def scarce(record: Any) -> bytes:
+            if record == 1.0:
                 raise MemoryError
-            return b"\x93\x01\xa5float\xcb" + bytes(8)
+            return encode(record)
 
-    writer = RecordingWriter(tmp_path / "run.mcap", RecordingOptions(min_free=0))
-    writer._encode = Large()
-    port = writer.add_port("port", float)
-    for number in range(3):
-        writer.write(port, 0.0, number)
-    writer.close()
+        return scarce
+
+    monkeypatch.setattr(MsgpackCodec, "encoder", encoder)
+    writer = write(tmp_path / "run.mcap", float, [0.0, 1.0, 2.0])
     assert writer.failure is None
     assert (writer.statistics.stored, writer.statistics.refused) == (2, {"port": 1})
+    assert [one for _, _, one in read(tmp_path / "run.mcap")] == [0.0, 2.0]
+
+
+class Broken(LogFile):
+    """Takes nothing any more as soon as a sample comes."""
+
+    def put(self, parts: list[memoryview]) -> int:
+        if self.size > 1000:
+            raise OSError(5, "Input/output error")
+        return super().put(parts)
+
+
+@pytest.mark.fault("D04")
+def test_who_waits_for_the_file_is_told_when_it_fails(tmp_path: Path) -> None:
+    writer = RecordingWriter(tmp_path / "run.mcap", RecordingOptions(min_free=0, chunk=4096), kind=Broken)
+    port = writer.add_port("port", TimedDouble)
+    waited = []
+    for turn in range(20):
+        for number in range(200):
+            writer.write(port, TimedDouble(0, 1.5), turn * 200 + number)
+        waited.append(writer.flush(timeout=20.0))
+        if writer.failure is not None:
+            break
+    assert waited[-1] is False
+    assert "Input/output error" in str(writer.failure)
+    writer.close()
 
 
 def test_a_port_that_is_named_twice_is_one_port(tmp_path: Path) -> None:
