@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import itertools
 import json
 from functools import partial
 from pathlib import Path
@@ -124,11 +125,12 @@ def _live(folder: Path, record: Any, each: int, is_recorded: bool, count: int) -
             writer.close()
             path.unlink()
     period = 1_000_000_000 // _HZ
-    late = [at - number * period for number, at in enumerate(ran)]
+    # A tick that is late by more than a period skips others: what counts is how much later than due the next one is.
+    late = [max(0, after - before - period) for before, after in itertools.pairwise(ran)]
     faults: tuple[str, ...] = ()
     if writer is not None and (dropped := sum(writer.statistics.dropped.values())):
         faults = (f"{dropped} of {writer.statistics.offered} samples were dropped",)
-    return Reading({}, count, pools={"lateness": [one - min(late) for one in late]}, faults=faults)
+    return Reading({}, count, pools={"lateness": late}, faults=faults)
 
 
 def live_cases(folder: Path) -> tuple[Case, ...]:
