@@ -100,14 +100,14 @@ class ChunkBuilder:
         self._parts.append(octets)
         self.octets += len(octets)
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
-        """Put in a message; log times never go back. Returns how many octets there are now."""
-        length, at = len(data), self.octets
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes, more: bytes = b"") -> int:
+        """Put in a message, whose data are both parts; log times never go back. Returns how many octets there are."""
+        length, at = len(data) + len(more), self.octets
         head = _HEAD(MESSAGE, 22 + length, channel, sequence & 0xFFFF_FFFF, log_time, publish_time)
         if length < _SHORT:
             self._parts.append(head + data)
         else:
-            self._parts += (head, data)
+            self._parts += (head, data, more)
         try:
             self._where[channel] += (log_time, at)
         except KeyError:

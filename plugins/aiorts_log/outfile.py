@@ -2,6 +2,14 @@
 
 Synchronous, for one thread. Whatever is in the file at any moment is whole: a chunk is appended in one piece, or not
 at all.
+
+Why no library writes the file. Measured with chunks of 64 KiB, their sums, no compression (microseconds for a message
+of 30, 100 octets and 1 MiB): mcap 1.6.0 9.5, 8.1, 4606; foxglove-sdk 0.30.3 1.8, 1.4, 1075; this form written out with
+`struct` 0.6, 0.6, 1542. More than speed counts what they cannot do. `mcap` closes a chunk when it is full and offers
+nothing to close it by age: killed after 60 messages in 1.2 s, it had written nothing. foxglove-sdk writes the open
+chunk with the length 2**64-1 until it is closed, and refuses no message when the disk is full: it only logs that, and
+goes on. Neither continues a file, or says when what it has taken is on the disk. `mcap` reads what is made here, with
+all its checks, in the tests.
 """
 
 from __future__ import annotations

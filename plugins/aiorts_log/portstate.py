@@ -24,6 +24,8 @@ class PortState:
         self.kind: type | None = None
         self.encode: Callable[[Any], bytes] = bytes
         """Makes octets of the records of that class."""
+        self.split: Callable[[Any], tuple[bytes, bytes]] | None = None
+        """The same in two parts, for large ones; None when that is no gain."""
         self.seen: type | None = None
         """The class of the sample before; channel and sequence are those of its samples."""
         self.channel = 0

@@ -3,14 +3,6 @@
 The queue between them is bounded in number and octets; what finds no room is counted. A chunk goes to the system when
 it is full or old, so that at most `age` seconds or `chunk` octets are at risk when the process is killed. The first
 write that fails ends the recording: what is in the file up to there is whole, and stays.
-
-Why no library writes the file. Measured with chunks of 64 KiB, their sums, no compression (microseconds for a message
-of 30, 100 octets and 1 MiB): mcap 1.6.0 9.5, 8.1, 4606; foxglove-sdk 0.30.3 1.8, 1.4, 1075; this form written out with
-`struct` 0.6, 0.6, 1542. More than speed counts what they cannot do. `mcap` closes a chunk when it is full and offers
-nothing to close it by age: killed after 60 messages in 1.2 s, it had written nothing. foxglove-sdk writes the open
-chunk with the length 2**64-1 until it is closed, and refuses no message when the disk is full: it only logs that, and
-goes on. Neither continues a file, or says when what it has taken is on the disk. `mcap` reads what is made here, with
-all its checks, in the tests.
 """
 
 from __future__ import annotations
@@ -31,7 +23,7 @@ from aiorts.types import check_port_type, snapshot
 from aiorts_log.errors import RecordingError
 from aiorts_log.file import Existing, LogFile, part_path
 from aiorts_log.form import Attachment
-from aiorts_log.forms import encoder, name_of, schema_of
+from aiorts_log.forms import encoder, name_of, schema_of, splitter
 from aiorts_log.info import GAP
 from aiorts_log.options import RecordingOptions, RecordingStatistics
 from aiorts_log.outfile import OutFile
@@ -43,6 +35,7 @@ __all__ = ("RecordingWriter",)
 
 _TICK: Final = 0.02
 _LATEST: Final = 2**63
+_LARGE: Final = 65_536
 _LOOK: Final = 8_192
 _HELD: Final = 0.001
 """Seconds of work after which the thread lets the interpreter go, looked at after so many octets: nobody else would
@@ -269,8 +262,12 @@ class RecordingWriter:
                     turn = monotonic() + _HELD
             try:
                 if record.__class__ is not port.kind:
-                    port.encode, port.kind = encoder(encoding, record.__class__), record.__class__
-                data = port.encode(record)
+                    port.encode, port.split = encoder(encoding, record.__class__), splitter(encoding, record.__class__)
+                    port.kind = record.__class__
+                if octets > _LARGE and port.split is not None:
+                    data, more = port.split(record)
+                else:
+                    data, more = port.encode(record), b""
             except (AiortsError, MemoryError):
                 port.refused += 1
                 continue
@@ -290,9 +287,9 @@ class RecordingWriter:
                 tm = record.tm
                 if tm.__class__ is not int:
                     tm = tm.ns
-                size = add(port.channel, port.sequence, log_time, tm, data)
+                size = add(port.channel, port.sequence, log_time, tm, data, more)
             else:
-                size = add(port.channel, port.sequence, log_time, log_time, data)
+                size = add(port.channel, port.sequence, log_time, log_time, data, more)
             port.sequence += 1
             if size >= most:
                 self._end_chunk()

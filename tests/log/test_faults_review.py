@@ -9,14 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from aiorts.types import TimedDouble, TimedLong, TimedString
+from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, TimedString, all_types
 from aiorts.wire import MsgpackCodec
 from aiorts_log import Limits, RecordingError, RecordingOptions, RecordingReader, RecordingWriter, salvage
 from aiorts_log.file import LogFile
 from aiorts_log.form import HEADER, MAGIC, MESSAGE, MESSAGE_HEAD, Channel, ChunkHead, Schema, record
-from aiorts_log.forms import schema_of
+from aiorts_log.forms import schema_of, splitter
 from aiorts_log.outfile import OutFile
 from log_parts import make, read
 
@@ -199,3 +200,24 @@ def test_many_damaged_chunks_are_all_passed(tmp_path: Path) -> None:
     names = {"pid0.command", "arm.joints", "log"}
     assert set(report.samples) == names
     assert all(isinstance(one, TimedString) for _, _, one in read(tmp_path / "whole.mcap", ports=["log"]))
+
+
+@pytest.mark.parametrize("count", [8_191, 8_192, 100_000, 1_000_000])
+def test_a_large_array_lies_in_the_file_as_the_codec_writes_it(tmp_path: Path, count: int) -> None:
+    """It goes there in two parts; nobody can tell."""
+    samples = [TimedDoubleSeq(i, np.arange(count) * 0.5 + i) for i in range(2)]
+    write(tmp_path / "run.mcap", TimedDoubleSeq, samples)
+    with RecordingReader(tmp_path / "run.mcap") as reader:
+        assert [one.data for one in reader.samples()] == [MsgpackCodec().encode(one) for one in samples]
+        assert not reader.check()
+    assert [one for _, _, one in read(tmp_path / "run.mcap")] == samples
+
+
+@pytest.mark.parametrize("cls", [c for c in all_types().values() if c.__name__.endswith("Seq")])
+def test_every_sequence_is_split_as_the_codec_writes_it_or_not_at_all(cls: Any) -> None:
+    split = splitter("msgpack", cls)
+    assert (split is None) is (cls.__name__ in ("TimedStringSeq", "TimedWStringSeq", "TimedCharSeq", "TimedWCharSeq"))
+    if split is not None:
+        one = cls(7, np.ones(70_000, bool) if "Boolean" in cls.__name__ else np.arange(70_000) % 100)
+        assert b"".join(split(one)) == MsgpackCodec().encode(one)
+        assert all(split(one))
