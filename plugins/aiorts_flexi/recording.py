@@ -69,10 +69,10 @@ class Recording:
 
     def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
         for name, cls in named_types(self._logger.name, values["inputs"], values["names"]).items():
-            known = self._inputs.get(name)
-            if self._session is not None and known is not None and known[0].type is not cls:
+            known = self._session.type_of(name) if self._inputs and self._session is not None else None
+            if known is not None and known is not cls:
                 raise ConfigurationError(
-                    f"{self._logger.name}.{name}: is recorded as {type_name(known[0].type)}; "
+                    f"{self._logger.name}.{name}: is recorded as {type_name(known)}; "
                     "deactivate it first, or take another name"
                 )
         return partial(self._use, self._checked(values), bool(values["paused"]))

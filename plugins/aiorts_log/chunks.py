@@ -5,6 +5,7 @@ A chunk is the unit of trust: it is written in one piece, and nothing in it is b
 
 from __future__ import annotations
 
+import struct
 import zlib
 from typing import Final, NamedTuple
 
@@ -22,11 +23,13 @@ from aiorts_log.form import (
     message_index,
 )
 
-__all__ = ("ChunkBuilder", "Content", "Message", "contents", "unpack")
+__all__ = ("ChunkBuilder", "Content", "Message", "Tally", "contents", "signed", "tally", "unpack")
 
 _SEPARATE: Final = 32_768
 """Octets from which a message is a part of its own: copying it together with others would cost more than it saves."""
 _FEW: Final = 64
+_SHORT: Final = 1_024
+"""Octets below which a message is put behind its head at once."""
 _HEAD: Final = MESSAGE_HEAD.pack
 
 
@@ -50,18 +53,46 @@ class Content(NamedTuple):
     """Records of kinds that this version does not know."""
 
 
+class Tally(NamedTuple):
+    """How much a chunk holds: its messages are counted, not kept.
+
+    Attributes:
+        counts: by channel: messages, the sequence number of the first, and by how much those behind it are ahead.
+        start: the first log time; end: the last.
+    """
+
+    counts: dict[int, list[int]]
+    schemas: list[Schema]
+    channels: list[Channel]
+    skipped: int
+    start: int
+    end: int
+
+
 class ChunkBuilder:
     """Collects what the next chunk will hold."""
 
-    __slots__ = ("_parts", "_where", "count", "end", "octets", "start")
+    __slots__ = ("_parts", "_where", "octets")
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
         self._where: dict[int, list[int]] = {}
-        self.count = 0
         self.octets = 0
-        self.start = 0
-        self.end = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no message in it."""
+        return not self._where
+
+    @property
+    def start(self) -> int:
+        """The first log time; 0 without messages."""
+        return min((where[0] for where in self._where.values()), default=0)
+
+    @property
+    def end(self) -> int:
+        """The last log time; 0 without messages."""
+        return max((where[-2] for where in self._where.values()), default=0)
 
     def define(self, definition: Schema | Channel) -> None:
         """Put in how messages are to be read."""
@@ -69,19 +100,18 @@ class ChunkBuilder:
         self._parts.append(octets)
         self.octets += len(octets)
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
-        """Put in a message; log times never go back. Returns how many octets there are now."""
-        if not self.count:
-            self.start = log_time
-        self.end = log_time
-        length, at = len(data), self.octets
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes, more: bytes = b"") -> int:
+        """Put in a message, whose data are both parts; log times never go back. Returns how many octets there are."""
+        length, at = len(data) + len(more), self.octets
         head = _HEAD(MESSAGE, 22 + length, channel, sequence & 0xFFFF_FFFF, log_time, publish_time)
-        self._parts += (head, data)
+        if length < _SHORT:
+            self._parts.append(head + data)
+        else:
+            self._parts += (head, data, more)
         try:
             self._where[channel] += (log_time, at)
         except KeyError:
             self._where[channel] = [log_time, at]
-        self.count += 1
         self.octets = at = at + 31 + length
         return at
 
@@ -97,16 +127,15 @@ class ChunkBuilder:
         crc = 0
         for part in parts:
             crc = zlib.crc32(part, crc)
-        head = ChunkHead(self.start, self.end, self.octets, crc, "", self.octets, 0).put()
+        start, end = self.start, self.end
+        head = ChunkHead(start, end, self.octets, crc, "", self.octets, 0).put()
         length = len(head) + self.octets
         indexes, places, at = [], {}, offset + length
         for channel, where in self._where.items():
             indexes.append(message_index(channel, where, len(where) // 2))
             places[channel] = at
             at += len(indexes[-1])
-        place = ChunkPlace(
-            self.start, self.end, offset, length, places, at - offset - length, "", self.octets, self.octets
-        )
+        place = ChunkPlace(start, end, offset, length, places, at - offset - length, "", self.octets, self.octets)
         taken = [head, *parts, *indexes]
         self.__init__()  # type: ignore[misc]
         return taken, place
@@ -147,7 +176,13 @@ def unpack(head: ChunkHead, octets: bytes, at: int) -> tuple[bytes, int]:
     return octets, at
 
 
-def contents(octets: bytes, at: int = 0, *, start: int = 0, end: int = 2**64 - 1) -> Content:
+def signed(number: int) -> int:
+    """A difference of sequence numbers, which have 32 bits and begin again."""
+    number &= 0xFFFF_FFFF
+    return number - 2**32 if number >= 2**31 else number
+
+
+def contents(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -> Content:
     """What stands in the checked records of a chunk (or in a run of records outside one).
 
     Args:
@@ -172,17 +207,67 @@ def contents(octets: bytes, at: int = 0, *, start: int = 0, end: int = 2**64 - 1
                 raise BadOctets("a message is outside the time that its chunk says")
             messages.append(new(cls, (channel, sequence, log_time, publish_time, octets[at + 31 : after])))
         else:
-            if stop - at < size:
-                raise BadOctets(f"{stop - at} octets are no record")
-            opcode, length = HEAD.unpack_from(octets, at)
-            after = at + size + length
-            if after > stop or opcode in (0, MESSAGE):
-                raise BadOctets(f"a record {opcode} says it has {length} octets, {stop - at - size} follow")
-            if opcode == SCHEMA:
-                found.schemas.append(Schema.take(octets[at + size : after]))
-            elif opcode == CHANNEL:
-                found.channels.append(Channel.take(octets[at + size : after]))
-            else:
-                skipped += 1
+            after, more = _other(octets, at, found.schemas, found.channels)
+            skipped += more
         at = after
     return found._replace(skipped=skipped)
+
+
+def tally(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -> Tally:
+    """How much stands there; arguments, checks and errors as of `contents`."""
+    counts: dict[int, list[int]] = {}
+    schemas: list[Schema] = []
+    channels: list[Channel] = []
+    take, size, stop = MESSAGE_HEAD.unpack_from, HEAD.size, len(octets)
+    skipped, first, last = 0, 2**64, -1
+    begun: dict[int, int] = {}
+    follows: dict[int, int] = {}
+    """By channel: where the present run of numbers without a hole begins, and the next number of it."""
+    follow = follows.get
+    while at < stop:
+        try:
+            opcode, length, channel, sequence, log_time, _ = take(octets, at)
+        except struct.error:  # what is there is shorter than any message
+            opcode = length = channel = sequence = log_time = 0
+        if opcode == MESSAGE and length >= 22:
+            at += size + length
+            if at > stop:
+                raise BadOctets(f"a message says it has {length} octets, {stop - at + length} follow")
+            if log_time < first:
+                first = log_time
+            if log_time > last:
+                last = log_time
+            if follow(channel) != sequence:
+                if channel in counts:
+                    counts[channel][0] += follows[channel] - begun[channel]
+                    counts[channel][2] += signed(sequence - follows[channel])
+                else:
+                    counts[channel] = [0, sequence, 0]
+                begun[channel] = sequence
+            follows[channel] = sequence + 1
+        else:
+            at, more = _other(octets, at, schemas, channels)
+            skipped += more
+    if counts and not start <= first <= last <= end:
+        raise BadOctets("a message is outside the time that its chunk says")
+    for channel, found in counts.items():
+        found[0] += follows[channel] - begun[channel]
+    return Tally(counts, schemas, channels, skipped, first, last)
+
+
+def _other(octets: bytes, at: int, schemas: list[Schema], channels: list[Channel]) -> tuple[int, int]:
+    """Take a record that is no message; returns where the next begins, and 1 if it is of a kind not known here."""
+    size = HEAD.size
+    if len(octets) - at < size:
+        raise BadOctets(f"{len(octets) - at} octets are no record")
+    opcode, length = HEAD.unpack_from(octets, at)
+    after = at + size + length
+    if after > len(octets) or opcode in (0, MESSAGE):
+        raise BadOctets(f"a record {opcode} says it has {length} octets, {len(octets) - at - size} follow")
+    if opcode == SCHEMA:
+        schemas.append(Schema.take(octets[at + size : after]))
+    elif opcode == CHANNEL:
+        channels.append(Channel.take(octets[at + size : after]))
+    else:
+        return after, 1
+    return after, 0

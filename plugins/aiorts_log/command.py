@@ -16,6 +16,7 @@ import click
 
 from aiorts.errors import ConfigurationError, RecordError, WireError
 from aiorts.wire import json_text, line_of
+from aiorts_log.import_command import import_command
 from aiorts_log.info import RecordingInfo, info_of
 from aiorts_log.reader import RecordedSample, RecordingReader
 from aiorts_log.salvage import SalvageReport
@@ -104,6 +105,9 @@ def salvage(source: Path, target: Path, overwrite: bool, as_json: bool) -> None:
         click.echo("  the recording was not closed: what was not yet written when it ended is not in it")
     if not report.lost and report.closed:
         click.echo("  nothing is lost")
+
+
+log.add_command(import_command)
 
 
 def _write(lines: Iterator[str]) -> None:

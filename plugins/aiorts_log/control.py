@@ -129,6 +129,10 @@ class BackgroundRecording:
                 self._writer.add_port(name, cls, metadata)
             return len(self._ports) - 1
 
+    def type_of(self, name: str) -> type | None:
+        """What the samples of a port are recorded as; None when there is none of that name."""
+        return next((port.cls for port in self._ports if port.name == name), None)
+
     def write(self, port: int, records: Sequence[Any], log_time: int) -> None:
         """Record samples of a port; from one thread at a time, never waiting. What finds no room is counted."""
         writer = self._direct

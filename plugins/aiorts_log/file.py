@@ -193,9 +193,9 @@ class LogFile:
     def cut(self, size: int) -> None:
         """Drop whatever lies behind `size`, as far as the disk allows it."""
         with contextlib.suppress(OSError):
-            os.ftruncate(self._file, size)
             os.lseek(self._file, size, os.SEEK_SET)
             self.size = size
+            os.ftruncate(self._file, size)
 
     def sync(self) -> None:
         """Wait until it is on the disk. OSError when it may not be: it never will be then."""

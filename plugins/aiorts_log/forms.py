@@ -10,7 +10,9 @@ import base64
 import json
 import math
 import struct
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final, Literal, TypeAlias
 
 import msgpack  # type: ignore[import-untyped]
@@ -20,7 +22,7 @@ from aiorts.types import all_types, describe, from_plain, full_name, to_plain
 from aiorts.wire import FORMAT, MsgpackCodec
 from aiorts_log.form import Schema
 
-__all__ = ("ENCODINGS", "Encoding", "encoder", "known_type", "plain_of", "schema_of", "taker")
+__all__ = ("ENCODINGS", "Encoding", "encoder", "known_type", "plain_of", "schema_of", "splitter", "taker")
 
 Encoding: TypeAlias = Literal["msgpack", "json"]
 ENCODINGS: Final = ("msgpack", "json")
@@ -40,6 +42,11 @@ _LAYOUT: Final = {
     "byte order": "little-endian",
     "codes": dict(enumerate(ELEMENTS, start=1)),
 }
+_SPLIT: Final = 2**25
+"""Octets of an array that no limit of the codec can refuse."""
+_SPLIT_KINDS: Final = {f"seq[{element}]" for element in ELEMENTS}
+_LARGE_BINARY: Final = struct.Struct(">BI")
+_LENGTH: Final = struct.Struct("<Q")
 _DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -146,17 +153,49 @@ _SCALARS: Final[dict[str, Callable[[bool], dict[str, Any]]]] = {
 }
 
 
-def encoder(encoding: Encoding) -> Callable[[Any], bytes]:
-    """What makes octets of a record. RecordError or LimitError when it cannot."""
+def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
+    """What makes octets of records of exactly this class, for one thread. RecordError or LimitError when it cannot."""
     if encoding == "msgpack":
-        return MsgpackCodec().encode
+        return MsgpackCodec().encoder(cls)
     to_text = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode
+    is_record = hasattr(cls, "__dataclass_fields__")
+    check = None if not is_record or describe(cls).checked else MsgpackCodec().encoder(cls)
 
     def encode(record: Any) -> bytes:
+        if check is not None:
+            check(record)  # a plain dataclass holds whatever it was given
         plain = to_plain(record)
-        return to_text(plain if hasattr(type(record), "__dataclass_fields__") else {"value": plain}).encode()
+        try:
+            return to_text(plain if is_record else {"value": plain}).encode()
+        except ValueError as error:
+            raise RecordError(f"{cls.__name__}: no JSON: {str(error)[:80]}") from None
 
     return encode
+
+
+def splitter(encoding: Encoding, cls: type) -> Callable[[Any], tuple[bytes, bytes]] | None:
+    """What `encoder` is for records whose last field is a large array, in two parts: the array is copied only once.
+
+    A recorder that copies a megabyte three times holds the interpreter for as long. None for all other types; for
+    records of 65,536 octets and more alone.
+    """
+    if encoding != "msgpack" or sys.byteorder != "little" or not hasattr(cls, "__dataclass_fields__"):
+        return None
+    structure = describe(cls)
+    name, kind = structure.fields[-1].name, structure.fields[-1].kind
+    if not structure.checked or kind.spelling not in _SPLIT_KINDS:
+        return None
+    encode = MsgpackCodec().encoder(cls)
+
+    def split(record: Any) -> tuple[bytes, bytes]:
+        array = getattr(record, name)
+        if not 65_536 <= array.nbytes <= _SPLIT:
+            return encode(record), b""
+        frame = encode(replace(record, **{name: ()}))  # ends with an empty array: a head of 16 octets, its length last
+        head = _LARGE_BINARY.pack(0xC6, 16 + array.nbytes) + frame[-16:-8] + _LENGTH.pack(array.size)
+        return frame[:-18] + head, array.tobytes()
+
+    return split
 
 
 def taker(cls: type, encoding: str) -> Callable[[bytes], Any]:

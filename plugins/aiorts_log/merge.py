@@ -5,14 +5,16 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import Any, Final
 
 from aiorts_log.errors import RecordingError
 from aiorts_log.source import Piece
 
 __all__ = ("merged",)
 
-_TIME = itemgetter(2)
+_TIME: Final = itemgetter(2)
+_EACH: Final = 250
+"""Octets of memory that a message takes besides its data."""
 
 
 def merged(
@@ -22,7 +24,7 @@ def merged(
 
     Args:
         load: the messages of a piece as they lie in it.
-        most: octets of pieces that may be held at once.
+        most: octets of memory that messages of pieces may take at once, unpacked as they are.
         in_order: without, they come as they lie in the file.
 
     Raises:
@@ -34,7 +36,7 @@ def merged(
         return
     waiting = sorted(pieces, key=lambda one: (one.start, one.offset))
     held: list[tuple[int, int, int, list[Any], int]] = []
-    """(time of the next message, offset of its piece, its number, the messages, octets of the piece)"""
+    """(time of the next message, offset of its piece, its number, the messages, octets that they hold)"""
     total = 0
     for number, piece in enumerate(waiting):
         while held and held[0][0] < piece.start:
@@ -47,12 +49,13 @@ def merged(
         if not held and (number + 1 == len(waiting) or waiting[number + 1].start > messages[-1][2]):
             yield from messages
             continue
-        total += piece.length
+        octets = sum(len(message[4]) for message in messages) + _EACH * len(messages)
+        total += octets
         if total > most and held:
             raise RecordingError(
                 f"chunks of {total} octets overlap in time; at most {most} are held; read it in the order of the file"
             )
-        heapq.heappush(held, (messages[0][2], piece.offset, 0, messages, piece.length))
+        heapq.heappush(held, (messages[0][2], piece.offset, 0, messages, octets))
     while held:
         yield held[0][3][held[0][2]]
         _advance(held)

@@ -2,6 +2,14 @@
 
 Synchronous, for one thread. Whatever is in the file at any moment is whole: a chunk is appended in one piece, or not
 at all.
+
+Why no library writes the file. Measured with chunks of 64 KiB, their sums, no compression (microseconds for a message
+of 30, 100 octets and 1 MiB): mcap 1.6.0 9.5, 8.1, 4606; foxglove-sdk 0.30.3 1.8, 1.4, 1075; this form written out with
+`struct` 0.6, 0.6, 1542. More than speed counts what they cannot do. `mcap` closes a chunk when it is full and offers
+nothing to close it by age: killed after 60 messages in 1.2 s, it had written nothing. foxglove-sdk writes the open
+chunk with the length 2**64-1 until it is closed, and refuses no message when the disk is full: it only logs that, and
+goes on. Neither continues a file, or says when what it has taken is on the disk. `mcap` reads what is made here, with
+all its checks, in the tests.
 """
 
 from __future__ import annotations
@@ -120,12 +128,12 @@ class OutFile:
         """The channel for a port and type: the one that is in the file already, or a new one."""
         summary = self._summary
         known = (s for s in summary.schemas.values() if s[1:] == schema[1:])
-        schema = next(known, schema._replace(id=len(summary.schemas) + 1))
+        schema = next(known, schema._replace(id=max(summary.schemas, default=0) + 1))
         for channel in summary.channels.values():
             if (channel.schema, channel.topic, channel.encoding) == (schema.id, port, encoding):
                 return channel
-        channel = Channel(len(summary.channels) + 1, schema.id, port, encoding, dict(metadata))
-        if channel.id >= 2**16:
+        channel = Channel(max(summary.channels, default=0) + 1, schema.id, port, encoding, dict(metadata))
+        if max(channel.id, schema.id) >= 2**16:
             raise RecordingError(f"{self.path}: a recording has at most 65535 ports")
         if schema.id not in summary.schemas:
             self.builder.define(schema)
@@ -138,7 +146,7 @@ class OutFile:
         builder, file, summary = self.builder, self._file, self._summary
         if not builder.octets:
             return
-        if self.first is None and builder.count:
+        if self.first is None and not builder.is_empty:
             self.first = builder.start
         counts = builder.counts()
         parts, place = builder.take(file.size)

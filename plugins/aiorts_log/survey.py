@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from aiorts_log.chunks import Content
+from aiorts_log.chunks import Tally, signed
 from aiorts_log.form import (
     ATTACHMENT,
     CHANNEL,
@@ -33,6 +33,11 @@ __all__ = ("Gap", "Survey", "survey")
 _CANDIDATE: Final = re.compile(rb"\x06[\x00-\xff]{4}\x00{4}", re.DOTALL)
 _WINDOW: Final = 2**20
 _RUN: Final = 2**18
+_PATIENCE: Final = 16
+"""How often a file is read while whole chunks are looked for in what is damaged: one that was made to look like many
+chunks within each other must not take hours."""
+_LOOKED: Final = 64
+"""Octets that a place which is none costs."""
 _IN_DATA: Final = (CHUNK, MESSAGE, SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 """What stands in front of the summary. All else is of a newer version, or was something else once."""
 _IN_OURS: Final = (CHUNK, MESSAGE_INDEX, ATTACHMENT, DATA_END)
@@ -68,7 +73,7 @@ class Survey:
     stop: int = 0
     missing: dict[int, int] = field(default_factory=dict)
 
-    def take(self, piece: Piece, content: Content) -> int:
+    def take(self, piece: Piece, content: Tally) -> int:
         """Count what a piece holds; returns how many samples are missing in front of it, if their numbers tell that.
 
         Raises:
@@ -79,13 +84,12 @@ class Survey:
             summary.define(schema)
         for channel in content.channels:
             summary.define(channel=channel)
-        counts, missing = summary.counts, 0
-        for message in content.messages:
-            number, sequence = message[0], message[1]
-            count = counts[number] = counts.get(number, 0) + 1
-            ahead = (sequence + 1 - count - self.missing.get(number, 0)) & 0xFFFF_FFFF
+        missing = 0
+        for number, (count, first, ahead) in content.counts.items():
+            expected = summary.counts.get(number, 0) + self.missing.get(number, 0)
+            ahead += signed(first - expected)
+            summary.counts[number] = summary.counts.get(number, 0) + count
             if ahead:
-                ahead -= 2**32 if ahead >= 2**31 else 0
                 self.missing[number] = self.missing.get(number, 0) + ahead
                 missing += ahead
         summary.skipped += content.skipped
@@ -110,6 +114,7 @@ class _Walk:
         self._is_own = source.header.profile == "aiorts"
         self._may_stand = _IN_OURS if self._is_own else _IN_DATA
         self._may_be_newer = not self._is_own or source.minor > MINOR
+        self._patience = _PATIENCE * source.size + _WINDOW
 
     def survey(self) -> Survey:
         source, found = self._source, self._found
@@ -138,7 +143,7 @@ class _Walk:
             if opcode == CHUNK:
                 head, _ = self._source.chunk_head(at)
                 piece = Piece(head.start, head.end, at, length)
-                missing = found.take(piece, self._source.load(piece))
+                missing = found.take(piece, self._source.tally(piece))
                 self._trusted(at)
                 self._note_missing(at, missing)
             elif opcode == MESSAGE:
@@ -197,20 +202,24 @@ class _Walk:
     def _next_chunk(self, at: int) -> int:
         """Where the next whole chunk stands, or the end of the file."""
         source = self._source
-        while at < source.size:
+        while at < source.size and self._patience > 0:
             window = source.read(at, min(_WINDOW, source.size - at))
             for match in _CANDIDATE.finditer(window):
                 if self._is_chunk(at + match.start()):
                     return at + match.start()
+                if self._patience <= 0:
+                    break
             at += max(1, len(window) - HEAD.size + 1)
             if len(window) < _WINDOW:
                 break
         return source.size
 
     def _is_chunk(self, at: int) -> bool:
+        self._patience -= _LOOKED
         try:
             head, length = self._source.chunk_head(at)
-            self._source.load(Piece(head.start, head.end, at, length))
+            self._patience -= length
+            self._source.tally(Piece(head.start, head.end, at, length))
         except BadOctets:
             return False
         return bool(head.crc)
@@ -229,12 +238,11 @@ class _Walk:
         (begin, end), self._run = self._run, None
         piece = Piece(0, 0, begin, end - begin, chunk=False)
         try:
-            content = self._source.load(piece)
+            content = self._source.tally(piece)
         except BadOctets as error:
             self._note(begin, end, str(error))
             return
-        times = [message.log_time for message in content.messages]
-        self._found.take(piece._replace(start=min(times), end=max(times)), content)
+        self._found.take(piece._replace(start=content.start, end=content.end), content)
 
     def _split_tail(self) -> None:
         """What is broken behind the last whole piece of a file that was not ended is its torn end."""

@@ -165,12 +165,17 @@ class _Builder:
         self._counts: dict[int, int] = {}
         self.count = self.octets = self.start = 0
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no sample in it."""
+        return not self.count
+
     def say(self, line: str) -> None:
         """Put in a comment."""
         self.parts.append(_PRINTED.format(line).encode())
         self.octets += len(self.parts[-1])
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes, more: bytes = b"") -> int:
         """Put in a sample. Returns how many octets there are now."""
         if not self.count:
             self.start = log_time
@@ -305,4 +310,5 @@ class TextWriter(RecordingWriter):
     """A text recording that is being made; everything as with `RecordingWriter`, and `encoding` is not used."""
 
     out = TextFile
-    encoder = staticmethod(lambda encoding: text_encode)
+    encoder = staticmethod(lambda encoding, cls: text_encode)
+    splitter = staticmethod(lambda encoding, cls: None)

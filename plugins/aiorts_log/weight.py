@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, Final
 
 from aiorts.types import describe
@@ -24,6 +25,11 @@ def weigher(cls: type) -> Callable[[Any], int] | None:
     if not fields:
         return None
     names = tuple(field.name for field in fields)
+    kind: Any = fields[0].kind
+    is_array = describe(cls).checked and not hasattr(kind, "columns") and not hasattr(kind, "item")
+    if len(fields) == 1 and str(kind.spelling).startswith(("seq[", "ndarray")) and is_array:
+        nbytes = attrgetter(f"{names[0]}.nbytes")
+        return lambda record: SMALL + nbytes(record)
 
     def weigh(record: Any) -> int:
         return SMALL + sum(_octets(getattr(record, name)) for name in names)

@@ -433,8 +433,8 @@ async def test_a_sample_for_which_there_is_no_memory_is_refused_and_the_recorder
         """Has no memory for large samples."""
 
         @staticmethod
-        def encoder(encoding: Any) -> Any:
-            encode = RecordingWriter.encoder(encoding)
+        def encoder(encoding: Any, cls: type) -> Any:
+            encode = RecordingWriter.encoder(encoding, cls)
 
             def poorly(record: Any) -> bytes:
                 if len(record.data) > 100:

@@ -59,6 +59,7 @@ def killed(path: Path, seconds: float, hz: int, sync: str = "never") -> tuple[in
 
 
 @pytest.mark.fault("D01")
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("hz", [10_000, 200])
 def test_a_killed_recorder_leaves_an_exact_prefix_that_opens_as_it_is(tmp_path: Path, hz: int) -> None:
     """At 10 kHz a chunk is 64 KiB in 0.1 s; at 200 Hz only its age closes it."""

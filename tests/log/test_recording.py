@@ -53,9 +53,9 @@ RECORDS = [cls for cls in TYPES if dataclasses.is_dataclass(cls)]
 def test_every_type_comes_back_bit_for_bit(encoding: Any, data: st.DataObject) -> None:
     cls = data.draw(st.sampled_from(RECORDS))
     sample = data.draw(records_of(cls))
-    octets = encoder(encoding)(sample)
+    octets = encoder(encoding, type(sample))(sample)
     back = taker(cls, encoding)(octets)
-    assert encoder(encoding)(back) == octets
+    assert encoder(encoding, type(back))(back) == octets
     if encoding == "msgpack":  # JSON has one NaN; every other bit survives in it, too
         assert bits(back) == bits(sample)
     else:
@@ -134,8 +134,8 @@ def test_chunks_that_overlap_are_merged_by_time_and_place(chunks: list[list[int]
     messages = {p.offset: [(0, i, t, t, b"%d" % p.offset) for i, t in enumerate(contents[p.offset])] for p in pieces}
     flat = [message for several in messages.values() for message in several]
     load = lambda piece: list(messages[piece.offset])  # noqa: E731
-    assert list(merged(pieces, load, 100, True)) == sorted(flat, key=lambda message: message[2])
-    assert list(merged(pieces, load, 100, False)) == flat
+    assert list(merged(pieces, load, 10**6, True)) == sorted(flat, key=lambda message: message[2])
+    assert list(merged(pieces, load, 10**6, False)) == flat
 
 
 def test_chunks_that_overlap_without_end_are_refused() -> None:

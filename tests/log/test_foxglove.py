@@ -1,0 +1,114 @@
+"""Recordings in JSON open in Foxglove: names as it documents them, and a file that stands up to a stranger's checks."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, TimedPose3D, TimedString
+from aiorts_log import RecordingOptions, RecordingWriter
+
+reader_module = pytest.importorskip("mcap.reader")
+records = pytest.importorskip("mcap.records")
+well_known = pytest.importorskip("mcap.well_known")
+stream_reader = pytest.importorskip("mcap.stream_reader")
+
+SAMPLES: dict[str, list[Any]] = {
+    "number": [TimedDouble(i, i / 7) for i in range(300)],
+    "list": [TimedDoubleSeq(i, [i, 0.5]) for i in range(3)],
+    "odd": [TimedDoubleSeq(0, [1.0, float("nan"), float("-inf")])],
+    "octets": [TimedOctetSeq(i, bytes([i, 255])) for i in range(3)],
+    "pose": [TimedPose3D(i) for i in range(3)],
+    "text": [TimedString(0, 'ü"\n')],
+    "bare": [1.5, 2.5],
+}
+
+
+def made(path: Path, encoding: Any) -> Path:
+    """A recording of all of them in several chunks."""
+    with RecordingWriter(path, RecordingOptions(min_free=0, encoding=encoding, chunk=2048)) as writer:
+        for name, samples in SAMPLES.items():
+            port = writer.add_port(name, type(samples[0]))
+            for number, one in enumerate(samples):
+                assert writer.write(port, one, 1000 * (list(SAMPLES).index(name) + 1) + number)
+    return path
+
+
+def test_names_are_those_that_foxglove_documents(tmp_path: Path) -> None:
+    """https://docs.foxglove.dev: message encoding "json", schema encoding "jsonschema", whose root is an object."""
+    with made(tmp_path / "run.mcap", "json").open("rb") as stream:
+        reader = reader_module.make_reader(stream, validate_crcs=True)
+        found: dict[str, list[Any]] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert channel.message_encoding == well_known.MessageEncoding.JSON == "json"
+            assert schema.encoding == well_known.SchemaEncoding.JSONSchema == "jsonschema"
+            document = json.loads(schema.data)
+            assert document["type"] == "object"
+            assert not schema.name.startswith("foxglove"), "a well-known type of theirs that ours is not"
+            value = json.loads(message.data, parse_constant=lambda text: pytest.fail(f"{text} is no JSON"))
+            if channel.topic != "odd":  # a number that is not finite is text, as the schema says in words
+                jsonschema.validate(value, document)
+            found.setdefault(channel.topic, []).append(value)
+    assert {name: len(values) for name, values in found.items()} == {name: len(s) for name, s in SAMPLES.items()}
+    assert [one["data"] for one in found["number"]] == [i / 7 for i in range(300)]
+    assert found["list"][1]["data"] == [1.0, 0.5]
+    assert found["odd"][0]["data"] == [1.0, "NaN", "-Infinity"]
+    assert base64.b64decode(found["octets"][2]["data"]) == b"\x02\xff"
+    assert found["pose"][0]["data"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
+    assert found["text"][0]["data"] == 'ü"\n'
+    assert found["bare"] == [{"value": 1.5}, {"value": 2.5}]
+
+
+def test_octets_are_base_64_and_the_schema_says_so(tmp_path: Path) -> None:
+    with made(tmp_path / "run.mcap", "json").open("rb") as stream:
+        summary = reader_module.make_reader(stream).get_summary()
+        (schema,) = (one for one in summary.schemas.values() if one.name == "TimedOctetSeq")
+        assert json.loads(schema.data)["properties"]["data"] == {"type": "string", "contentEncoding": "base64"}
+
+
+@pytest.mark.parametrize("encoding", ["msgpack", "json"])
+def test_a_file_stands_up_to_the_checks_of_a_doctor(tmp_path: Path, encoding: Any) -> None:
+    """What `mcap doctor` looks at: every record in its place, every offset right, every count and time as they are."""
+    path = made(tmp_path / "run.mcap", encoding)
+    octets = path.read_bytes()
+    with path.open("rb") as stream:
+        summary = reader_module.make_reader(stream, validate_crcs=True).get_summary()
+    with path.open("rb") as stream:
+        flat = list(stream_reader.StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
+    kinds = [type(one).__name__ for one in flat]
+    assert (kinds[0], kinds[-1]) == ("Header", "Footer")
+    assert kinds.count("DataEnd") == 1
+    assert not {"Schema", "Channel", "Message"} & set(kinds[: kinds.index("DataEnd")]), "all of them in chunks"
+    chunks = [one for one in flat if isinstance(one, records.Chunk)]
+    assert len(chunks) == len(summary.chunk_indexes) == summary.statistics.chunk_count > 5
+    counted: dict[int, int] = {}
+    defined: set[int] = set()
+    for chunk, index in zip(chunks, sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset), strict=True):
+        assert octets[index.chunk_start_offset] == 0x06
+        assert chunk.uncompressed_crc != 0
+        begin = index.chunk_start_offset + index.chunk_length
+        assert all(octets[at] == 0x07 for at in index.message_index_offsets.values())
+        assert all(begin <= at < begin + index.message_index_length for at in index.message_index_offsets.values())
+        times, last = [], -1
+        for one in stream_reader.breakup_chunk(chunk, validate_crc=True):
+            if isinstance(one, records.Channel):
+                assert one.schema_id in summary.schemas
+                defined.add(one.id)
+            elif isinstance(one, records.Message):
+                assert one.channel_id in defined, "a message before its channel"
+                assert one.log_time >= last
+                last = one.log_time
+                times.append(one.log_time)
+                counted[one.channel_id] = counted.get(one.channel_id, 0) + 1
+        if times:
+            assert (min(times), max(times)) == (chunk.message_start_time, chunk.message_end_time)
+            assert (min(times), max(times)) == (index.message_start_time, index.message_end_time)
+    assert counted == summary.statistics.channel_message_counts
+    assert summary.statistics.message_count == sum(map(len, SAMPLES.values()))
+    assert summary.statistics.attachment_count == len(summary.attachment_indexes) == 2
+    assert (summary.statistics.channel_count, summary.statistics.schema_count) == (7, 6)
