@@ -269,6 +269,32 @@ class FlatReader:
             gaps.append(Gap(0, 0, self.fault))
         return tuple(gaps)
 
+    def port_of(self, key: Any) -> RecordedPort:
+        """The port of a key. BadOctets for one that cannot be."""
+        return self._ports[self._ids.get(key) or self._define(key)]
+
+    def lines(self) -> Iterator[bytes]:
+        """Every line as it is, without its end. DamagedError for one that is longer than is allowed."""
+        rest, at = b"", 0
+        self.complete = True
+        while at < self.octets:
+            block = os.pread(self._file, min(_BLOCK, self.octets - at), at)
+            if not block:
+                break
+            at += len(block)
+            lines = (rest + block).split(b"\n")
+            rest = lines.pop()
+            yield from lines
+            if len(rest) > self.limits.record:
+                raise DamagedError(
+                    f"{self.path}: octet {at - len(rest)}: a line has more than the {self.limits.record} octets "
+                    "that are allowed",
+                    at - len(rest),
+                )
+        if rest:
+            self.complete = False
+            yield rest
+
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def _scan(self) -> None:
@@ -276,7 +302,7 @@ class FlatReader:
         damage: list[Gap] = []
         runs = _Runs(self._lines_before)
         at = 0
-        for number, line in enumerate(self._read_lines(), 1):
+        for number, line in enumerate(self.lines(), 1):
             if line[:1] == b"#" or not line.strip():
                 self.remark(line, number)
             else:
@@ -310,27 +336,6 @@ class FlatReader:
             self.torn, self.damage = last, self.damage[:-1]
         if self.damage and not self.fault:
             self.fault = self.damage[0].why
-
-    def _read_lines(self) -> Iterator[bytes]:
-        rest, at = b"", 0
-        self.complete = True
-        while at < self.octets:
-            block = os.pread(self._file, min(_BLOCK, self.octets - at), at)
-            if not block:
-                break
-            at += len(block)
-            lines = (rest + block).split(b"\n")
-            rest = lines.pop()
-            yield from lines
-            if len(rest) > self.limits.record:
-                raise DamagedError(
-                    f"{self.path}: octet {at - len(rest)}: a line has more than the {self.limits.record} octets "
-                    "that are allowed",
-                    at - len(rest),
-                )
-        if rest:
-            self.complete = False
-            yield rest
 
     def _define(self, key: Any) -> int:
         name, type_name = self.named(key)

@@ -127,6 +127,8 @@ class TextReader(FlatReader):
         elif "end" in said:
             self._end_stands = True
             self._documents["end"].append(said["end"])
+            octets = json.dumps(said["end"], indent=1).encode()
+            self._attachments.append(Attachment(0, 0, END_NAME, "application/json", octets))
             self._counted_wrong |= said.get("samples", self.count) != self.count
         elif isinstance(said.get("file"), str):
             self._take_file(said)
