@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from operator import attrgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from aiorts.errors import ConfigurationError, RecordError
 from aiorts.types import describe, from_plain, has_tm, to_plain
@@ -142,32 +142,70 @@ def taker_of(cls: type, fields: Mapping[str, int], empty_is_nan: bool = False) -
         raise ConfigurationError(
             f"{cls.__name__}.{missing[0]}: has no column; --map COLUMN={missing[0]}, or --set {missing[0]}=VALUE"
         )
-    takes = [
-        (path.split("."), place, _taker(_form_of(columns[path], place), empty_is_nan), columns[path].spelling)
-        for path, place in places.items()
-    ]
-    nested_tm = stamped and any(path.startswith("tm.") for path in columns)
-    bare = not hasattr(cls, "__dataclass_fields__")
+    leaves = {path: _leaf(columns[path], place, empty_is_nan) for path, place in places.items()}
+    if stamped:
+        leaves |= _TM_NESTED if "tm.sec" in columns else _TM
+    if not hasattr(cls, "__dataclass_fields__"):
+        of_value = leaves[VALUE]
+        return lambda row, tm: from_plain(cls, of_value(row))
+    if all(column.form in ("float", "int", "bool") for column in columns.values()) and _is_checked(cls):
+        build = _builder(cls, leaves, "")
+        return lambda row, tm: build([*row, tm])
+    paths = [(path.split("."), leaf) for path, leaf in leaves.items()]
 
     def take(row: Sequence[str], tm: int) -> Any:
         plain: dict[str, Any] = {}
-        if stamped:
-            plain["tm"] = {"sec": tm // 10**9, "nsec": tm % 10**9} if nested_tm else tm
-        for path, place, of_cell, spelling in takes:
+        cells = [*row, tm]
+        for path, leaf in paths:
             inner = plain
             for name in path[:-1]:
                 inner = inner.setdefault(name, {})
-            try:
-                if isinstance(place, int):
-                    inner[path[-1]] = of_cell(row[place])
-                else:
-                    items = [of_cell(row[number]) for number in place]
-                    inner[path[-1]] = _octets(items) if spelling == "seq[u8]" else items
-            except RecordError as error:
-                raise RecordError(f"{'.'.join(path)}: {error}") from None
-        return from_plain(cls, plain[VALUE] if bare else plain)
+            inner[path[-1]] = leaf(cells)
+        return from_plain(cls, plain)
 
     return take
+
+
+_Leaf: TypeAlias = Callable[[Sequence[Any]], Any]
+"""Makes one value of the cells of a row, behind which its time stands."""
+_TM: Final[dict[str, _Leaf]] = {"tm": lambda cells: cells[-1]}
+_TM_NESTED: Final[dict[str, _Leaf]] = {
+    "tm.sec": lambda cells: cells[-1] // 10**9,
+    "tm.nsec": lambda cells: cells[-1] % 10**9,
+}
+
+
+def _leaf(column: Column, place: int | list[int], empty_is_nan: bool) -> _Leaf:
+    path, take = column.path, _taker(_form_of(column, place), empty_is_nan)
+    octets = column.spelling == "seq[u8]"
+
+    def leaf(cells: Sequence[Any]) -> Any:
+        try:
+            if isinstance(place, int):
+                return take(cells[place])
+            items = [take(cells[number]) for number in place]
+            return _octets(items) if octets else items
+        except RecordError as error:
+            raise RecordError(f"{path}: {error}") from None
+
+    return leaf
+
+
+def _is_checked(cls: type) -> bool:
+    """Whether the constructor checks what it is given, and those of nested records as well."""
+    structure = describe(cls)
+    kinds: list[Any] = [field.kind for field in structure.fields]
+    return structure.checked and all(_is_checked(kind.cls) for kind in kinds if hasattr(kind, "structure"))
+
+
+def _builder(cls: type, leaves: Mapping[str, _Leaf], front: str) -> _Leaf:
+    """What `from_plain` comes to for records of numbers alone."""
+    parts: list[_Leaf] = []
+    for field in describe(cls).fields:
+        kind: Any = field.kind
+        path = f"{front}{field.name}"
+        parts.append(leaves[path] if path in leaves else _builder(kind.cls, leaves, f"{path}."))
+    return lambda cells: cls(*[part(cells) for part in parts])
 
 
 def _put_item(places: int | list[int], index: int, number: int, path: str) -> None:
@@ -187,7 +225,7 @@ def _form_of(column: Column, place: int | list[int]) -> str:
 def _taker(form: str, empty_is_nan: bool) -> Callable[[str], Any]:
     taken = _TAKE[form]
     if empty_is_nan and form == "float":
-        return lambda text: taken(text) if text.strip() else "NaN"
+        return lambda text: taken(text) if text.strip() else math.nan
     return taken
 
 
@@ -198,7 +236,7 @@ def _octets(values: list[int]) -> str:
         raise RecordError(f"expected integers 0..255, got {max(values, key=abs)}") from None
 
 
-def _float(text: str) -> Any:
+def _float(text: str) -> float:
     text = text.strip()
     if _NUMBER.fullmatch(text):
         number = float(text)
@@ -208,7 +246,7 @@ def _float(text: str) -> Any:
     odd = _ODD.get(text.lstrip("+-").lower()) if len(text) - len(text.lstrip("+-")) < 2 else None
     if odd is None:
         raise RecordError(f"expected a number, got {_shown(text)}")
-    return "NaN" if odd != odd else "-Infinity" if text[0] == "-" else "Infinity"
+    return -odd if text[0] == "-" else odd
 
 
 def _integer(text: str) -> int:

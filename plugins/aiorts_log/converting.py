@@ -15,6 +15,7 @@ from aiorts_log.convert import FORMS, Converted, Form
 from aiorts_log.csv_form import LOG_TIME, TableOptions, TimeUnit
 from aiorts_log.opening import open_recording
 from aiorts_log.shown import FILE, SHOWN, moment, number, shown
+from aiorts_log.working import WritingCommand
 
 __all__ = ("convert", "cut", "merge")
 
@@ -22,7 +23,7 @@ _DELIMITERS: Final = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";", 
 _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the target when it is there.")
 
 
-@click.command()
+@click.command(cls=WritingCommand)
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option("--from", "source_form", type=click.Choice(FORMS), help="Form of SOURCE, when its name does not tell.")
@@ -95,7 +96,7 @@ def convert(
     return _tell(target, made)
 
 
-@click.command()
+@click.command(cls=WritingCommand)
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
@@ -111,7 +112,7 @@ def cut(source: Path, target: Path, start: str | None, end: str | None, ports: t
     return _tell(target, work.cut(source, target, start=first, end=last, ports=ports or None, overwrite=overwrite))
 
 
-@click.command()
+@click.command(cls=WritingCommand)
 @click.argument("files", type=FILE, nargs=-1, required=True, metavar="FILE... TARGET")
 @click.option("--prefix", "prefixes", multiple=True, metavar="TEXT", help="In front of port names, one for each FILE.")
 @click.option("--join", is_flag=True, help="Ports of the same name and type become one.")

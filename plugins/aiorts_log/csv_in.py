@@ -17,15 +17,13 @@ from aiorts.types import has_tm
 from aiorts_log.columns import columns_of, taker_of
 from aiorts_log.csv_form import LOG_TIME, PORT, TableOptions, time_of
 from aiorts_log.errors import DamagedError
-from aiorts_log.flat import open_regular
+from aiorts_log.flat import LONGEST, open_regular
 from aiorts_log.form import Channel
 from aiorts_log.forms import encoder, schema_of
 from aiorts_log.reader import RecordedPort, RecordedSample
 
 __all__ = ("TableReader",)
 
-_LONGEST: Final = 64 * 2**20
-"""Characters of a cell; the module that reads tables takes 131072 unless it is told otherwise, and tells all alike."""
 _SHOWN: Final = 60
 
 
@@ -57,7 +55,7 @@ class TableReader:
         self.bad: list[tuple[int, str]] = []
         file, self.octets = open_regular(self.path)
         self._stream: TextIO = os.fdopen(file, encoding="utf-8-sig", newline="")
-        self._before = csv.field_size_limit(_LONGEST)
+        self._before = csv.field_size_limit(LONGEST)  # 131072 unless it is told otherwise, for everybody alike
         try:
             self._begin()
         except BaseException:
@@ -85,12 +83,13 @@ class TableReader:
         options = self.options
         if not options.ports:
             raise ConfigurationError("a table does not say what it holds; --port NAME --type TYPE")
-        self._rows = self._numbered(csv.reader(self._stream, delimiter=options.delimiter, strict=True))
+        lines = iter(self._line, "")
+        self._rows = self._numbered(csv.reader(lines, delimiter=options.delimiter, strict=True))
         self._first: tuple[int, list[str]] | None = next(self._rows, None)
         first = self._first[1] if self._first is not None else []
         if options.header:
-            self.columns = tuple(name.strip() for name in first)
-            if self.columns and all(re.fullmatch(r"[+-]?[\d.]+([eE][+-]?\d+)?", name) for name in self.columns):
+            self.columns = tuple(first)
+            if self.columns and all(re.fullmatch(r"[+-]?[\d.]+([eE][+-]?\d+)?", name.strip()) for name in self.columns):
                 raise ConfigurationError(
                     f"{self.path}: its first row has numbers alone; --no-header if it is no header"
                 )
@@ -117,10 +116,18 @@ class TableReader:
         return self.columns[:2] == (LOG_TIME, PORT) and PORT not in self.options.columns
 
     def _column(self, name: str, option: str) -> int:
-        if name in self.columns:
-            return self.columns.index(name)
+        number = self._number(name)
+        if number >= 0:
+            return number
         there = ", ".join(self.columns[:20]) or "none"
         raise ConfigurationError(f"{option}: {self.path} has no column {name[:_SHOWN]!r}; it has {there}")
+
+    def _number(self, name: str) -> int:
+        """The number of the column of that name, blanks around it left out where it has none so; -1 for none."""
+        if name in self.columns:
+            return self.columns.index(name)
+        found = [number for number, column in enumerate(self.columns) if column.strip() == name]
+        return found[0] if len(found) == 1 else -1
 
     def _targets(self, names: dict[str, type]) -> dict[str, dict[str, int]]:
         """For each port, the number of the cell of each field path; constants stand behind the cells of a row."""
@@ -139,7 +146,7 @@ class TableReader:
                 if any(path == column.path or path.startswith(f"{column.path}[") for path in found[name]):
                     continue
                 for front in fronts:
-                    cell = self.columns.index(front + column.path) if front + column.path in self.columns else -1
+                    cell = self._number(front + column.path)
                     if cell >= 0 and cell not in mapped and (cell != self._time or column.path == "tm"):
                         found[name].setdefault(column.path, cell)
         return found
@@ -161,6 +168,13 @@ class TableReader:
             raise ConfigurationError(f"{self.path}: port {name}: {error}") from None
         port = RecordedPort(Channel(0, 0, name, "msgpack", {}), schema_of(0, cls, "msgpack"), 0)
         return _Port(port, tuple(cell for cell in fields.values() if cell < self._width), take, has_tm(cls))
+
+    def _line(self) -> str:
+        """The next line, which may be long, but not without end."""
+        line = self._stream.readline(LONGEST)
+        if len(line) == LONGEST:
+            raise DamagedError(f"{self.path}: a line has more than the {LONGEST} characters that are allowed")
+        return line
 
     def _numbered(self, rows: Any) -> Iterator[tuple[int, list[str]]]:
         """Rows that are no comments, with the number of the line that each begins in."""

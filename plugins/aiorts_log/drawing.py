@@ -14,11 +14,12 @@ from aiorts_log.progress import progress
 from aiorts_log.series import Series, read_series
 from aiorts_log.shown import FILE, moment, number, shown
 from aiorts_log.target import whole_file
+from aiorts_log.working import WritingCommand
 
 __all__ = ("plot",)
 
 
-@click.command()
+@click.command(cls=WritingCommand)
 @click.argument("file", type=FILE)
 @click.argument("fields", nargs=-1, metavar="[PORT.FIELD]...")
 @click.option("-o", "--output", type=FILE, required=True, metavar="FILE", help="The picture: FILE.png or FILE.svg.")

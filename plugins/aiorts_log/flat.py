@@ -24,8 +24,10 @@ from aiorts_log.reader import RecordedPort, RecordedSample
 from aiorts_log.source import Header, Limits, Piece
 from aiorts_log.survey import Gap
 
-__all__ = ("FlatPort", "FlatReader", "Head", "open_regular")
+__all__ = ("LONGEST", "FlatPort", "FlatReader", "Head", "open_regular")
 
+LONGEST: Final = 2**25
+"""Octets of a line; who writes one refuses a sample that would have more."""
 _BLOCK: Final = 2**20
 _PIECE: Final = 2**16
 _APART: Final = 1_000_000_000
@@ -275,25 +277,26 @@ class FlatReader:
 
     def lines(self) -> Iterator[bytes]:
         """Every line as it is, without its end. DamagedError for one that is longer than is allowed."""
-        rest, at = b"", 0
+        parts: list[bytes] = []
+        at = held = 0
         self.complete = True
-        while at < self.octets:
-            block = os.pread(self._file, min(_BLOCK, self.octets - at), at)
-            if not block:
-                break
+        while at < self.octets and (block := os.pread(self._file, min(_BLOCK, self.octets - at), at)):
             at += len(block)
-            lines = (rest + block).split(b"\n")
-            rest = lines.pop()
-            yield from lines
-            if len(rest) > self.limits.record:
+            first, *lines = block.split(b"\n")
+            parts.append(first)
+            held += len(first)
+            if held > LONGEST:
                 raise DamagedError(
-                    f"{self.path}: octet {at - len(rest)}: a line has more than the {self.limits.record} octets "
-                    "that are allowed",
-                    at - len(rest),
+                    f"{self.path}: octet {at - held}: a line has more than the {LONGEST} octets that are allowed", at
                 )
-        if rest:
+            if lines:
+                yield b"".join(parts)
+                parts = [lines.pop()]
+                held = len(parts[0])
+                yield from lines
+        if held:
             self.complete = False
-            yield rest
+            yield b"".join(parts)
 
     # -- reading ---------------------------------------------------------------------------------------------------
 

@@ -75,15 +75,16 @@ def check_picture(name: Path) -> str:
 
 
 def draw_times(file: Path, form: str, groups: Sequence[Sequence[Series]], picture: Picture) -> None:
-    """Draw curves over time, those of one unit in one diagram. OSError when the file cannot be written."""
-    diagrams: dict[str, list[Series]] = {}
-    for one in (series for group in groups for series in group):
-        diagrams.setdefault(one.unit, []).append(one)
+    """Draw curves over time, those of one unit or of one field in a diagram. OSError when it cannot be written."""
+    diagrams: dict[tuple[str, int], list[Series]] = {}
+    for number, group in enumerate(groups):
+        for one in group:
+            diagrams.setdefault((one.unit, 0 if one.unit else number), []).append(one)
     with _matplotlib() as figure_of:
         height = picture.height or 1.0 + 2.2 * len(diagrams)
         figure = figure_of(figsize=(picture.width, height), layout="constrained")
         axes = figure.subplots(len(diagrams), 1, sharex=True, squeeze=False)
-        for (unit, several), axis in zip(diagrams.items(), axes[:, 0], strict=True):
+        for ((unit, _), several), axis in zip(diagrams.items(), axes[:, 0], strict=True):
             for number, one in enumerate(several):
                 kept = thinned(one.times, one.values, _PIECES)
                 xs, ys = [one.times[i] for i in kept], [one.values[i] for i in kept]
@@ -93,7 +94,7 @@ def draw_times(file: Path, form: str, groups: Sequence[Sequence[Series]], pictur
                 axis.set_ylabel(f"{several[0].label}{f' [{unit}]' if unit else ''}")
             else:
                 axis.set_ylabel(f"[{unit}]" if unit else "")
-                axis.legend(loc="upper right", ncols=min(4, len(several)))
+                axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.0)
         axes[-1, 0].set_xlabel("time [s]")
         _save(figure, file, form, picture)
 

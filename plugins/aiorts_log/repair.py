@@ -14,11 +14,12 @@ from aiorts_log.salvage import SalvageReport
 from aiorts_log.salvage import salvage as salvage_file
 from aiorts_log.salvage_lines import salvage_lines
 from aiorts_log.shown import FILE, gap_lines, number, shown
+from aiorts_log.working import WritingCommand
 
 __all__ = ("salvage",)
 
 
-@click.command()
+@click.command(cls=WritingCommand)
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option("--overwrite", is_flag=True, help="Replace TARGET when it is there.")

@@ -16,7 +16,7 @@ from aiorts.wire import LineWriter
 from aiorts_log.columns import cells_of, columns_of
 from aiorts_log.csv_form import PORT, TableOptions, quoted, time_cell
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.flat import FlatPort
+from aiorts_log.flat import LONGEST, FlatPort
 from aiorts_log.form import Attachment
 from aiorts_log.forms import Encoding, encoder, schema_of
 from aiorts_log.info import GAP
@@ -132,7 +132,7 @@ class McapSink(_FileSink):
         encoding = self._encoding or "msgpack"
         encode = encoder(encoding)
         channel = self._file.channel_of(name, schema_of(0, port.type, encoding), encoding, port.metadata)
-        return channel.id, lambda sample: encode(record_of(sample))
+        return channel.id, _encoding(port, encode)
 
 
 def _is_document(octets: bytes) -> bool:
@@ -152,7 +152,7 @@ class TextSink(_FileSink):
     def _new(self, name: str, port: RecordedPort) -> tuple[int, Callable[[RecordedSample], bytes]]:
         _known(port)
         channel = self._file.channel_of(name, schema_of(0, port.type, "json"), "json", port.metadata)
-        return channel.id, lambda sample: text_encode(record_of(sample))
+        return channel.id, _encoding(port, text_encode)
 
     def attach(self, one: Attachment) -> None:
         """Write a file within the recording; what the writer said at the end stands at the end here, too."""
@@ -167,6 +167,17 @@ class TextSink(_FileSink):
         for document in documents or [{"why": "closed", "stored": sum(self._file.counts.values())}]:
             self._file.attach_json(END_NAME, document, 0)
         super().finish()
+
+
+def _encoding(port: RecordedPort, encode: Callable[[Any], bytes]) -> Callable[[RecordedSample], bytes]:
+    def octets_of(sample: RecordedSample) -> bytes:
+        record = record_of(sample)
+        try:
+            return encode(record)
+        except AiortsError as error:
+            raise RecordingError(f"port {port.name!r}: {error}") from None
+
+    return octets_of
 
 
 def _known(port: RecordedPort) -> None:
@@ -195,6 +206,8 @@ class _TextSink:
         self._files += 1
 
     def _say(self, line: str) -> None:
+        if len(line) > LONGEST // 4 and len(line.encode()) > LONGEST:
+            raise RecordingError(f"a sample of {len(line)} characters: a line has at most {LONGEST} octets")
         self._lines.append(line)
         if len(self._lines) >= _BLOCK:
             self._flush()

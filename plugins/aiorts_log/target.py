@@ -11,7 +11,7 @@ import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from aiorts_log.errors import RecordingError
+from aiorts_log.errors import RecordingError, UnwrittenError
 
 __all__ = ("check_target", "whole_file", "whole_folder")
 
@@ -48,10 +48,11 @@ def whole_file(target: Path, sources: Iterable[Path] = (), overwrite: bool = Fal
         with contextlib.suppress(FileNotFoundError):
             part.unlink()
         yield part
-        _sync(part)
+        if overwrite:
+            _sync(part)  # the old file is given up: the new one has to be on the disk
         _rename(part, target, overwrite)
     except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
+        raise UnwrittenError(f"{target}: cannot be written: {error.strerror or error}") from None
     finally:
         with contextlib.suppress(OSError):
             part.unlink()
@@ -65,17 +66,14 @@ def whole_folder(target: Path, sources: Iterable[Path] = ()) -> Iterator[Path]:
     try:
         part.mkdir()
         yield part
-        for path in part.iterdir():
-            _sync(path)
         part.rename(target)
     except OSError as error:
-        raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
+        raise UnwrittenError(f"{target}: cannot be written: {error.strerror or error}") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
 
 def _sync(path: Path) -> None:
-    """A name is not to point to octets that the disk has not."""
     file = os.open(path, os.O_RDONLY)
     try:
         os.fsync(file)
