@@ -12,7 +12,7 @@ import click
 from aiorts.errors import ConfigurationError
 from aiorts_log.difference import By, Difference, DiffOptions, PortDifference, difference
 from aiorts_log.opening import open_recording
-from aiorts_log.shown import FILE, number, shown
+from aiorts_log.shown import FILE, Finite, number, shown
 
 __all__ = ("diff",)
 
@@ -35,8 +35,8 @@ _KEPT: Final = 3
 )
 @click.option("--time-tolerance", default="0", metavar="TIME", help="That times may differ by: 5ms, 20us, 0.01 (s).")
 @click.option("--from-start", is_flag=True, help="Take times from the first sample of each recording.")
-@click.option("--abs", "absolute", type=click.FloatRange(0.0), default=0.0, help="That numbers may differ by.")
-@click.option("--rel", "relative", type=click.FloatRange(0.0), default=0.0, help="The same, as a part of the larger.")
+@click.option("--abs", "absolute", type=Finite(), default=0.0, help="That numbers may differ by.")
+@click.option("--rel", "relative", type=Finite(), default=0.0, help="The same, as a part of the larger.")
 @click.option("--ignore", multiple=True, metavar="FIELD", help="A field that is not compared, such as tm.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
 def diff(

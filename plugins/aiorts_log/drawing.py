@@ -12,7 +12,7 @@ from aiorts_log.opening import open_recording
 from aiorts_log.plot import Picture, check_picture, draw_path, draw_times
 from aiorts_log.progress import progress
 from aiorts_log.series import Series, read_series
-from aiorts_log.shown import FILE, moment, number, shown
+from aiorts_log.shown import FILE, Finite, moment, number, shown
 from aiorts_log.target import whole_file
 from aiorts_log.working import WritingCommand
 
@@ -27,7 +27,7 @@ __all__ = ("plot",)
 @click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
 @click.option("--end", metavar="TIME", help="Up to there, without it; as --start.")
 @click.option("--title", default="", metavar="TEXT", help="Above it; the name of the recording when not given.")
-@click.option("--size", type=click.FloatRange(1.0, 60.0), default=8.0, show_default=True, help="Width in inches.")
+@click.option("--size", type=Finite(1.0, 60.0), default=8.0, show_default=True, help="Width in inches.")
 @click.option("--overwrite", is_flag=True, help="Replace the picture when it is there.")
 def plot(
     file: Path,

@@ -163,11 +163,11 @@ class FlatReader:
         raise NotImplementedError
 
     def whole(self, data: bytes) -> None:
-        """Look closer at the octets of the last line, which has no end. BadOctets when it is torn."""
+        """Look closer at the octets of a sample, as of the last line without an end. BadOctets when they are torn."""
         try:
             json.loads(data)
-        except (ValueError, RecursionError):
-            raise BadOctets("breaks off") from None
+        except (ValueError, RecursionError) as error:
+            raise BadOctets(f"no JSON: {str(error)[:80]}") from None
 
     def named(self, key: Any) -> tuple[str, str]:
         """Port and type of a key. BadOctets for one that cannot be."""

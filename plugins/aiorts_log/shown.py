@@ -13,12 +13,26 @@ import click
 from aiorts.errors import ConfigurationError
 from aiorts_log.survey import Gap
 
-__all__ = ("FILE", "SHOWN", "date", "gap_lines", "moment", "number", "shown", "size", "strict")
+__all__ = ("FILE", "SHOWN", "Finite", "date", "gap_lines", "moment", "number", "shown", "size", "strict")
 
 FILE: Final = click.Path(path_type=Path)
 SHOWN: Final = 10
 """How many of many things are shown."""
 _SECONDS: Final = re.compile(r"\+?\d{1,12}(\.\d{1,9})?", re.ASCII)
+
+
+class Finite(click.FloatRange):
+    """A number that is not negative, and is one."""
+
+    def __init__(self, least: float = 0.0, most: float | None = None) -> None:
+        super().__init__(least, most)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; a comparison with NaN is never true, so that no range refuses it."""
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{found!r} is no finite number", param, ctx)
+        return found
 
 
 def moment(option: str, text: str | None, start: int) -> int | None:
