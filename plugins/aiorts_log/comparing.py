@@ -22,7 +22,7 @@ _KEPT: Final = 3
 """Places of each port that are shown; --json has ten."""
 
 
-@click.command()
+@click.command(short_help="Compare two recordings.")
 @click.argument("left", type=FILE)
 @click.argument("right", type=FILE)
 @click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; may be given more than once.")

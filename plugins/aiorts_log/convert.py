@@ -19,10 +19,11 @@ from aiorts_log.csv_in import TableReader
 from aiorts_log.errors import RecordingError
 from aiorts_log.form import Attachment
 from aiorts_log.forms import Encoding
+from aiorts_log.line_sinks import FolderSink, LinesSink, TableSink
 from aiorts_log.opening import Recording, form_of, open_recording
 from aiorts_log.progress import Step, progress
 from aiorts_log.reader import RecordedPort, RecordedSample
-from aiorts_log.sinks import FolderSink, LinesSink, McapSink, Sink, TableSink, TextSink
+from aiorts_log.sinks import McapSink, Sink, TextSink
 from aiorts_log.target import whole_file, whole_folder
 
 __all__ = ("FORMS", "Converted", "Form", "convert", "cut", "form_by_name", "merge")

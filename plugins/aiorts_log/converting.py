@@ -19,11 +19,11 @@ from aiorts_log.working import WritingCommand
 
 __all__ = ("convert", "cut", "merge")
 
-_DELIMITERS: Final = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";", "space": " "}
+_DELIMITERS: Final[dict[str, str]] = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";", "space": " "}
 _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the target when it is there.")
 
 
-@click.command(cls=WritingCommand)
+@click.command(cls=WritingCommand, short_help="Convert between MCAP, CSV, text and JSON lines.")
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option("--from", "source_form", type=click.Choice(FORMS), help="Form of SOURCE, when its name does not tell.")
@@ -33,7 +33,9 @@ _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the 
 @click.option("--map", "columns", multiple=True, metavar="COLUMN=FIELD", help="Table read: x=data.x, 4=gyro.data[0].")
 @click.option("--set", "values", multiple=True, metavar="FIELD=VALUE", help="Table read: a field without a column.")
 @click.option("--time", default=LOG_TIME, show_default=True, metavar="COLUMN", help="Table: the column of log times.")
-@click.option("--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), default="ns", show_default=True, help="Its.")
+@click.option(
+    "--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), default="ns", show_default=True, help="Of its numbers."
+)
 @click.option("--time-offset", default="0", metavar="SECONDS", help="Table read: to add to its times.")
 @click.option("--delimiter", default=",", show_default=True, metavar="CHAR", help="Table: between cells; tab, too.")
 @click.option("--no-header", is_flag=True, help="Table: no row of names; columns are 0, 1, 2, ...")
@@ -42,6 +44,7 @@ _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the 
 )
 @click.option("--empty-nan", is_flag=True, help="Table read: an empty cell is a NaN where a float stands.")
 @click.option("--skip-bad", is_flag=True, help="Table read: leave out rows that are none, and say which.")
+@click.option("--by-time", is_flag=True, help="Table written: samples of one time in one row.")
 @click.option("--split", is_flag=True, help="Write a folder with a table for each port.")
 @click.option("--json", "as_json", is_flag=True, help="MCAP written: JSON messages, which Foxglove shows as they are.")
 @_OVERWRITE
@@ -80,7 +83,7 @@ def convert(
             time=table["time"],
             unit=_unit(table["time_unit"]),
             offset=table["time_offset"],
-            delimiter=_DELIMITERS.get(table["delimiter"], table["delimiter"]),
+            delimiter=_delimiter(table["delimiter"]),
             header=not table["no_header"],
             comment=table["comment"],
             ports=tuple(_typed(ports, types)),
@@ -88,6 +91,7 @@ def convert(
             values=_pairs("--set", values),
             empty_is_nan=table["empty_nan"],
             skip_bad=table["skip_bad"],
+            by_time=table["by_time"],
         ),
         encoding="json" if as_json else None,
         split=split,
@@ -96,7 +100,7 @@ def convert(
     return _tell(target, made)
 
 
-@click.command(cls=WritingCommand)
+@click.command(cls=WritingCommand, short_help="Write a part of a recording.")
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
@@ -112,7 +116,7 @@ def cut(source: Path, target: Path, start: str | None, end: str | None, ports: t
     return _tell(target, work.cut(source, target, start=first, end=last, ports=ports or None, overwrite=overwrite))
 
 
-@click.command(cls=WritingCommand)
+@click.command(cls=WritingCommand, short_help="Write several recordings as one.")
 @click.argument("files", type=FILE, nargs=-1, required=True, metavar="FILE... TARGET")
 @click.option("--prefix", "prefixes", multiple=True, metavar="TEXT", help="In front of port names, one for each FILE.")
 @click.option("--join", is_flag=True, help="Ports of the same name and type become one.")
@@ -126,6 +130,10 @@ def merge(files: tuple[Path, ...], prefixes: tuple[str, ...], join: bool, overwr
         raise click.UsageError("expected at least two recordings and the TARGET")
     *sources, target = files
     return _tell(target, work.merge(sources, target, prefixes=prefixes or None, join=join, overwrite=overwrite))
+
+
+def _delimiter(text: str) -> str:
+    return _DELIMITERS.get(text, text)
 
 
 def _unit(text: str) -> TimeUnit:

@@ -37,6 +37,7 @@ class TableOptions:
         values: constants for fields that have no column.
         empty_is_nan: an empty cell is a NaN where a float stands.
         skip_bad: go on behind a row that is none.
+        by_time: write samples of one time into one row.
 
     Raises:
         ConfigurationError: a value makes no sense.
@@ -53,6 +54,7 @@ class TableOptions:
     values: Mapping[str, str] = field(default_factory=dict)
     empty_is_nan: bool = False
     skip_bad: bool = False
+    by_time: bool = False
 
     def __post_init__(self) -> None:
         if len(self.delimiter) != 1 or self.delimiter in '"\r\n':

@@ -19,7 +19,7 @@ from aiorts_log.working import WritingCommand
 __all__ = ("plot",)
 
 
-@click.command(cls=WritingCommand)
+@click.command(cls=WritingCommand, short_help="Draw fields of a recording: PNG or SVG.")
 @click.argument("file", type=FILE)
 @click.argument("fields", nargs=-1, metavar="[PORT.FIELD]...")
 @click.option("-o", "--output", type=FILE, required=True, metavar="FILE", help="The picture: FILE.png or FILE.svg.")

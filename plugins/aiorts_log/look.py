@@ -25,7 +25,7 @@ _BLOCK: Final = 512
 _BROKEN_PIPE: Final = 141
 
 
-@click.command()
+@click.command(short_help="Show what a recording holds.")
 @click.argument("file", type=FILE)
 @click.option("--check", is_flag=True, help="Read everything and hold it against its checksums.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
@@ -44,7 +44,7 @@ def info(file: Path, check: bool, as_json: bool) -> int:
     return 1 if gaps else 0
 
 
-@click.command()
+@click.command(short_help="Print samples as JSON lines.")
 @click.argument("file", type=FILE)
 @click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; may be given more than once.")
 @click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")

@@ -19,7 +19,7 @@ from aiorts_log.working import WritingCommand
 __all__ = ("salvage",)
 
 
-@click.command(cls=WritingCommand)
+@click.command(cls=WritingCommand, short_help="Write what is whole of a damaged recording.")
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
 @click.option("--overwrite", is_flag=True, help="Replace TARGET when it is there.")

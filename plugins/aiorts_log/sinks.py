@@ -6,17 +6,13 @@ Samples come in the order of their log time. What a form cannot hold is refused 
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, Protocol, TextIO
+from typing import Any, Final, Protocol
 
 from aiorts.errors import AiortsError
-from aiorts.wire import LineWriter
-from aiorts_log.columns import cells_of, columns_of
-from aiorts_log.csv_form import PORT, TableOptions, quoted, time_cell
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.flat import LONGEST, FlatPort
+from aiorts_log.flat import FlatPort
 from aiorts_log.form import Attachment
 from aiorts_log.forms import Encoding, encoder, schema_of
 from aiorts_log.info import GAP
@@ -36,6 +32,7 @@ class Sink(Protocol):
     @property
     def left_out(self) -> tuple[str, ...]:
         """What the form cannot hold, in words."""
+        ...
 
     def put(self, name: str, sample: RecordedSample) -> None:
         """Write a sample of the port `name`. RecordingError when its type cannot be written so."""
@@ -128,7 +125,7 @@ class McapSink(_FileSink):
             return self._file.channel_of(name, schema, port.encoding, port.metadata).id, lambda sample: sample.data
         if schema is None and self._encoding is None:
             raise RecordingError(f"port {name!r}: nothing explains its messages; choose others with --port")
-        _known(port)
+        known(port)
         encoding = self._encoding or "msgpack"
         encode = encoder(encoding)
         channel = self._file.channel_of(name, schema_of(0, port.type, encoding), encoding, port.metadata)
@@ -150,7 +147,7 @@ class TextSink(_FileSink):
         self._ends: list[Attachment] = []
 
     def _new(self, name: str, port: RecordedPort) -> tuple[int, Callable[[RecordedSample], bytes]]:
-        _known(port)
+        known(port)
         channel = self._file.channel_of(name, schema_of(0, port.type, "json"), "json", port.metadata)
         return channel.id, _encoding(port, text_encode)
 
@@ -180,159 +177,6 @@ def _encoding(port: RecordedPort, encode: Callable[[Any], bytes]) -> Callable[[R
     return octets_of
 
 
-def _known(port: RecordedPort) -> None:
+def known(port: RecordedPort) -> None:
     if port.unknown:
         raise RecordingError(f"port {port.name!r}: {port.unknown}, or choose others with --port")
-
-
-class _TextSink:
-    """What JSON lines and tables share: lines in blocks, and what they cannot hold."""
-
-    def __init__(self, path: Path) -> None:
-        self._stream: TextIO = path.open("x", encoding="utf-8", newline="")
-        self._lines: list[str] = []
-        self._files = 0
-        self._metadata: set[str] = set()
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """What the form cannot hold."""
-        units = (f"metadata of {name}" for name in sorted(self._metadata))
-        files = f"{self._files} file{'' if self._files == 1 else 's'} within the recording"
-        return (*([files] if self._files else ()), *units)
-
-    def attach(self, one: Attachment) -> None:
-        """Only count it."""
-        self._files += 1
-
-    def _say(self, line: str) -> None:
-        if len(line) > LONGEST // 4 and len(line.encode()) > LONGEST:
-            raise RecordingError(f"a sample of {len(line)} characters: a line has at most {LONGEST} octets")
-        self._lines.append(line)
-        if len(self._lines) >= _BLOCK:
-            self._flush()
-
-    def _flush(self) -> None:
-        text = "".join(self._lines)
-        self._lines.clear()
-        self._stream.write(text)
-
-    def finish(self) -> None:
-        """Write what is left."""
-        self._flush()
-        self._stream.close()
-
-    def abandon(self) -> None:
-        """Let the file go."""
-        self._stream.close()
-
-
-class LinesSink(_TextSink):
-    """JSON lines with log times."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._writers: dict[tuple[str, int], tuple[RecordedPort, LineWriter]] = {}
-
-    def put(self, name: str, sample: RecordedSample) -> None:
-        """Write a sample."""
-        found = self._writers.get((name, id(sample.port)))
-        if found is None:
-            _known(sample.port)
-            found = self._writers[name, id(sample.port)] = sample.port, LineWriter(name, sample.port.type)
-            if sample.port.metadata:
-                self._metadata.add(name)
-        self._say(f'{found[1].line(record_of(sample))[:-1]}, "log_time": {sample.log_time}}}\n')
-
-
-class TableSink(_TextSink):
-    """One table: `log_time`, then the fields; with several ports `log_time`, `port`, then `PORT.FIELD`.
-
-    Args:
-        ports: that it is to have columns for; RecordingError for a type that is not known here.
-    """
-
-    def __init__(self, path: Path, ports: Mapping[str, RecordedPort], options: TableOptions) -> None:
-        self._options = options
-        self._cells: dict[str, tuple[type, Callable[[Any], list[str]], str, str]] = {}
-        several = len(ports) > 1
-        header = [options.time, *([PORT] if several else [])]
-        counts: dict[str, int] = {}
-        for name, port in ports.items():
-            _known(port)
-            columns = [f"{name}.{column.path}" if several else column.path for column in columns_of(port.type)]
-            counts[name] = len(columns)
-            header += columns
-        if len(set(header)) != len(header):
-            twice = next(name for name in header if header.count(name) > 1)
-            raise RecordingError(f"two columns would be called {twice[:60]!r}; --split writes one table for each port")
-        before, total, comma = 0, sum(counts.values()), options.delimiter
-        for name, port in ports.items():
-            front = f"{quoted(name, comma)}{comma}" if several else ""
-            empty = before, total - before - counts[name]
-            before += counts[name]
-            self._cells[name] = port.type, cells_of(port.type), front + comma * empty[0], comma * empty[1]
-        super().__init__(path)
-        self._metadata = {name for name, port in ports.items() if port.metadata}
-        if options.header:
-            self._say(comma.join(quoted(name, comma) for name in header) + "\n")
-
-    def put(self, name: str, sample: RecordedSample) -> None:
-        """Write a row."""
-        comma = self._options.delimiter
-        record = record_of(sample)
-        cls, cells, front, behind = self._cells[name]
-        if sample.port.type is not cls:
-            raise RecordingError(f"port {name!r} has samples of several types; a table cannot hold them")
-        row = comma.join([quoted(cell, comma) for cell in cells(record)])
-        self._say(f"{time_cell(sample.log_time, self._options.unit)}{comma}{front}{row}{behind}\n")
-
-
-class FolderSink:
-    """A folder with a table for each port."""
-
-    def __init__(self, path: Path, ports: Mapping[str, RecordedPort], options: TableOptions) -> None:
-        self._sinks: dict[str, TableSink] = {}
-        names = file_names(ports)
-        for name, port in ports.items():
-            self._sinks[name] = TableSink(path / names[name], {name: port}, options)
-        self._files = 0
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """What tables cannot hold."""
-        found = [text for sink in self._sinks.values() for text in sink.left_out]
-        files = f"{self._files} file{'' if self._files == 1 else 's'} within the recording"
-        return (*([files] if self._files else ()), *found)
-
-    def put(self, name: str, sample: RecordedSample) -> None:
-        """Write a row into the table of its port."""
-        self._sinks[name].put(name, sample)
-
-    def attach(self, one: Attachment) -> None:
-        """Only count it."""
-        self._files += 1
-
-    def finish(self) -> None:
-        """Write what is left."""
-        for sink in self._sinks.values():
-            sink.finish()
-
-    def abandon(self) -> None:
-        """Let the files go."""
-        for sink in self._sinks.values():
-            sink.abandon()
-
-
-def file_names(names: Iterable[str]) -> dict[str, str]:
-    """A file's name for each port, which leads nowhere else and is no other port's. RecordingError when two clash."""
-    found: dict[str, str] = {}
-    for name in names:
-        safe = re.sub(r"[^\w.-]", "_", name).lstrip(".") or "_"
-        file = f"{safe[:120]}.csv"
-        if file.lower() in (other.lower() for other in found.values()):
-            raise RecordingError(
-                f"port {name[:60]!r}: another port's table would be called {file}, too; choose with --port"
-            )
-        found[name] = file
-    return found
