@@ -20,6 +20,7 @@ from aiorts_log.working import WritingCommand
 __all__ = ("convert", "cut", "merge")
 
 _DELIMITERS: Final[dict[str, str]] = {"tab": "\t", "\\t": "\t", "comma": ",", "semicolon": ";", "space": " "}
+_UNITS: Final[tuple[TimeUnit, ...]] = ("s", "ms", "us", "ns")
 _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the target when it is there.")
 
 
@@ -33,9 +34,7 @@ _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the 
 @click.option("--map", "columns", multiple=True, metavar="COLUMN=FIELD", help="Table read: x=data.x, 4=gyro.data[0].")
 @click.option("--set", "values", multiple=True, metavar="FIELD=VALUE", help="Table read: a field without a column.")
 @click.option("--time", default=LOG_TIME, show_default=True, metavar="COLUMN", help="Table: the column of log times.")
-@click.option(
-    "--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), default="ns", show_default=True, help="Of its numbers."
-)
+@click.option("--time-unit", type=click.Choice(_UNITS), default="ns", show_default=True, help="Of its numbers.")
 @click.option("--time-offset", default="0", metavar="SECONDS", help="Table read: to add to its times.")
 @click.option("--delimiter", default=",", show_default=True, metavar="CHAR", help="Table: between cells; tab, too.")
 @click.option("--no-header", is_flag=True, help="Table: no row of names; columns are 0, 1, 2, ...")
@@ -137,8 +136,7 @@ def _delimiter(text: str) -> str:
 
 
 def _unit(text: str) -> TimeUnit:
-    units: dict[str, TimeUnit] = {"s": "s", "ms": "ms", "us": "us", "ns": "ns"}
-    return units[text]
+    return next(unit for unit in _UNITS if unit == text)
 
 
 def _typed(ports: tuple[str, ...], types: tuple[str, ...]) -> Iterable[tuple[str, type]]:

@@ -1,4 +1,4 @@
-"""Recordings written as JSON lines or tables: what they cannot hold is told by `left_out`, a sample too long is refused."""
+"""Recordings written as JSON lines or tables; what these forms cannot hold is told by `left_out`."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class _Columns(NamedTuple):
     cls: type
     cells: Callable[[Any], list[str]]
     before: int
-    count: int
+    many: int
 
 
 class TableSink(_TextSink):
@@ -130,7 +130,7 @@ class TableSink(_TextSink):
         cells = [quoted(cell, comma) for cell in of.cells(record)]
         if not self._options.by_time:
             front = f"{quoted(name, comma)}{comma}" if self._names_port else ""
-            behind = comma * (self._width - of.before - of.count)
+            behind = comma * (self._width - of.before - of.many)
             time = time_cell(sample.log_time, self._options.unit)
             self._say(f"{time}{comma}{front}{comma * of.before}{comma.join(cells)}{behind}\n")
             return
@@ -147,7 +147,7 @@ class TableSink(_TextSink):
         row = [""] * self._width
         for name, cells in self._row.items():
             of = self._of[name]
-            row[of.before : of.before + of.count] = cells
+            row[of.before : of.before + of.many] = cells
         self._row.clear()
         comma = self._options.delimiter
         self._say(f"{time_cell(self._time, self._options.unit)}{comma}{comma.join(row)}\n")

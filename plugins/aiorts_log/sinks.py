@@ -1,4 +1,4 @@
-"""What a converted recording is written into: MCAP, text, JSON lines or tables; synchronous, one call for each sample.
+"""What a converted recording is written into; MCAP and text. Synchronous, one call for each sample.
 
 Samples come in the order of their log time. What a form cannot hold is refused by name, or told by `left_out`.
 """
@@ -20,7 +20,7 @@ from aiorts_log.outfile import OutFile
 from aiorts_log.reader import END_NAME, RecordedPort, RecordedSample
 from aiorts_log.text_form import TextFile, text_encode
 
-__all__ = ("FolderSink", "LinesSink", "McapSink", "Sink", "TableSink", "TextSink", "record_of")
+__all__ = ("McapSink", "Sink", "TextSink", "known", "record_of")
 
 _CHUNK: Final = 2**16
 _BLOCK: Final = 512
