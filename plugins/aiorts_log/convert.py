@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, TypeAlias
 from aiorts.errors import ConfigurationError
 from aiorts_log.csv_form import TableOptions
 from aiorts_log.csv_in import TableReader
-from aiorts_log.errors import RecordingError
+from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.form import Attachment
 from aiorts_log.forms import Encoding
 from aiorts_log.line_sinks import FolderSink, LinesSink, TableSink
@@ -226,7 +226,8 @@ def _copy(
 
 def _refuse_damaged(reader: Recording) -> None:
     if reader.damage:
-        raise RecordingError(f"{reader.path}: damaged: {reader.fault}; aiorts log salvage gets what is whole")
+        text = f"{reader.path}: damaged: {reader.fault}; aiorts log salvage gets what is whole"
+        raise DamagedError(text, reader.damage[0].offset)
 
 
 def _not_closed(readers: Iterable[Recording]) -> Iterator[tuple[str, int]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -16,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts.cli.app import run_command
-from aiorts.types import TimedDouble, TimedLong, TimedString, all_types, to_plain
-from aiorts_log import RecordingError, RecordingOptions, RecordingReader, RecordingWriter, open_recording
+from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, TimedString, all_types, to_plain
+from aiorts_log import DamagedError, RecordingError, RecordingOptions, RecordingReader, RecordingWriter, open_recording
 from aiorts_log.convert import convert, cut
 from aiorts_log.csv_form import TableOptions
 from aiorts_log.flat import LONGEST
@@ -338,6 +339,80 @@ def test_ctrl_c_leaves_nothing_and_is_status_130(tmp_path: Path) -> None:
         process.kill()
     assert (process.returncode, out, err.strip()) == (130, b"", b"")
     assert os.listdir(tmp_path) == ["x.csv"]
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_long_work_shows_a_bar_on_a_terminal_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make(tmp_path / "run.mcap", 1000)
+    for stream, shown in ((_Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        convert(tmp_path / "run.mcap", tmp_path / f"{shown}.csv")
+        assert ("converting" in stream.getvalue(), "100%" in stream.getvalue()) == (shown, shown)
+
+
+def test_lines_of_filters_are_a_recording(tmp_path: Path) -> None:
+    source = tmp_path / "run.jsonl"
+    source.write_text(
+        '{"port": "output0", "type": "TimedLong", "tm": 5, "data": 6200}\n'
+        '{"data": [1, "NaN"], "tm": 6, "type": "TimedDoubleSeq", "port": "b"}\n'
+        '{"port": "c", "type": "int", "data": 7, "log_time": 8}\n'
+        '{"port": "a\\"", "type": "TimedString", "tm": 3, "data": ", \\"log_time\\": 7", "log_time": 9}\n'
+    )
+    assert everything(source) == [
+        ("output0", 5, TimedLong, "{'tm': 5, 'data': 6200}"),
+        ("b", 6, TimedDoubleSeq, "{'tm': 6, 'data': [1.0, 'NaN']}"),
+        ("c", 8, int, "7"),
+        ('a"', 9, TimedString, "{'tm': 3, 'data': ', \"log_time\": 7'}"),
+    ]
+    with open_recording(source) as reader:
+        assert [sample.publish_time for sample in reader.samples()] == [5, 6, 8, 3]
+        assert reader.check() == ()
+    for line, why in (
+        ('{"port": "c", "type": "int", "data": 7}', "has no time: aiorts log cat --log-time writes one"),
+        ('{"type": "int", "tm": 1, "data": 7}', "expected"),
+        ('{"port": "c", "type": "int", "tm": -1, "data": 7}', "has no time"),
+        ('{"port": "c", "type": "int", "tm": 1, "datum": 7}', "expected"),
+        ("7", "expected an object"),
+        ('{"port": "c", "type": "TimedLong", "tm": 1, "data": "x"}', "expected an integer"),
+        ('{"port": "c", "type": "TimedLong", "tm": 1, "data": 7, "log_time": 8', "no JSON"),
+    ):
+        with source.open("a") as file:
+            file.write(f"{line}\n")
+        with pytest.raises(DamagedError, match=rf"line 5: .*{why}|'c', line 5: .*{why}"):
+            convert(source, tmp_path / "x.mcap")
+        source.write_text("".join(source.read_text().splitlines(keepends=True)[:4]))
+
+
+@pytest.mark.fault("D07")
+@pytest.mark.fault("D08")
+def test_a_line_without_end_is_refused_in_little_memory(tmp_path: Path) -> None:
+    with (tmp_path / "x.txt").open("wb") as file:
+        file.write(b"# aiorts text recording 1.0\na\tint\t")
+        file.truncate(2**34)
+    with (tmp_path / "x.csv").open("wb") as file:
+        file.write(b"log_time,data\n1,")
+        file.truncate(2**34)
+    code = (
+        "import resource; from pathlib import Path; from aiorts.types import TimedLong;"
+        "from aiorts_log import open_recording, RecordingError; from aiorts_log.convert import convert;"
+        "from aiorts_log.csv_form import TableOptions; from contextlib import suppress;"
+        "peak = lambda: int(next(l for l in open('/proc/self/status') if l.startswith('VmHWM')).split()[1]);"
+        "before = peak()\n"
+        "for work in (lambda: open_recording('x.txt'),"
+        " lambda: convert(Path('x.csv'), Path('y.mcap'), table=TableOptions(ports=(('a', TimedLong),)))):\n"
+        " try: work()\n"
+        " except RecordingError as error: print(error)\n"
+        "print((peak() - before) // 1024)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    first, second, memory = done.stdout.splitlines()
+    assert first.endswith("a line has more than the 33554432 octets that are allowed")
+    assert second.endswith("a line has more than the 33554432 characters that are allowed")
+    assert int(memory) <= 128  # a line that is allowed, and a copy of it
 
 
 def test_a_sample_that_no_line_can_hold_is_refused(tmp_path: Path) -> None:
