@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import signal
 import subprocess
@@ -96,18 +97,8 @@ def test_every_type_comes_back_from_every_form(samples: list[tuple[Any, str, int
 
 @pytest.mark.fault("D16")
 def test_numbers_and_texts_at_the_edge_come_back(tmp_path: Path) -> None:
-    odd = [
-        0.0,
-        -0.0,
-        5e-324,
-        -1.7976931348623157e308,
-        0.1,
-        1e22,
-        float("inf"),
-        float("-inf"),
-        float("nan"),
-        2**53 + 1.0,
-    ]
+    large, least = 1.7976931348623157e308, 5e-324
+    odd = [0.0, -0.0, least, -large, 0.1, 1e22, math.inf, -math.inf, math.nan, 2**53 + 1.0, 1.0, 2.0, 3.0, 4.0]
     texts = [
         "",
         " ",
@@ -125,22 +116,23 @@ def test_numbers_and_texts_at_the_edge_come_back(tmp_path: Path) -> None:
         " a ",
     ]
     samples: list[tuple[str, int, Any]] = []
-    for i, (number, text) in enumerate(zip([*odd, 1.0, 2.0, 3.0, 4.0], texts, strict=True)):
+    for i, (number, text) in enumerate(zip(odd, texts, strict=True)):
         samples += [
             ("x", i, TimedDouble(i, number)),
             ("t", i, TimedString(i, text)),
             ("s", i, text),
             ("n", i, 2**63 - 1),
+            ("f", i, number),
         ]
     record(tmp_path / "run.mcap", samples)
-    table = TableOptions(ports=(("x", TimedDouble), ("t", TimedString), ("s", str), ("n", int)))
+    table = TableOptions(ports=(("x", TimedDouble), ("t", TimedString), ("s", str), ("n", int), ("f", float)))
     for form in ("text", "jsonl", "csv"):
         convert(tmp_path / "run.mcap", tmp_path / f"run.{form}", target_form=form)
         convert(tmp_path / f"run.{form}", tmp_path / f"{form}.mcap", source_form=form, table=table)
         assert everything(tmp_path / f"{form}.mcap") == everything(tmp_path / "run.mcap")
     made = convert(tmp_path / "run.mcap", tmp_path / "tables", split=True)
-    assert sorted(os.listdir(tmp_path / "tables")) == ["n.csv", "s.csv", "t.csv", "x.csv"]
-    assert made.samples == {"x": 14, "t": 14, "s": 14, "n": 14}
+    assert sorted(os.listdir(tmp_path / "tables")) == ["f.csv", "n.csv", "s.csv", "t.csv", "x.csv"]
+    assert made.samples == dict.fromkeys("xtsnf", 14)
     for name, cls in table.ports:
         one = TableOptions(ports=((name, cls),))
         convert(tmp_path / "tables" / f"{name}.csv", tmp_path / f"{name}.mcap", table=one)

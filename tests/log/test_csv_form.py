@@ -175,6 +175,12 @@ def test_a_bad_row_is_named_and_ends_it_or_is_left_out(tmp_path: Path, row: str,
         assert made.bad[0][1].startswith(why)
 
 
+def test_a_bad_row_behind_cells_of_several_lines_is_named_by_its_own_line(tmp_path: Path) -> None:
+    text = 'log_time,data,note\n1,1.5,"two\r\nlines"\n# "\n\n2,x,y\n'
+    with pytest.raises(DamagedError, match="line 6: data: expected a number, got 'x'"):
+        table(tmp_path, text, ports=(("a", TimedDouble),))
+
+
 def test_integers_are_integers_however_they_are_written(tmp_path: Path) -> None:
     ports = (("a", TimedLong),)
     _, found = table(tmp_path, "log_time,data\n1,5\n2,5.0\n3,-2e3\n4,+7\n", ports=ports)
