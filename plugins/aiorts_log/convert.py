@@ -24,7 +24,7 @@ from aiorts_log.opening import Recording, form_of, open_recording
 from aiorts_log.progress import Step, progress
 from aiorts_log.reader import RecordedPort, RecordedSample
 from aiorts_log.sinks import McapSink, Sink, TextSink
-from aiorts_log.target import whole_file, whole_folder
+from aiorts_log.whole import whole_file, whole_folder
 
 __all__ = ("FORMS", "Converted", "Form", "convert", "cut", "form_by_name", "merge")
 

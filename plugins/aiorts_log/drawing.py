@@ -13,7 +13,7 @@ from aiorts_log.plot import Picture, check_picture, draw_path, draw_times
 from aiorts_log.progress import progress
 from aiorts_log.series import Series, read_series
 from aiorts_log.shown import FILE, Finite, moment, number, shown
-from aiorts_log.target import whole_file
+from aiorts_log.whole import whole_file
 from aiorts_log.working import WritingCommand
 
 __all__ = ("plot",)
