@@ -14,12 +14,13 @@ from typing import Any, Final, NamedTuple, TextIO
 
 from aiorts.errors import AiortsError, ConfigurationError, RecordError
 from aiorts.types import has_tm
+from aiorts.wire import MsgpackCodec
 from aiorts_log.columns import columns_of, taker_of
 from aiorts_log.csv_form import LOG_TIME, PORT, TableOptions, time_of
 from aiorts_log.errors import DamagedError
 from aiorts_log.flat import LONGEST, open_regular
 from aiorts_log.form import Channel
-from aiorts_log.forms import encoder, schema_of
+from aiorts_log.forms import schema_of
 from aiorts_log.reader import RecordedPort, RecordedSample
 
 __all__ = ("TableReader",)
@@ -31,9 +32,16 @@ class _Port(NamedTuple):
     """A port of a table: which cells are its own, and what makes a record of them."""
 
     port: RecordedPort
-    cells: tuple[int, ...]
+    numbers: tuple[int, ...]
+    texts: tuple[int, ...]
     take: Callable[[Sequence[str], int], Any]
     stamped: bool
+
+    def is_in(self, row: Sequence[str]) -> bool:
+        """Whether one of its cells is not empty; blanks are a text, but no number."""
+        if not (self.numbers or self.texts):
+            return True
+        return any(row[cell] for cell in self.texts) or any(row[cell].strip() for cell in self.numbers)
 
 
 class TableReader:
@@ -167,7 +175,10 @@ class TableReader:
         except ConfigurationError as error:
             raise ConfigurationError(f"{self.path}: port {name}: {error}") from None
         port = RecordedPort(Channel(0, 0, name, "msgpack", {}), schema_of(0, cls, "msgpack"), 0)
-        return _Port(port, tuple(cell for cell in fields.values() if cell < self._width), take, has_tm(cls))
+        forms = {column.path: column.form for column in columns_of(cls)}
+        texts = tuple(cell for path, cell in fields.items() if cell < self._width and forms.get(path) == "text")
+        numbers = tuple(cell for cell in fields.values() if cell < self._width and cell not in texts)
+        return _Port(port, numbers, texts, take, has_tm(cls))
 
     def _line(self) -> str:
         """The next line, which may be long, but not without end."""
@@ -197,7 +208,7 @@ class TableReader:
         Raises:
             DamagedError: a row is none, unless `skip_bad`; names the line.
         """
-        last, encode = 0, encoder("msgpack")
+        last, encode = 0, MsgpackCodec().encode
         numbers = dict.fromkeys(self.ports, 0)
         for line, row in self._all_rows():
             try:
@@ -237,4 +248,4 @@ class TableReader:
             return (one,)
         if len(self._ports) == 1:
             return tuple(self._ports.values())
-        return [one for one in self._ports.values() if not one.cells or any(row[cell].strip() for cell in one.cells)]
+        return [one for one in self._ports.values() if one.is_in(row)]

@@ -14,8 +14,8 @@ from typing import Any, Final, Literal, TypeAlias
 
 from aiorts.errors import AiortsError
 from aiorts.types import to_plain
+from aiorts.wire import MsgpackCodec
 from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.forms import encoder
 from aiorts_log.opening import Recording
 from aiorts_log.reader import RecordedPort, RecordedSample
 
@@ -165,7 +165,7 @@ class _Pair:
             found.note(one[0], "changed", change)
 
 
-_encode: Final = encoder("msgpack")
+_encode: Final = MsgpackCodec().encode
 
 
 def _packed(sample: RecordedSample) -> bytes:

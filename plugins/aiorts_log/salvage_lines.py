@@ -11,8 +11,8 @@ from aiorts_log.flat import FlatReader
 from aiorts_log.form import BadOctets
 from aiorts_log.salvage import SalvageReport
 from aiorts_log.survey import Gap
-from aiorts_log.whole import whole_file
 from aiorts_log.text_form import TextReader
+from aiorts_log.whole import whole_file
 
 __all__ = ("salvage_lines",)
 

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from aiorts.errors import AiortsError
+from aiorts.wire import MsgpackCodec
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.flat import FlatPort
 from aiorts_log.form import Attachment
-from aiorts_log.forms import Encoding, encoder, schema_of
+from aiorts_log.forms import Encoding, schema_of
 from aiorts_log.info import GAP
 from aiorts_log.outfile import OutFile
 from aiorts_log.reader import END_NAME, RecordedPort, RecordedSample
@@ -76,7 +77,7 @@ class _FileSink:
         self._encoding: Encoding | None = encoding
         self._puts: dict[tuple[str, int], tuple[int, Callable[[RecordedSample], bytes]]] = {}
         self._numbers: dict[int, int] = {}
-        self._last = 0
+        self._last = -1
         self._kept: list[Any] = []
 
     def put(self, name: str, sample: RecordedSample) -> None:
@@ -90,8 +91,7 @@ class _FileSink:
         channel, octets_of = put
         data = octets_of(sample)
         number = self._numbers[channel] = self._numbers.get(channel, -1) + 1
-        builder = self._file.builder
-        if builder.count and sample.log_time - self._last >= GAP:
+        if 0 <= self._last <= sample.log_time - GAP:
             self._file.end_chunk()  # so that the index shows the gap
         self._last = sample.log_time
         if self._file.builder.add(channel, number, sample.log_time, sample.publish_time, data) >= _CHUNK:
@@ -127,7 +127,7 @@ class McapSink(_FileSink):
             raise RecordingError(f"port {name!r}: nothing explains its messages; choose others with --port")
         known(port)
         encoding = self._encoding or "msgpack"
-        encode = encoder(encoding)
+        encode = text_encode if encoding == "json" else MsgpackCodec().encode
         channel = self._file.channel_of(name, schema_of(0, port.type, encoding), encoding, port.metadata)
         return channel.id, _encoding(port, encode)
 

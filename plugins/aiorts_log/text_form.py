@@ -25,7 +25,7 @@ from typing import Any, ClassVar, Final
 
 import aiorts
 from aiorts.errors import AiortsError, RecordError
-from aiorts.types import describe, to_plain, zero
+from aiorts.types import describe, to_plain
 from aiorts.wire import json_text
 from aiorts_log.columns import columns_of
 from aiorts_log.errors import RecordingError
@@ -80,9 +80,9 @@ def _template_of(cls: type) -> tuple[str, Callable[[Any], tuple[Any, ...]]] | No
     if len(columns) < 2 or not describe(cls).checked or any(one.form not in ("float", "int") for one in columns):
         return None
     try:
-        shape = to_plain(zero(cls))
-    except AiortsError:
-        return None
+        shape = to_plain(cls())
+    except (AiortsError, TypeError):
+        return None  # it has no defaults
     if not isinstance(shape, dict) or _leaves(shape) != len(columns):
         return None
     return _template(shape), attrgetter(*(column.path for column in columns))
@@ -219,16 +219,21 @@ class _Builder:
         self.parts.append(_PRINTED.format(line).encode())
         self.octets += len(self.parts[-1])
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes, more: bytes = b"") -> int:
         """Put in a sample. Returns how many octets there are now."""
         if not self.count:
             self.start = log_time
-        line = b"%s%d.%09d\t%s\n" % (self.heads[channel], log_time // 10**9, log_time % 10**9, data)
+        line = b"%s%d.%09d\t%s\n" % (self.heads[channel], log_time // 10**9, log_time % 10**9, data + more)
         self.parts.append(line)
         self._counts[channel] = self._counts.get(channel, 0) + 1
         self.count += 1
         self.octets += len(line)
         return self.octets
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no sample in it."""
+        return not self.count
 
     def counts(self) -> dict[int, int]:
         """Samples by channel."""
@@ -354,4 +359,5 @@ class TextWriter(RecordingWriter):
     """A text recording that is being made; everything as with `RecordingWriter`, and `encoding` is not used."""
 
     out = TextFile
-    encoder = staticmethod(lambda encoding: text_encode)
+    encoder = staticmethod(lambda encoding, cls=None: text_encode)
+    splitter = staticmethod(lambda encoding, cls: None)

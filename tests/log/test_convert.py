@@ -191,6 +191,14 @@ def test_samples_of_one_time_in_one_row(tmp_path: Path, capsys: pytest.CaptureFi
     assert (status, "port 'a': an empty text would be no sample in such a row; leave out --by-time" in err) == (2, True)
 
 
+def test_a_text_of_blanks_is_a_sample(tmp_path: Path) -> None:
+    record(tmp_path / "run.mcap", [("a", 1, " \x0c"), ("b", 1, TimedLong(8, 6))])
+    convert(tmp_path / "run.mcap", tmp_path / "run.csv", table=TableOptions(by_time=True))
+    table = TableOptions(ports=(("a", str), ("b", TimedLong)))
+    convert(tmp_path / "run.csv", tmp_path / "back.mcap", table=table)
+    assert everything(tmp_path / "back.mcap") == everything(tmp_path / "run.mcap")
+
+
 def test_mcap_keeps_its_octets_and_json_is_for_those_who_ask(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
