@@ -133,6 +133,12 @@ def test_a_replay_is_compared_by_stamp_or_order_and_its_timing_told(
     assert "--time-tolerance: expected 5ms, 20us or seconds, got 'soon'" in capsys.readouterr().err
 
 
+def test_what_is_left_at_the_end_is_missing_or_extra(tmp_path: Path) -> None:
+    left, right = record(tmp_path / "a.mcap", a=numbers(1, 2, 3)), record(tmp_path / "b.mcap", a=numbers(1, 2))
+    for by in ("time", "tm", "order"):
+        assert (compare(left, right, by=by).ports[0].missing, compare(right, left, by=by).ports[0].extra) == (1, 1)
+
+
 def test_a_field_can_be_left_out(tmp_path: Path) -> None:
     left = record(tmp_path / "a.mcap", a=[(1, TimedDouble(5, 1.0))])
     right = record(tmp_path / "b.mcap", a=[(1, TimedDouble(6, 1.0))])

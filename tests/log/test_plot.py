@@ -32,7 +32,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 
 @pytest.fixture
 def drive(tmp_path: Path) -> Path:
-    """A robot that drives a circle of a radius of 2 m, 1000 samples."""
+    """A robot that drives an ellipse, twice as long as it is wide, in 1000 samples."""
     path = tmp_path / "drive.mcap"
     with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
         pose = writer.add_port("odometry.pose", TimedPose2D, {"unit": "m"})
@@ -41,7 +41,7 @@ def drive(tmp_path: Path) -> Path:
         note = writer.add_port("note", TimedString)
         for i in range(1000):
             time, angle = i * 10**7, i * 2 * math.pi / 1000
-            where = Point2D(2 * math.cos(angle), 2 * math.sin(angle))
+            where = Point2D(2 * math.cos(angle), math.sin(angle))
             writer.write(pose, TimedPose2D(time, Pose2D(where, angle)), time)
             writer.write(speed, TimedDouble(time, 1.0 + (50.0 if i == 500 else 0.0)), time)
             writer.write(sonar, TimedDoubleSeq(time, [1.0, 2.0, 3.0]), time)
@@ -139,7 +139,7 @@ def test_a_path_and_curves_are_drawn_the_same_every_time(drive: Path) -> None:
     lines = [path.get("d", "") for path in root.iter("{http://www.w3.org/2000/svg}path")]
     longest = max(lines, key=len).replace("M", "L").split("L")[1:]
     xs, ys = ([float(point.split()[i]) for point in longest] for i in (0, 1))
-    assert max(xs) - min(xs) == pytest.approx(max(ys) - min(ys), rel=0.01)
+    assert max(xs) - min(xs) == pytest.approx(2 * (max(ys) - min(ys)), rel=0.01)
     assert len(longest) > 500
     assert "base.speed.data [m/s]" in drive.with_name("times0.svg").read_text()
 
