@@ -29,6 +29,7 @@ from aiorts.types import Point2D, Pose2D, RangeData, TimedDouble, TimedDoubleSeq
 from aiorts_flexi.logger import BasicOperations, FlexiLogger
 from aiorts_flexi.recording import Recording
 from aiorts_log import RecordingReader, open_recording
+from aiorts_log.opening import form_of
 from log_parts import read
 from logger_parts import active, ending, feeders, metadata, recorder
 
@@ -279,6 +280,7 @@ async def test_forms_of_a_recording(form: str, tmp_path: Path) -> None:
             await kernel.sleep(0.1)
             await context.deactivate(logger)
             await context.activate(logger)
+    assert form_of(path) == ("text" if form == "text" else "mcap")
     with open_recording(path) as reader:
         assert [record for _, _, record in reader.records()] == [TimedLong(5, 0), TimedLong(5, 1)]
         if form != "text":

@@ -358,6 +358,7 @@ async def test_a_slow_disk_holds_up_neither_loop_nor_activation(
             await asyncio.sleep(0)
         await kernel.sleep(0.1)
         await closed(logger)
+        await kernel.sleep(0.05)
         assert ticker.longest < 0.25
     stored = [record.data for _, _, record in read(path)]
     assert stored == list(range(len(stored)))
