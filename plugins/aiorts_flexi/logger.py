@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Final, Protocol, Self
+from typing import Any, ClassVar, Final, Protocol
 
 from aiorts import InPort, OutPort, Param, Provided
 from aiorts.errors import ConfigurationError, StateError
@@ -221,7 +221,7 @@ class FlexiLogger(FlexiComponent):
     async def on_finalize(self) -> None:
         await self.role.finalized()
 
-    def on_reload(self, old: Self) -> None:
+    def on_reload(self, old: Any) -> None:
         if self.mode != "record":
             raise StateError(f"{self.name}: a replay is not reloaded; deactivate it, and create another one")
         self._recording.take_over(old._recording)

@@ -11,7 +11,6 @@ import contextlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import EventContext, InPort, SimulatedClock
@@ -22,7 +21,7 @@ from aiorts_flexi.ports import named_types
 from aiorts_log import RecordingError, RecordingOptions, RecordingWriter, TextWriter
 from aiorts_log.control import BackgroundRecording, MakeWriter, Notice
 from aiorts_log.info import MISSED
-from aiorts_log.target import check_target, continuing
+from aiorts_log.target import check_target
 
 if TYPE_CHECKING:
     from aiorts_flexi.logger import FlexiLogger
@@ -50,8 +49,7 @@ class Recording:
     def __init__(self, logger: FlexiLogger) -> None:
         self._logger = logger
         self._session: BackgroundRecording | None = None
-        self._own: Path | None = None
-        """The file that this component made: it is continued."""
+        self._options = RecordingOptions()
         self._segment = 0
         self._inputs: dict[str, tuple[InPort[Any], int]] = {}
         """Each in-port, and its number in the recording."""
@@ -80,10 +78,12 @@ class Recording:
         return partial(self._use, self._checked(values), bool(values["paused"]))
 
     def _checked(self, values: Mapping[str, Any]) -> RecordingOptions:
-        try:
-            return options_of(values)
-        except ValueError as error:
-            raise ConfigurationError(f"{self._logger.name}: {error}") from None
+        for name, least in (("rotate_size", 0.01), ("rotate_time", 0.001)):
+            if 0.0 < values[name] < least:
+                raise ConfigurationError(
+                    f"{self._logger.name}.{name} = {values[name]!r}: expected 0, which is never, or {least} and more"
+                )
+        return options_of(values)
 
     def _use(self, options: RecordingOptions, paused: bool) -> None:
         self._options = options
@@ -119,25 +119,23 @@ class Recording:
             raise ConfigurationError(f"{self._logger.name}.logfile: {error}") from None
 
     def activated(self) -> None:
-        logger, path, options = self._logger, self._logger.logfile, self._options
-        if path == self._own:
-            options = continuing(options, path)
-        check_target(path, options.existing)
+        logger, path, before = self._logger, self._logger.logfile, self._session
+        if before is None or before.path != path:
+            check_target(path, self._options.existing)
         self._enabled, self._paused = not logger.use_control, logger.paused
         self._segment += 1
         self._closed.clear()
         self._closing = self._is_told = False
         session = self._session = BackgroundRecording(
             path,
-            options,
+            self._options,
             metadata=about(logger, self._segment),
             attachments={"system.toml": logger.kernel.origin.encode()} if logger.kernel.origin else None,
             owner=self,
             tell=self._teller(self._segment),
-            after=self._session,
+            after=before,
             make=self.make_text_writer if logger.text else self.make_writer,
         )
-        self._own = path
         self._base = max(logger.clock.time_ns(), self._last) - logger.clock.monotonic_ns()
         self._number_ports(session)
         self._lost_before = self._lost()
@@ -168,6 +166,7 @@ class Recording:
         self._inputs = {}
         if self._may_block:
             session.wait_closed()
+            self._raise_untold(session)
 
     async def wait_closed(self) -> None:
         session = self._session
@@ -180,9 +179,7 @@ class Recording:
 
     async def finalized(self) -> None:
         session = self._session
-        if session is None:
-            return
-        if session.owner is not self:
+        if session is None or session.owner is not self:
             return
         self._closing = True
         session.close()
@@ -192,6 +189,10 @@ class Recording:
             why = "was not closed in time; what is in it is whole, what still waited is lost"
             self._logger.log.error("%s", f"{session.path}: {why}")
             raise
+        self._raise_untold(session)
+
+    def _raise_untold(self, session: BackgroundRecording) -> None:
+        """Once, why a recording has ended."""
         if session.failure is not None and not self._is_told:
             self._is_told = True
             raise session.failure

@@ -18,13 +18,14 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from aiorts_log.errors import RecordingError
 from aiorts_log.options import RecordingOptions, RecordingStatistics
+from aiorts_log.target import continuing
 from aiorts_log.weight import SMALL, weigher
 from aiorts_log.writer import RecordingWriter
 
 __all__ = ("BackgroundRecording", "MakeWriter", "Notice")
 
 MakeWriter: TypeAlias = Callable[..., RecordingWriter]
-"""What opens the file: called with path, options, metadata and attachments as RecordingWriter is."""
+"""What opens the file: called with its path, and options, metadata and attachments by name, as RecordingWriter is."""
 _LOOK: Final = 0.25
 """Seconds from one look at the recording to the next."""
 _AT_ONCE: Final = 500
@@ -71,7 +72,7 @@ class BackgroundRecording:
         path, options, metadata, attachments: see `RecordingWriter`.
         owner: whose it is; nothing is done with that.
         tell: called in the thread with each notice; it must not wait for anything.
-        after: a recording that has to be closed before this one is opened.
+        after: a recording that has to be closed before this one is opened; a file that it made is continued.
         make: what opens the file.
 
     Attributes:
@@ -92,12 +93,12 @@ class BackgroundRecording:
     ) -> None:
         self.path = Path(path)
         self.options = options
-        self._make: Callable[[], RecordingWriter] = partial(
-            make, self.path, options, metadata=metadata, attachments=attachments
-        )
+        self._make = partial(make, self.path, metadata=metadata, attachments=attachments)
         self.owner = owner
         self._tell = tell
         self._after = after
+        self.made = False
+        """Whether the file is there because of this recording, or of the one before it."""
         self._ports: list[_Port] = []
         self._batches: deque[_Batch] = deque()
         self._waiting = self._octets = 0
@@ -227,6 +228,7 @@ class BackgroundRecording:
         try:
             if self._after is not None:
                 self._after.wait_closed()
+                self.made = self._after.made and self._after.path == self.path
                 self._after = None
             try:
                 self._look_after(self._open())
@@ -243,7 +245,9 @@ class BackgroundRecording:
             self._tell(Notice("closed"))
 
     def _open(self) -> RecordingWriter:
-        writer = self._make()
+        options = continuing(self.options, self.path) if self.made else self.options
+        writer = self._make(options=options)
+        self.made = True
         with self._lock:
             for port in self._ports:
                 writer.add_port(port.name, port.cls, port.metadata)

@@ -100,6 +100,7 @@ class LogFile:
 
     def __init__(self, path: Path, existing: Existing = "refuse", min_free: int | None = None) -> None:
         self.path = path
+        self._is_new = existing == "refuse"
         flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
         flags |= getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         if existing == "refuse":
@@ -203,6 +204,13 @@ class LogFile:
     def use_reserve(self) -> None:
         """Write from now on also where it should have stayed free: an index needs little."""
         self._min_free = 0
+
+    def give_up(self) -> None:
+        """Let it go; one that was made and has nothing in it is there no more."""
+        if self._is_new and not self.size and not self.displaced:
+            with contextlib.suppress(OSError):
+                os.unlink(self.path)
+        self.close()
 
     def close(self) -> None:
         """Let it go; again it does nothing."""

@@ -95,10 +95,10 @@ class OutFile:
             else:
                 self._file.append([beginning()])
         except OSError as error:
-            self._file.close()
+            self._file.give_up()
             raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from None
         except BaseException:
-            self._file.close()
+            self._file.give_up()
             raise
 
     @property

@@ -13,8 +13,11 @@ from pathlib import Path
 from typing import IO, Any
 
 import pytest
+from click.testing import CliRunner
 
-from aiorts_log import RecordingReader
+from aiorts_log import RecordingError, RecordingReader
+from aiorts_log.command import log
+from aiorts_log.target import check_target
 from campaign import CAMPAIGN
 from log_parts import read
 from run_parts import aiorts, started
@@ -91,9 +94,10 @@ def test_a_filter_records_every_line(tmp_path: Path) -> None:
     )
     done = subprocess.run(["bash", "-o", "pipefail", "-c", line], cwd=tmp_path, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    told = json.loads(aiorts(tmp_path, "log", "info", "run.mcap", "--json").stdout)
+    path = str(tmp_path / "run.mcap")
+    told = json.loads(CliRunner().invoke(log, ["info", path, "--json"]).output)
     assert (told["samples"], told["closed"], told["fault"]) == (5000, True, "")
-    lines = aiorts(tmp_path, "log", "cat", "run.mcap").stdout.splitlines()
+    lines = CliRunner().invoke(log, ["cat", path]).output.splitlines()
     assert len(lines) == 5000
     assert {json.loads(line)["data"] for line in lines} == {1.5}
 
@@ -102,7 +106,7 @@ def test_a_filter_records_every_line(tmp_path: Path) -> None:
 @pytest.mark.fault("D01")
 def test_a_filter_that_is_killed_leaves_an_exact_prefix_that_opens_as_it_is(tmp_path: Path) -> None:
     chance, late = random.Random(3), []
-    for number in range(100 if CAMPAIGN else 3):
+    for number in range(100 if CAMPAIGN else 2):
         path = tmp_path / f"{number}.mcap"
         process = recorder(path)
         fed = feed(process.stdin, chance.uniform(0.3, 0.8))
@@ -164,12 +168,14 @@ def test_ctrl_c_while_recording_leaves_a_valid_log(times: int, tmp_path: Path) -
 def test_a_second_recorder_is_told_who_has_the_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     process = recorder(path)
-    for how in ("--append", "--overwrite"):
-        second = aiorts(tmp_path, "flexilogger", "-p", "TimedLong", "-l", "run.mcap", how)
-        assert second.returncode == 2
-        assert "run.mcap" in second.stderr
-        if sys.platform == "linux":
-            assert f"process {process.pid} (" in second.stderr
+    second = aiorts(tmp_path, "flexilogger", "-p", "TimedLong", "-l", "run.mcap", "--append")
+    assert second.returncode == 2
+    assert "run.mcap" in second.stderr
+    if sys.platform == "linux":
+        assert f"process {process.pid} (" in second.stderr
+    for existing in ("refuse", "append", "overwrite"):
+        with pytest.raises(RecordingError, match="writes it"):
+            check_target(path, existing)  # type: ignore[arg-type]
     fed = feed(process.stdin, 0.1)
     process.communicate(timeout=20)
     assert process.returncode == 0
