@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from aiorts.errors import AiortsError
 
-__all__ = ("DamagedError", "RecordingError")
+__all__ = ("DamagedError", "RecordingError", "UnwrittenError")
 
 
 class RecordingError(AiortsError, ValueError):
     """A recording cannot be read, made or continued: names the file, says why and what to do."""
 
     code = "E-RECORDING"
+
+
+class UnwrittenError(RecordingError):
+    """What was to be written could not be, and is not there: the disk is full, or it failed."""
 
 
 class DamagedError(RecordingError):

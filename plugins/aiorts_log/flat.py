@@ -24,8 +24,10 @@ from aiorts_log.reader import RecordedPort, RecordedSample
 from aiorts_log.source import Header, Limits, Piece
 from aiorts_log.survey import Gap
 
-__all__ = ("FlatPort", "FlatReader", "Head", "open_regular")
+__all__ = ("LONGEST", "FlatPort", "FlatReader", "Head", "open_regular")
 
+LONGEST: Final = 2**25
+"""Octets of a line; who writes one refuses a sample that would have more."""
 _BLOCK: Final = 2**20
 _PIECE: Final = 2**16
 _APART: Final = 1_000_000_000
@@ -161,11 +163,11 @@ class FlatReader:
         raise NotImplementedError
 
     def whole(self, data: bytes) -> None:
-        """Look closer at the octets of the last line, which has no end. BadOctets when it is torn."""
+        """Look closer at the octets of a sample, as of the last line without an end. BadOctets when they are torn."""
         try:
             json.loads(data)
-        except (ValueError, RecursionError):
-            raise BadOctets("breaks off") from None
+        except (ValueError, RecursionError) as error:
+            raise BadOctets(f"no JSON: {str(error)[:80]}") from None
 
     def named(self, key: Any) -> tuple[str, str]:
         """Port and type of a key. BadOctets for one that cannot be."""
@@ -269,6 +271,33 @@ class FlatReader:
             gaps.append(Gap(0, 0, self.fault))
         return tuple(gaps)
 
+    def port_of(self, key: Any) -> RecordedPort:
+        """The port of a key. BadOctets for one that cannot be."""
+        return self._ports[self._ids.get(key) or self._define(key)]
+
+    def lines(self) -> Iterator[bytes]:
+        """Every line as it is, without its end. DamagedError for one that is longer than is allowed."""
+        parts: list[bytes] = []
+        at = held = 0
+        self.complete = True
+        while at < self.octets and (block := os.pread(self._file, min(_BLOCK, self.octets - at), at)):
+            at += len(block)
+            first, *lines = block.split(b"\n")
+            parts.append(first)
+            held += len(first)
+            if held > LONGEST:
+                raise DamagedError(
+                    f"{self.path}: octet {at - held}: a line has more than the {LONGEST} octets that are allowed", at
+                )
+            if lines:
+                yield b"".join(parts)
+                parts = [lines.pop()]
+                held = len(parts[0])
+                yield from lines
+        if held:
+            self.complete = False
+            yield b"".join(parts)
+
     # -- reading ---------------------------------------------------------------------------------------------------
 
     def _scan(self) -> None:
@@ -276,7 +305,7 @@ class FlatReader:
         damage: list[Gap] = []
         runs = _Runs(self._lines_before)
         at = 0
-        for number, line in enumerate(self._read_lines(), 1):
+        for number, line in enumerate(self.lines(), 1):
             if line[:1] == b"#" or not line.strip():
                 self.remark(line, number)
             else:
@@ -310,27 +339,6 @@ class FlatReader:
             self.torn, self.damage = last, self.damage[:-1]
         if self.damage and not self.fault:
             self.fault = self.damage[0].why
-
-    def _read_lines(self) -> Iterator[bytes]:
-        rest, at = b"", 0
-        self.complete = True
-        while at < self.octets:
-            block = os.pread(self._file, min(_BLOCK, self.octets - at), at)
-            if not block:
-                break
-            at += len(block)
-            lines = (rest + block).split(b"\n")
-            rest = lines.pop()
-            yield from lines
-            if len(rest) > self.limits.record:
-                raise DamagedError(
-                    f"{self.path}: octet {at - len(rest)}: a line has more than the {self.limits.record} octets "
-                    "that are allowed",
-                    at - len(rest),
-                )
-        if rest:
-            self.complete = False
-            yield rest
 
     def _define(self, key: Any) -> int:
         name, type_name = self.named(key)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from aiorts_log.reader import RecordingReader
 from aiorts_log.survey import Gap
+
+if TYPE_CHECKING:
+    from aiorts_log.opening import Recording
 
 __all__ = ("PortInfo", "RecordingInfo", "info_of")
 
@@ -64,7 +66,7 @@ class RecordingInfo:
         return (self.end - self.start) / 1e9
 
 
-def info_of(reader: RecordingReader) -> RecordingInfo:
+def info_of(reader: Recording) -> RecordingInfo:
     """The figures of an open recording. DamagedError when what is said of the system is damaged."""
     seconds = (reader.end - reader.start) / 1e9
     ports = tuple(
@@ -111,7 +113,7 @@ def _rate(count: int, seconds: float) -> float | None:
     return (count - 1) / seconds if count > 1 and seconds > 0 else None
 
 
-def _gaps(reader: RecordingReader) -> tuple[tuple[int, int], ...]:
+def _gaps(reader: Recording) -> tuple[tuple[int, int], ...]:
     gaps = []
     last: int | None = None
     for piece in sorted(reader.pieces):

@@ -6,6 +6,7 @@ A line needs port, type and a time: `log_time`, as `aiorts log cat --log-time` w
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, ClassVar, Final
@@ -19,6 +20,10 @@ from aiorts_log.form import BadOctets
 __all__ = ("LinesReader", "line_encode", "looks_like_lines")
 
 _LATEST: Final = 2**63
+_BEGIN: Final = re.compile(rb'\{"port": "((?:[^"\\]|\\.)*)", "type": "([^"\\]*)", ')
+"""How a line begins that was written here, and how it ends; what begins or ends so and is JSON means that."""
+_END: Final = re.compile(rb', "log_time": (\d{1,19})\}\s*$')
+_TM: Final = re.compile(rb'"tm": (\d{1,19}), "data": ')
 _KEYS: Final = {"port", "type", "tm", "data", "log_time"}
 
 
@@ -50,6 +55,11 @@ class _Port(FlatPort):
         reader = LineReader({self.name: self.type})
 
         def take(data: bytes) -> Any:
+            if end := _END.search(data):
+                try:
+                    return reader.sample(f"{data[: end.start()].decode()}}}", int(end[1]))[1]
+                except (RecordError, UnicodeDecodeError) as error:
+                    raise WireError(str(error)) from None
             found = _parsed(data)
             log_time = found.pop("log_time", 0)
             try:
@@ -73,6 +83,8 @@ class LinesReader(FlatReader):
 
     def head(self, line: bytes) -> Head:
         """Port, type, time, and the line itself. BadOctets for one that is no sample."""
+        if (begin := _BEGIN.match(line)) and (end := _END.search(line, begin.end())) and int(end[1]) < _LATEST:
+            return Head(begin[0], int(end[1]), line)
         found = _parsed(line)
         names = found.get("port"), found.get("type")
         time = found.get("log_time", found.get("tm"))
@@ -86,14 +98,25 @@ class LinesReader(FlatReader):
 
     def named(self, key: Any) -> tuple[str, str]:
         """Port and type as they are."""
-        return key[0], key[1]
+        found = key if isinstance(key, tuple) else _names(key)
+        return found[0], found[1]
 
     def published(self, data: bytes, log_time: int) -> int:
         """The `tm` of a line; `log_time` when it has none."""
+        if (begin := _BEGIN.match(data)) and (found := _TM.match(data, begin.end())):
+            return int(found[1])
         tm = _parsed(data).get("tm", log_time)
         if isinstance(tm, dict):
             tm = tm.get("sec", 0) * 10**9 + tm.get("nsec", 0)
         return tm if type(tm) is int else log_time
+
+
+def _names(begin: bytes) -> tuple[str, str]:
+    try:
+        found = json.loads(begin.rstrip(b", ") + b"}")
+    except ValueError:
+        raise BadOctets("no JSON") from None
+    return found["port"], found["type"]
 
 
 def _parsed(line: bytes) -> dict[str, Any]:

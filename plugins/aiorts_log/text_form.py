@@ -15,18 +15,22 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import aiorts
-from aiorts.types import to_plain
+from aiorts.errors import AiortsError, RecordError
+from aiorts.types import describe, to_plain
 from aiorts.wire import json_text
+from aiorts_log.columns import columns_of
 from aiorts_log.errors import RecordingError
 from aiorts_log.file import Existing, LogFile
-from aiorts_log.flat import FlatReader, Head
+from aiorts_log.flat import LONGEST, FlatReader, Head
 from aiorts_log.form import Attachment, BadOctets, Channel, Schema
 from aiorts_log.outfile import OutFile
 from aiorts_log.reader import END_NAME, METADATA_NAME
@@ -43,13 +47,56 @@ _LINE: Final = re.compile(rb"[^\t\n#][^\t\n]*\t[^\t\n]+\t\d{1,10}\.\d{9}\t")
 _TM: Final = re.compile(rb'\{"tm": ?(\d{1,19})[,}]')
 _TM_TIME: Final = re.compile(rb'\{"tm": ?\{"sec": ?(\d{1,10}), ?"nsec": ?(\d{1,9})\}')
 _LATEST: Final = 2**63
+_FRONT: Final = 2**16
+"""Octets of a line that are kept for what stands in front of the record."""
 _PRINTED: Final = "# {}\n"
 
 
 def text_encode(record: Any) -> bytes:
     """A record as it stands on a line. RecordError when it cannot."""
+    cls = type(record)
+    if cls not in _templates:
+        _templates[cls] = _template_of(cls)
+    template = _templates[cls]
+    if template is not None:
+        values = template[1](record)
+        if all(map(math.isfinite, values)):
+            return (template[0] % values).encode()
     plain = to_plain(record)
-    return json_text(plain if hasattr(type(record), "__dataclass_fields__") else {"value": plain}).encode()
+    octets = json_text(plain if hasattr(cls, "__dataclass_fields__") else {"value": plain}).encode()
+    if len(octets) > LONGEST - _FRONT:
+        raise RecordError(f"{cls.__name__}: a sample of {len(octets)} octets; a line has at most {LONGEST}")
+    return octets
+
+
+_templates: dict[type, tuple[str, Callable[[Any], tuple[Any, ...]]] | None] = {}
+
+
+def _template_of(cls: type) -> tuple[str, Callable[[Any], tuple[Any, ...]]] | None:
+    """What records that are nothing but numbers, checked when they were made, are put into."""
+    if not hasattr(cls, "__dataclass_fields__"):
+        return None
+    columns = columns_of(cls)
+    if len(columns) < 2 or not describe(cls).checked or any(one.form not in ("float", "int") for one in columns):
+        return None
+    try:
+        shape = to_plain(cls())
+    except (AiortsError, TypeError):
+        return None  # it has no defaults
+    if not isinstance(shape, dict) or _leaves(shape) != len(columns):
+        return None
+    return _template(shape), attrgetter(*(column.path for column in columns))
+
+
+def _leaves(shape: Any) -> int:
+    return sum(map(_leaves, shape.values())) if isinstance(shape, dict) else 1
+
+
+def _template(shape: Any) -> str:
+    if not isinstance(shape, dict):
+        return "%r"
+    inner = ", ".join(f"{json.dumps(name)}: {_template(value)}" for name, value in shape.items())
+    return f"{{{inner}}}"
 
 
 def looks_like_text(first: bytes) -> bool:
@@ -127,6 +174,8 @@ class TextReader(FlatReader):
         elif "end" in said:
             self._end_stands = True
             self._documents["end"].append(said["end"])
+            octets = json.dumps(said["end"], indent=1).encode()
+            self._attachments.append(Attachment(0, 0, END_NAME, "application/json", octets))
             self._counted_wrong |= said.get("samples", self.count) != self.count
         elif isinstance(said.get("file"), str):
             self._take_file(said)
@@ -170,16 +219,21 @@ class _Builder:
         self.parts.append(_PRINTED.format(line).encode())
         self.octets += len(self.parts[-1])
 
-    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> int:
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes, more: bytes = b"") -> int:
         """Put in a sample. Returns how many octets there are now."""
         if not self.count:
             self.start = log_time
-        line = b"%s%d.%09d\t%s\n" % (self.heads[channel], log_time // 10**9, log_time % 10**9, data)
+        line = b"%s%d.%09d\t%s\n" % (self.heads[channel], log_time // 10**9, log_time % 10**9, data + more)
         self.parts.append(line)
         self._counts[channel] = self._counts.get(channel, 0) + 1
         self.count += 1
         self.octets += len(line)
         return self.octets
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no sample in it."""
+        return not self.count
 
     def counts(self) -> dict[int, int]:
         """Samples by channel."""
@@ -305,4 +359,5 @@ class TextWriter(RecordingWriter):
     """A text recording that is being made; everything as with `RecordingWriter`, and `encoding` is not used."""
 
     out = TextFile
-    encoder = staticmethod(lambda encoding: text_encode)
+    encoder = staticmethod(lambda encoding, cls=None: text_encode)
+    splitter = staticmethod(lambda encoding, cls: None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import json
+import math
 import os
 import pickle
 from pathlib import Path
@@ -118,6 +120,32 @@ def test_a_torn_recording_is_continued_behind_its_last_whole_line(tmp_path: Path
         with TextReader(path) as reader:
             assert list(reader.records()) == expected[:kept] + more
             assert (reader.clean, reader.fault) == (True, "")
+
+
+def test_a_last_line_that_ends_within_its_record_is_torn(tmp_path: Path) -> None:
+    path = tmp_path / "run.txt"
+    path.write_text('a\tint\t1.000000000\t{"value": 1}\na\tPoint2D\t2.000000000\t{"x": {"y": 1}')
+    with TextReader(path) as reader:
+        assert list(reader.records()) == [("a", 10**9, 1)]
+        assert reader.torn is not None
+        assert (reader.clean, reader.torn.offset) == (False, path.read_text().index("\n") + 1)
+
+
+def test_numbers_that_are_not_finite_are_texts_of_json(tmp_path: Path) -> None:
+    path = tmp_path / "run.txt"
+    with TextWriter(path, RecordingOptions(min_free=0)) as writer:
+        port = writer.add_port("a", TimedDouble)
+        for number in (math.nan, math.inf, -math.inf, -0.0, 5e-324):
+            writer.write(port, TimedDouble(1, number), 1)
+    data = [line.split("\t")[3] for line in path.read_text().splitlines() if line.startswith("a")]
+    assert [json.loads(one, parse_constant=pytest.fail)["data"] for one in data] == [
+        "NaN",
+        "Infinity",
+        "-Infinity",
+        -0.0,
+        5e-324,
+    ]
+    assert data[3] == '{"tm": 1, "data": -0.0}'
 
 
 def test_a_line_that_is_none_is_named_and_what_stands_before_it_is_given(tmp_path: Path) -> None:

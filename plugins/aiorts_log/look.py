@@ -1,0 +1,168 @@
+"""`aiorts log info` and `cat`: what a recording holds, and its samples as JSON lines."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from aiorts.errors import RecordError, WireError
+from aiorts.wire import json_text, line_of
+from aiorts_log.info import RecordingInfo, info_of
+from aiorts_log.opening import open_recording
+from aiorts_log.reader import RecordedSample
+from aiorts_log.shown import FILE, SHOWN, date, gap_lines, moment, number, shown, size, strict
+from aiorts_log.survey import Gap
+
+__all__ = ("cat", "info")
+
+_BLOCK: Final = 512
+_BROKEN_PIPE: Final = 141
+
+
+@click.command(short_help="Show what a recording holds.")
+@click.argument("file", type=FILE)
+@click.option("--check", is_flag=True, help="Read everything and hold it against its checksums.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+def info(file: Path, check: bool, as_json: bool) -> int:
+    """Show what a recording holds: ports, types, counts, rates, gaps, and whether it was closed.
+
+    Exit status 1 with --check when something is damaged.
+    """
+    with open_recording(file) as reader:
+        found = info_of(reader)
+        gaps = reader.check() if check else ()
+    if as_json:
+        click.echo(json.dumps(_document(found, gaps if check else None), indent=1, allow_nan=False))
+    else:
+        click.echo("\n".join(_lines(found, gaps if check else None)))
+    return 1 if gaps else 0
+
+
+@click.command(short_help="Print samples as JSON lines.")
+@click.argument("file", type=FILE)
+@click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; may be given more than once.")
+@click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
+@click.option("--end", metavar="TIME", help="Up to there, without it; as --start.")
+@click.option("--log-time", is_flag=True, help='Add "log_time", when it was recorded, in ns.')
+def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, log_time: bool) -> int:
+    """Print samples as JSON lines, in the order of their log time.
+
+    The lines are those that filters read: aiorts log cat run.mcap | aiorts flexidump -p TimedDouble
+    """
+    with open_recording(file) as reader:
+        first, last = moment("--start", start, reader.start), moment("--end", end, reader.start)
+        samples = reader.samples(start=first, end=last, ports=ports or None)
+        try:
+            _write(_text_of(sample, log_time) for sample in samples)
+        except BrokenPipeError:  # whoever read has gone: no error, and nothing to say on the way out
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+            return _BROKEN_PIPE
+        finally:
+            samples.close()  # type: ignore[attr-defined]
+    return 0
+
+
+def _write(lines: Iterator[str]) -> None:
+    """Lines in blocks: one call for each would cost more than to read it."""
+    stream = sys.stdout
+    block: list[str] = []
+    try:
+        for line in lines:
+            block.append(line)
+            if len(block) == _BLOCK:
+                text = "".join(block)
+                block.clear()
+                stream.write(text)
+    finally:
+        stream.write("".join(block))
+        stream.flush()
+
+
+def _text_of(sample: RecordedSample, log_time: bool) -> str:
+    port = sample.port
+    text = ""
+    if not port.unknown:
+        try:
+            text = line_of(port.name, port.decode(sample.data))
+        except (WireError, RecordError):
+            text = ""  # told as the octets it is
+    if not text:
+        try:
+            plain = strict(port.plain(sample.data))
+        except RecursionError:
+            plain = None  # nested without end, by somebody who means no good
+        text = json_text({"port": port.name, "type": port.type_name, "data": plain})
+    return f'{text[:-1]}, "log_time": {sample.log_time}}}\n' if log_time else f"{text}\n"
+
+
+def _lines(found: RecordingInfo, gaps: tuple[Gap, ...] | None) -> list[str]:
+    lines = [
+        f"{shown(found.path)}: {number(found.count, 'sample')} of {number(len(found.ports), 'port')}, "
+        f"{size(found.octets)}, by {shown(found.made_by) or 'somebody'}"
+    ]
+    if found.count:
+        lines.append(f"  from {date(found.start)} for {found.duration:.3f} s, in {number(found.chunks, 'chunk')}")
+    rows = [
+        (shown(p.name), shown(p.type), str(p.count), "" if p.rate is None else f"{p.rate:.4g} Hz", shown(p.unknown))
+        for p in found.ports
+    ]
+    widths = [max((len(row[i]) for row in rows), default=0) for i in range(4)]
+    for name, kind, count, rate, unknown in rows:
+        line = f"  {name:<{widths[0]}}  {kind:<{widths[1]}}  {count:>{widths[2]}}  {rate:>{widths[3]}}  {unknown}"
+        lines.append(line.rstrip())
+    for begin, end in found.gaps[:SHOWN]:
+        lines.append(f"  no sample for {(end - begin) / 1e9:.3f} s from +{(begin - found.start) / 1e9:.3f} s")
+    if len(found.gaps) > SHOWN:
+        lines.append(f"  and {len(found.gaps) - SHOWN} more such times")
+    for name, drops in found.dropped.items():
+        lines.append(f"  dropped of {shown(name)}: {number(drops, 'sample')} that found no room")
+    if found.skipped:
+        lines.append(f"  {number(found.skipped, 'record')} of kinds that this version does not know")
+    if not found.closed:
+        torn = "" if found.torn is None else f"; {found.torn.length} octets at its end are of no use"
+        lines.append(f"  not closed cleanly: {found.count} samples, lost: what was not yet written{torn}")
+    if found.fault:
+        lines.append(f"  damaged: {shown(found.fault)}; aiorts log salvage gets what is whole")
+    if gaps is not None:
+        lines += [f"  damaged: {line}" for line in gap_lines(gaps)] or ["  all checksums are right"]
+    return lines
+
+
+def _document(found: RecordingInfo, gaps: tuple[Gap, ...] | None) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "file": found.path,
+        "octets": found.octets,
+        "made_by": found.made_by,
+        "closed": found.closed,
+        "samples": found.count,
+        "start": found.start,
+        "end": found.end,
+        "seconds": found.duration,
+        "chunks": found.chunks,
+        "ports": [
+            {
+                "name": port.name,
+                "type": port.type,
+                "encoding": port.encoding,
+                "samples": port.count,
+                "rate": port.rate,
+                "unknown": port.unknown,
+            }
+            for port in found.ports
+        ],
+        "gaps": [list(gap) for gap in found.gaps],
+        "dropped": found.dropped,
+        "torn": None if found.torn is None else found.torn._asdict(),
+        "fault": found.fault,
+        "skipped": found.skipped,
+        "metadata": strict(list(found.metadata)),
+    }
+    return document if gaps is None else {**document, "damage": [gap._asdict() for gap in gaps]}

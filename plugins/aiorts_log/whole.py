@@ -1,0 +1,93 @@
+"""Files that are made whole or not at all: written under another name beside the target, renamed when they are done.
+
+Whatever ends the work before, Ctrl-C among it, leaves neither a half file nor a changed one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from aiorts_log.errors import RecordingError, UnwrittenError
+
+__all__ = ("check_target", "whole_file", "whole_folder")
+
+
+def check_target(target: Path, sources: Iterable[Path], overwrite: bool) -> None:
+    """Refuse a target before any work is done.
+
+    Raises:
+        RecordingError: it is one of the sources, is there and not to be replaced, is no file, or its folder is not.
+    """
+    for source in sources:
+        with contextlib.suppress(OSError):
+            if target.samefile(source):
+                raise RecordingError(f"{target}: is the recording that is read; name another file")
+    if target.is_symlink() or target.exists():
+        if not overwrite:
+            raise RecordingError(f"{target}: is there already; --overwrite replaces it, or name another file")
+        if not target.is_file():
+            raise RecordingError(f"{target}: is no regular file and is not replaced; name another file")
+    if not target.absolute().parent.is_dir():
+        raise RecordingError(f"{target}: there is no folder {target.parent}; make it first")
+
+
+@contextlib.contextmanager
+def whole_file(target: Path, sources: Iterable[Path] = (), overwrite: bool = False) -> Iterator[Path]:
+    """The name under which to write what is to become `target` when the block ends well.
+
+    Raises:
+        RecordingError: as `check_target`; or it could not be written.
+    """
+    check_target(target, sources, overwrite)
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            part.unlink()
+        yield part
+        if overwrite:
+            _sync(part)  # the old file is given up: the new one has to be on the disk
+        _rename(part, target, overwrite)
+    except OSError as error:
+        raise UnwrittenError(f"{target}: cannot be written: {error.strerror or error}") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink()
+
+
+@contextlib.contextmanager
+def whole_folder(target: Path, sources: Iterable[Path] = ()) -> Iterator[Path]:
+    """The same for a folder, which is never replaced."""
+    check_target(target, sources, overwrite=False)
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        part.mkdir()
+        yield part
+        part.rename(target)
+    except OSError as error:
+        raise UnwrittenError(f"{target}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _sync(path: Path) -> None:
+    file = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
+
+
+def _rename(part: Path, target: Path, overwrite: bool) -> None:
+    if overwrite:
+        part.replace(target)
+        return
+    try:
+        os.link(part, target)  # refused when something is there by now, which a rename would replace
+    except FileExistsError:
+        raise RecordingError(f"{target}: is there by now; --overwrite replaces it, or name another file") from None
+    except OSError:
+        part.rename(target)  # a file system without links

@@ -1,0 +1,186 @@
+"""`aiorts log plot`: every peak is in the picture, the same recording gives the same octets, nothing is half drawn."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aiorts.cli.app import run_command
+from aiorts.types import Point2D, Pose2D, TimedDouble, TimedDoubleSeq, TimedPose2D, TimedString
+from aiorts_log import RecordingOptions, RecordingWriter, open_recording
+from aiorts_log.series import read_series
+from aiorts_log.thinning import thinned, thinned_path
+
+FLOATS = st.floats(-1e6, 1e6) | st.just(math.nan)
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    capsys.readouterr()
+    status = run_command(["log", "plot", *map(str, arguments)])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """A robot that drives a circle of a radius of 2 m, 1000 samples."""
+    path = tmp_path / "drive.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        pose = writer.add_port("odometry.pose", TimedPose2D, {"unit": "m"})
+        speed = writer.add_port("base.speed", TimedDouble, {"unit": "m/s"})
+        sonar = writer.add_port("base.sonar", TimedDoubleSeq)
+        note = writer.add_port("note", TimedString)
+        for i in range(1000):
+            time, angle = i * 10**7, i * 2 * math.pi / 1000
+            where = Point2D(2 * math.cos(angle), 2 * math.sin(angle))
+            writer.write(pose, TimedPose2D(time, Pose2D(where, angle)), time)
+            writer.write(speed, TimedDouble(time, 1.0 + (50.0 if i == 500 else 0.0)), time)
+            writer.write(sonar, TimedDoubleSeq(time, [1.0, 2.0, 3.0]), time)
+            writer.write(note, TimedString(time, "x"), time)
+    return path
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 10.0), FLOATS), max_size=300), st.integers(1, 12))
+def test_a_thinned_curve_keeps_every_peak(points: list[tuple[float, float]], pieces: int) -> None:
+    points.sort(key=lambda point: point[0])
+    times, values = [time for time, _ in points], [value for _, value in points]
+    kept = thinned(times, values, pieces)
+    assert kept == sorted(set(kept))
+    if not points:
+        return
+    numbers = [value for value in values if value == value]
+    shown = [values[i] for i in kept if values[i] == values[i]]
+    if times[-1] > times[0]:
+        assert (min(shown, default=0), max(shown, default=0)) == (min(numbers, default=0), max(numbers, default=0))
+        assert {0, len(points) - 1} <= set(kept)
+        assert any(value != value for value in values) == any(values[i] != values[i] for i in kept)
+    assert len(kept) <= max(5 * (pieces + 1), 4 * pieces)
+
+
+def test_a_long_curve_is_thinned_and_a_short_one_is_not() -> None:
+    times = [i / 1000 for i in range(100_000)]
+    values = [math.sin(time) for time in times]
+    values[54_321] = 99.0
+    kept = thinned(times, values, 100)
+    assert len(kept) <= 505
+    assert 54_321 in kept
+    assert thinned(times[:400], values, 100) == list(range(400))
+
+
+@given(st.lists(st.tuples(FLOATS, FLOATS), min_size=1, max_size=100), st.integers(1, 50))
+def test_a_thinned_path_leaves_no_point_far_from_one_that_is_kept(
+    points: Sequence[tuple[float, float]], cells: int
+) -> None:
+    xs, ys = [x for x, _ in points], [y for _, y in points]
+    whole = [(x, y) for x, y in points if x == x and y == y]
+    kept = thinned_path(xs, ys, cells)
+    if not whole:
+        assert kept == []
+        return
+    size = max(max(x for x, _ in whole) - min(x for x, _ in whole), max(y for _, y in whole) - min(y for _, y in whole))
+    near = [(xs[i], ys[i]) for i in kept if xs[i] == xs[i] and ys[i] == ys[i]]
+    assert all(min(math.hypot(x - a, y - b) for a, b in near) <= size / cells * (1 + 1e-9) for x, y in whole)
+
+
+def test_fields_are_read_as_curves(drive: Path) -> None:
+    with open_recording(drive) as reader:
+        names = ["odometry.pose.data.heading", "base.sonar", "base.sonar.data[1]", "base.speed"]
+        heading, sonar, second, speed = read_series(reader, names, None, 10**9, lambda done: None)
+    assert [one.label for one in (*heading, *sonar, *second, *speed)] == [
+        "odometry.pose.data.heading",
+        "base.sonar.data[0]",
+        "base.sonar.data[1]",
+        "base.sonar.data[2]",
+        "base.sonar.data[1]",
+        "base.speed.data",
+    ]
+    assert (heading[0].unit, speed[0].unit, sonar[0].unit) == ("m", "m/s", "")
+    assert len(heading[0].values) == len(heading[0].times) == 100
+    assert list(second[0].values) == [2.0] * 100
+    assert heading[0].times[99] == 0.99
+
+
+DRAW = """
+import sys
+from aiorts.cli.app import run_command
+for number in "01":
+    for form in ("svg", "png"):
+        for name, fields in (("path", ["--xy", *sys.argv[1:3]]), ("times", sys.argv[3:])):
+            assert run_command(["log", "plot", "drive.mcap", *fields, "-o", f"{name}{number}.{form}"]) == 0
+"""
+"""In a process of its own: matplotlib keeps the files of its fonts open for the next picture."""
+
+
+def test_a_path_and_curves_are_drawn_the_same_every_time(drive: Path) -> None:
+    pytest.importorskip("matplotlib")
+    fields = ["odometry.pose.data.position.x", "odometry.pose.data.position.y", "base.speed", "base.sonar"]
+    done = subprocess.run(
+        [sys.executable, "-c", DRAW, *fields], cwd=drive.parent, capture_output=True, text=True, check=True
+    )
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[:2] == ["path0.svg: 2000 values of 2 curves", "times0.svg: 4000 values of 4 curves"]
+    for name in ("path", "times"):
+        for form in ("svg", "png"):
+            octets = drive.with_name(f"{name}0.{form}").read_bytes()
+            assert octets == drive.with_name(f"{name}1.{form}").read_bytes()
+            assert name == "times" or len(octets) <= 60_000
+    text = drive.with_name("path0.svg").read_text()
+    assert "position.x [m]" in text
+    root = ElementTree.fromstring(text)
+    lines = [path.get("d", "") for path in root.iter("{http://www.w3.org/2000/svg}path")]
+    longest = max(lines, key=len).replace("M", "L").split("L")[1:]
+    xs, ys = ([float(point.split()[i]) for point in longest] for i in (0, 1))
+    assert max(xs) - min(xs) == pytest.approx(max(ys) - min(ys), rel=0.01)
+    assert len(longest) > 500
+    assert "base.speed.data [m/s]" in drive.with_name("times0.svg").read_text()
+
+
+def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    target = drive.with_name("x.svg")
+    for arguments, why in (
+        (["nix.data"], "no port for 'nix.data'; write PORT.FIELD; ports: odometry.pose"),
+        (["base.speed.date"], "base.speed.date: TimedDouble has no field 'date'; did you mean data?"),
+        (["odometry.pose"], "odometry.pose.data: is Pose2D, not a number; name a field of it"),
+        (["note"], "note.data: is str, not a number"),
+        (["base.speed", "--start", "+100"], "base.speed has no sample there; nothing is drawn"),
+        ([], "expected PORT.FIELD once or more, or --xy X Y, and not both"),
+        (["--xy", "base.sonar", "base.speed"], "--xy: base.sonar.data[0] is one of 3; name one item"),
+        (["base.speed", "--size", "nan"], "no finite number"),
+    ):
+        status, out, err = run(capsys, drive, *arguments, "-o", target)
+        assert (status, out, err.count("\n")) == (2, "", 1), (arguments, err)
+        assert why in err
+    assert run(capsys, drive, "base.speed", "-o", drive.with_name("x.pdf"))[2].startswith(
+        "aiorts: E-CONFIG: -o: expected FILE.png or FILE.svg"
+    )
+    target.write_text("mine")
+    assert "is there already" in run(capsys, drive, "base.speed", "-o", target)[2]
+    assert target.read_text() == "mine"
+    assert sorted(os.listdir(drive.parent)) == ["drive.mcap", "x.svg"]
+
+
+def test_without_matplotlib_the_command_is_named(
+    drive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aiorts_log.plot.find_spec", lambda name: None)
+    status, _, err = run(capsys, drive, "base.speed", "-o", "x.svg")
+    assert (status, err) == (
+        2,
+        'aiorts: E-EXTRA: x.svg: a picture needs matplotlib, which is not installed; pip install "aiorts[plot]"\n',
+    )
+
+
+def test_matplotlib_is_loaded_for_pictures_alone() -> None:
+    code = "import sys, aiorts_log, aiorts_log.command; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
