@@ -15,7 +15,7 @@ from aiorts_flexi.logger import FlexiLogger
 from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
 from campaign import CAMPAIGN
 
-COUNT = 1_000_000 if CAMPAIGN else 30_000
+COUNT = 1_000_000 if CAMPAIGN else 15_000
 BEGIN = 1_700_000_000_000_000_000
 
 
@@ -66,11 +66,11 @@ def test_a_replay_goes_as_fast_as_samples_can_be_decoded_and_in_constant_memory(
     decoded(path)
     before = resident()
     times = []
-    for _ in range(3):
+    for _ in range(2):
         bare = decoded(path)
         took, taker = aiorts.run(lambda: replayed(path))
         assert (taker.count, taker.total) == (COUNT, COUNT * (COUNT - 1) / 2)
         times.append(bare / took)
     assert resident() - before < 16 * 2**20
-    # A machine that does other things as well may hold up either; the best of three is what it can.
+    # A machine that does other things as well may hold up either; the best of two is what it can.
     assert max(times) > (0.5 if CAMPAIGN else 0.15), times

@@ -160,14 +160,15 @@ class TestWhilePlaying:
             task = asyncio.create_task(played.player.play())
             await kernel.sleep(0.5)
             played.player.pause()
+            played.player.step(1)  # one more than that
             await kernel.sleep(100.0)
-            assert played.values == [0]
+            assert played.values == [0, 1]
             played.player.step(2)
             await kernel.sleep(0.5)
             played.player.resume()
             played.player.pause()
             await kernel.sleep(100.0)
-            assert played.values == [0, 1]
+            assert played.values == [0, 1, 2]
             played.player.resume()
             await task
         assert played.values == list(range(10))

@@ -264,7 +264,7 @@ ACTS = st.lists(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(ACTS)
 def test_whatever_happens_stamps_keep_step_with_the_clock_and_nothing_bursts(acts: list[Any]) -> None:
     """At speed 1 a stamp plus the shift is the time of the clock when the sample goes out, unless a reader held it up.
