@@ -39,9 +39,12 @@ def test_only_periodic_has_a_push_rate() -> None:
 )
 @pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
 def test_ledger_of_a_real_round_balances(one: Load, loop: str) -> None:
-    (row,) = measure((load.case("x", one, {}),), loop=loop, rounds=1, scale=0.2)
-    assert row.ledger is not None
-    assert row.ledger.balanced, row.ledger
+    for scale in (0.2, 2.0):  # on a busy machine a short round may be over before the first sample is let through
+        (row,) = measure((load.case("x", one, {}),), loop=loop, rounds=1, scale=scale)
+        assert row.ledger is not None
+        assert row.ledger.balanced, row.ledger
+        if row.ledger.received > 0:
+            break
     assert row.ledger.received > 0
     assert set(row.figures) >= {"rate", "offered", "latency p50", "age p50", "cpu"}
 

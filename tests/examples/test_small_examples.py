@@ -49,10 +49,10 @@ def ran(command: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def ended(request: pytest.FixtureRequest) -> dict[str, subprocess.CompletedProcess[str]]:
-    """How the commands ended that are asked for: three at a time, since they mostly wait for the next tick."""
+    """How the commands ended that are asked for: two at a time, since they mostly wait for the next tick."""
     asked = [getattr(item, "callspec", None) for item in request.session.items]
     commands = [one.params["command"] for one in asked if one is not None and one.params.get("command") in COMMANDS]
-    with ThreadPoolExecutor(3) as together:
+    with ThreadPoolExecutor(2) as together:
         return dict(zip(commands, together.map(ran, commands), strict=True))
 
 
