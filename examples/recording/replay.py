@@ -39,7 +39,7 @@ def samples(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def convert(source: Path, target: Path) -> None:
-    """CSV to MCAP by hand; `aiorts log convert` does it for a CSV whose columns have names."""
+    """CSV to MCAP by hand; README.md has the command that does it."""
     with RecordingWriter(target) as writer:
         ports = {name: writer.add_port(name, cls, {"unit": unit}) for name, (cls, unit) in PORTS.items()}
         for row in samples(source):
@@ -47,22 +47,26 @@ def convert(source: Path, target: Path) -> None:
                 writer.write(ports[name], sample, sample.tm)
 
 
-async def replay(path: Path) -> int:
-    """Play it through the system of replay.toml; the exit status that its checker asked for."""
+async def replay(drive: Path, driven: Path) -> int:
+    """Play it through the system of replay.toml, which records the poses; returns the exit status of its checker."""
+    changes = [f"player.logfile={drive}", f"recorder.logfile={driven}", "recorder.min_free=0"]
     async with Kernel() as kernel:
-        await build(kernel, load(ROOMBA / "replay.toml", [f"player.logfile={path}"]))
+        await build(kernel, load(ROOMBA / "replay.toml", changes))
         await wait_finished(kernel)
     return kernel.exit_status
 
 
 def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "drive.mcap")
-        convert(ROOMBA / "imu.txt", path)
-        with RecordingReader(path) as reader:
+        drive, driven = Path(folder, "drive.mcap"), Path(folder, "driven.mcap")
+        convert(ROOMBA / "imu.txt", drive)
+        with RecordingReader(drive) as reader:
             seconds = (reader.end - reader.start) / 1e9
             print(f"recorded: {reader.count} samples of {len(reader.ports)} ports, {seconds:.1f} s")
-        return run(lambda: replay(path))
+        status = run(lambda: replay(drive, driven))
+        with RecordingReader(driven) as reader:
+            print(f"recorded: {reader.count} poses in {(reader.end - reader.start) / 1e9:.2f} s")
+        return status
 
 
 if __name__ == "__main__":

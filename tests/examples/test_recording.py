@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ from aiorts_flexi.logger import FlexiLogger
 from aiorts_log import RecordingReader, RecordingWriter
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+ROOMBA = EXAMPLES / "roomba"
 sys.path.insert(0, str(EXAMPLES / "recording"))
 
 import replay as example  # noqa: E402
@@ -26,14 +30,17 @@ VERIFIED = "heading verified: 1216 of 1216 within 1e-6 rad"
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("drive") / "drive.mcap"
-    example.convert(EXAMPLES / "roomba" / "imu.txt", path)
+    example.convert(ROOMBA / "imu.txt", path)
     return path
 
 
 async def play(clock: SimulatedClock, path: Path, *changes: str) -> tuple[int, float]:
     """Exit status, and the seconds that it took."""
+    driven = path.with_name("driven.mcap")
     async with Kernel(clock=clock) as kernel:
-        await build(kernel, load(EXAMPLES / "roomba" / "replay.toml", [f"player.logfile={path}", *changes]))
+        await build(
+            kernel, load(ROOMBA / "replay.toml", [f"player.logfile={path}", f"recorder.logfile={driven}", *changes])
+        )
         assert await wait_finished(kernel) == ()
     return kernel.exit_status, clock.time()
 
@@ -90,3 +97,29 @@ def test_replayed_and_recorded_again_it_is_the_same_to_the_octet(tmp_path: Path,
             assert (before.port.name, before.sequence, before.data) == (after.port.name, after.sequence, after.data)
             exact = (before.log_time - first.start) / 100
             assert 0 <= after.log_time - again.start - exact < 1
+
+
+def test_the_commands_of_its_readme_do_what_they_say(tmp_path: Path) -> None:
+    text = (EXAMPLES / "recording" / "README.md").read_text()
+    lines = text.partition("```sh\n")[2].partition("```")[0].replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line) for line in lines]
+    assert [command[:3] for command in commands] == [
+        ["aiorts", "log", "convert"],
+        ["aiorts", "run", "examples/roomba/replay.toml"],
+        ["aiorts", "log", "plot"],
+    ]
+    (tmp_path / "examples").symlink_to(EXAMPLES)
+    for command in commands[: 3 if importlib.util.find_spec("matplotlib") else 2]:
+        arguments = [
+            sys.executable,
+            "-m",
+            "aiorts",
+            *command[1:],
+            *(["--set", "recorder.min_free=0"] * ("run" in command)),
+        ]
+        done = subprocess.run(arguments, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 0, done.stderr
+        if "run" in command:
+            assert done.stdout.splitlines() == [VERIFIED]
+    with RecordingReader(tmp_path / "driven.mcap") as reader:
+        assert (reader.count, [port.type_name for port in reader.ports.values()]) == (1216, ["TimedPose2D"])
