@@ -39,7 +39,7 @@ def samples(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def convert(source: Path, target: Path) -> None:
-    """CSV to MCAP by hand; `aiorts log convert` does it for a CSV whose columns have names."""
+    """CSV to MCAP by hand, three ports at a time; `aiorts log convert` does it port by port."""
     with RecordingWriter(target) as writer:
         ports = {name: writer.add_port(name, cls, {"unit": unit}) for name, (cls, unit) in PORTS.items()}
         for row in samples(source):
