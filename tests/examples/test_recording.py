@@ -36,11 +36,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 async def play(clock: SimulatedClock, path: Path, *changes: str) -> tuple[int, float]:
     """Exit status, and the seconds that it took."""
-    driven = path.with_name("driven.mcap")
+    recorder = [f"recorder.logfile={path.with_name('driven.mcap')}", "recorder.min_free=0"]
     async with Kernel(clock=clock) as kernel:
-        await build(
-            kernel, load(ROOMBA / "replay.toml", [f"player.logfile={path}", f"recorder.logfile={driven}", *changes])
-        )
+        await build(kernel, load(ROOMBA / "replay.toml", [f"player.logfile={path}", *recorder, *changes]))
         assert await wait_finished(kernel) == ()
     return kernel.exit_status, clock.time()
 
@@ -110,13 +108,8 @@ def test_the_commands_of_its_readme_do_what_they_say(tmp_path: Path) -> None:
     ]
     (tmp_path / "examples").symlink_to(EXAMPLES)
     for command in commands[: 3 if importlib.util.find_spec("matplotlib") else 2]:
-        arguments = [
-            sys.executable,
-            "-m",
-            "aiorts",
-            *command[1:],
-            *(["--set", "recorder.min_free=0"] * ("run" in command)),
-        ]
+        more = ["--set", "recorder.min_free=0"] if "run" in command else []
+        arguments = [sys.executable, "-m", "aiorts", *command[1:], *more]
         done = subprocess.run(arguments, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 0, done.stderr
         if "run" in command:
