@@ -316,7 +316,11 @@ def test_a_full_disk_leaves_nothing_and_is_one_line(tmp_path: Path) -> None:
     )
     for target in ("x.csv", "x.mcap"):
         done = subprocess.run(
-            [sys.executable, "-c", code, "run.mcap", target], cwd=tmp_path, capture_output=True, text=True, check=False
+            [sys.executable, "-B", "-c", code, "run.mcap", target],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.stderr == f"aiorts: E-RECORDING: {target}: cannot be written: File too large\n"
         assert done.returncode == 1
