@@ -15,7 +15,7 @@ import pytest
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, TimedString, all_types
 from aiorts.wire import MsgpackCodec
 from aiorts_log import Limits, RecordingError, RecordingOptions, RecordingReader, RecordingWriter, salvage
-from aiorts_log.chunks import contents
+from aiorts_log.chunks import contents, tally
 from aiorts_log.file import LogFile
 from aiorts_log.form import HEADER, MAGIC, MESSAGE, MESSAGE_HEAD, Channel, ChunkHead, Schema, record
 from aiorts_log.forms import schema_of, splitter
@@ -205,6 +205,25 @@ def test_chunks_within_chunks_take_no_hours(tmp_path: Path) -> None:
         assert (reader.count, reader.clean) == (0, False)
         assert reader.torn is not None
     assert time.process_time() - began < 3.0
+
+
+@pytest.mark.fault("D06")
+def test_numbers_with_holes_are_counted_within_a_chunk_and_over_the_end_of_32_bits() -> None:
+    head = MESSAGE_HEAD.pack
+    numbers = [(1, 2**32 - 2), (1, 2**32 - 1), (2, 7), (1, 0), (1, 5), (2, 8), (1, 4)]
+    found = tally(b"".join(head(MESSAGE, 22, channel, number, 3, 0) for channel, number in numbers))
+    assert found.counts == {1: [5, 2**32 - 2, 4 - 2], 2: [2, 7, 0]}
+    assert (found.start, found.end) == (3, 3)
+
+
+@pytest.mark.fault("D08")
+@pytest.mark.parametrize("when", [4, 11])
+def test_a_message_outside_the_time_of_its_chunk_is_damage_without_an_index_too(tmp_path: Path, when: int) -> None:
+    messages = b"".join(MESSAGE_HEAD.pack(MESSAGE, 22, 1, 0, one, 0) for one in (5, when, 10))
+    with RecordingReader(foreign(tmp_path / "run.mcap", chunk(DEFINED + messages, 5, 10))) as reader:
+        assert (reader.count, reader.clean) == (0, False)
+        assert reader.torn is not None
+        assert "outside the time" in reader.torn.why
 
 
 @pytest.mark.fault("D06")
