@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import Final, NamedTuple
+from array import array
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
 
 from aiorts_log.form import (
     CHANNEL,
@@ -23,11 +25,13 @@ from aiorts_log.form import (
     message_index,
 )
 
-__all__ = ("ChunkBuilder", "Content", "Message", "Tally", "contents", "signed", "tally", "unpack")
+__all__ = ("ChunkBuilder", "Content", "Message", "Messages", "Tally", "contents", "signed", "tally", "unpack")
 
 _SEPARATE: Final = 32_768
 """Octets from which a message is a part of its own: copying it together with others would cost more than it saves."""
 _FEW: Final = 64
+_MANY: Final = 2**22
+"""Octets of a chunk from which its messages are not all made at once."""
 _SHORT: Final = 1_024
 """Octets below which a message is put behind its head at once."""
 _HEAD: Final = MESSAGE_HEAD.pack
@@ -43,10 +47,69 @@ class Message(NamedTuple):
     data: bytes
 
 
+class Messages:
+    """The messages of a large chunk: where they lie, each made when it is asked for.
+
+    As a list, those of 64 MiB would take ten times as much when they are small.
+    """
+
+    __slots__ = ("_octets", "_places")
+
+    def __init__(self, octets: bytes) -> None:
+        self._octets = octets
+        self._places: array[int] = array("Q")
+
+    def note(self, at: int) -> None:
+        """There is one whose record begins there."""
+        self._places.append(at)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, number: int) -> Message:
+        at = self._places[number]
+        _, length, channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(self._octets, at)
+        data = self._octets[at + 31 : at + HEAD.size + length]
+        return Message(channel, sequence, log_time, publish_time, data)
+
+    def __iter__(self) -> Iterator[Message]:
+        return map(self.__getitem__, range(len(self._places)))
+
+    def sort(self, key: object = None) -> None:
+        """Put them in the order of their log time, which is the only one; those of one time stay as they are."""
+        import numpy as np
+
+        times = self._all(15, "<u8")
+        if (times[1:] < times[:-1]).any():
+            ordered = np.frombuffer(self._places, np.uint64)[np.argsort(times, kind="stable")]
+            self._places = array("Q", ordered.tobytes())
+
+    def channels(self) -> set[int]:
+        """Of all of them."""
+        return set(self._all(HEAD.size, "<u2").tolist())
+
+    def _all(self, offset: int, kind: str) -> Any:
+        """A number of the head of each."""
+        import numpy as np
+
+        width = np.dtype(kind).itemsize
+        places = np.frombuffer(self._places, np.uint64).astype(np.int64)
+        octets = np.frombuffer(self._octets, np.uint8)
+        parts = np.empty((len(places), width), np.uint8)
+        for i in range(width):
+            parts[:, i] = octets[places + (offset + i)]
+        return parts.view(kind).ravel()
+
+    @property
+    def weight(self) -> int:
+        """Octets of memory that they take."""
+        return len(self._octets) + 8 * len(self._places)
+
+
 class Content(NamedTuple):
     """What a chunk holds."""
 
-    messages: list[Message]
+    messages: list[Message] | Messages
     schemas: list[Schema]
     channels: list[Channel]
     skipped: int
@@ -193,8 +256,10 @@ def contents(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -
     Raises:
         BadOctets: they are no records one behind the other, or a time is not within.
     """
-    found = Content([], [], [], 0)
-    messages, skipped = found.messages, 0
+    messages: list[Message] = []
+    many = Messages(octets) if len(octets) > _MANY else None
+    found = Content(messages if many is None else many, [], [], 0)
+    skipped = 0
     take, size, stop = MESSAGE_HEAD.unpack_from, HEAD.size, len(octets)
     new, cls = tuple.__new__, Message
     while at < stop:
@@ -205,7 +270,10 @@ def contents(octets: bytes, at: int = 0, start: int = 0, end: int = 2**64 - 1) -
                 raise BadOctets(f"a message says it has {length} octets, {stop - at - size} follow")
             if not start <= log_time <= end:
                 raise BadOctets("a message is outside the time that its chunk says")
-            messages.append(new(cls, (channel, sequence, log_time, publish_time, octets[at + 31 : after])))
+            if many is not None:
+                many.note(at)
+            else:
+                messages.append(new(cls, (channel, sequence, log_time, publish_time, octets[at + 31 : after])))
         else:
             after, more = _other(octets, at, found.schemas, found.channels)
             skipped += more

@@ -18,7 +18,7 @@ _EACH: Final = 250
 
 
 def merged(
-    pieces: Sequence[Piece], load: Callable[[Piece], list[Any]], most: int, in_order: bool
+    pieces: Sequence[Piece], load: Callable[[Piece], Any], most: int, in_order: bool
 ) -> Iterator[tuple[int, int, int, int, bytes]]:
     """Messages by log time, those of one time as they lie in the file.
 
@@ -35,7 +35,7 @@ def merged(
             yield from load(piece)
         return
     waiting = sorted(pieces, key=lambda one: (one.start, one.offset))
-    held: list[tuple[int, int, int, list[Any], int]] = []
+    held: list[tuple[int, int, int, Any, int]] = []
     """(time of the next message, offset of its piece, its number, the messages, octets that they hold)"""
     total = 0
     for number, piece in enumerate(waiting):
@@ -49,7 +49,7 @@ def merged(
         if not held and (number + 1 == len(waiting) or waiting[number + 1].start > messages[-1][2]):
             yield from messages
             continue
-        octets = sum(len(message[4]) for message in messages) + _EACH * len(messages)
+        octets = _weight(messages)
         total += octets
         if total > most and held:
             raise RecordingError(
@@ -61,7 +61,12 @@ def merged(
         _advance(held)
 
 
-def _advance(held: list[tuple[int, int, int, list[Any], int]]) -> int:
+def _weight(messages: Any) -> int:
+    weight = getattr(messages, "weight", None)
+    return int(weight) if weight is not None else sum(len(one[4]) for one in messages) + _EACH * len(messages)
+
+
+def _advance(held: list[tuple[int, int, int, Any, int]]) -> int:
     """Go on to the next message of the first piece; the octets of a piece that is done."""
     _, offset, number, messages, octets = held[0]
     number += 1

@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Any, Final, Literal, NamedTuple, Self
 
 from aiorts.errors import WireError
+from aiorts_log.chunks import Message, Messages
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.form import Attachment, BadOctets, Channel, Schema
 from aiorts_log.forms import ENCODINGS, known_type, plain_of, schema_of, taker
@@ -330,18 +331,20 @@ class RecordingReader:
             raise RecordingError(f"{self.path}: no port {missing[0][:60]!r}; there are {there}")
         return {self.ports[name].id: self.ports[name] for name in names}
 
-    def _load(self, piece: Piece) -> list[Any]:
+    def _load(self, piece: Piece) -> list[Message] | Messages:
         try:
             content = self._source.load(piece)
             for schema in content.schemas:
                 self._summary.define(schema)
             for channel in content.channels:
                 self._summary.define(channel=channel)
-            if unknown := {message[0] for message in content.messages} - self._ports.keys():
+            messages = content.messages
+            used = messages.channels() if isinstance(messages, Messages) else {message[0] for message in messages}
+            if unknown := used - self._ports.keys():
                 raise BadOctets(f"a message of channel {min(unknown)}, which nothing defines")
         except BadOctets as error:
             raise self._damaged(piece.offset, error) from None
-        return content.messages
+        return messages
 
     def _damaged(self, offset: int, error: BadOctets) -> DamagedError:
         text = f"{self.path}: damaged at octet {offset}: {error}; aiorts log salvage gets what is whole"

@@ -22,6 +22,7 @@ import aiorts.types as t
 from aiorts.cli.app import run_command
 from aiorts_log import RecordingError, RecordingReader
 from aiorts_log.importing import import_recording
+from aiorts_log.ros import Messages
 from log_parts import make, read
 
 typesys = pytest.importorskip("rosbags.typesys")
@@ -82,6 +83,13 @@ MAKERS: dict[str, tuple[str, Any]] = {
     "/path": (
         "geometry_msgs/Polygon",
         lambda i: ros("geometry_msgs/Polygon", [ros("geometry_msgs/Point32", 0.5, float(k), 1.0) for k in range(i)]),
+    ),
+    "/point": (
+        "trajectory_msgs/JointTrajectoryPoint",
+        lambda i: ros(
+            *("trajectory_msgs/JointTrajectoryPoint", np.zeros(0), np.zeros(0), np.zeros(0), np.array([1.0 * i])),
+            ros("builtin_interfaces/Duration", -2, 500_000_000 + i),
+        ),
     ),
     "/wait": ("builtin_interfaces/Duration", lambda i: ros("builtin_interfaces/Duration", -1 - i, 5)),
 }
@@ -149,6 +157,11 @@ def test_every_value_of_a_ros_recording_arrives(tmp_path: Path, kind: str, whole
         "path_points_x": [t.TimedFloatSeq(logged[i], [0.5] * i) for i in four],
         "path_points_y": [t.TimedFloatSeq(logged[i], list(range(i))) for i in four],
         "path_points_z": [t.TimedFloatSeq(logged[i], [1.0] * i) for i in four],
+        "point_positions": [t.TimedDoubleSeq(logged[i], []) for i in four],
+        "point_velocities": [t.TimedDoubleSeq(logged[i], []) for i in four],
+        "point_accelerations": [t.TimedDoubleSeq(logged[i], []) for i in four],
+        "point_effort": [t.TimedDoubleSeq(logged[i], [i]) for i in four],
+        "point_time_from_start": [t.TimedLongLong(logged[i], -1_500_000_000 + i) for i in four],
         "wait_sec": [t.TimedLong(logged[i], -1 - i) for i in four],
         "wait_nanosec": [t.TimedULong(logged[i], 5) for i in four],
     }
@@ -340,6 +353,7 @@ def test_values_of_constants_are_no_code(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.chdir(tmp_path)
     text = "string X=\"'); open('canary','w'); ('\"\nint32 Y=1\nfloat64 data"
     path = mcap_file(tmp_path / "a.mcap", [("/a", "cdr", "a/msg/A", "ros2msg", text, [(2, float64(1.5))])])
+    assert Messages("a/msg/A", "ros2msg", text)._store.fielddefs["a/msg/A"][0] == []
     import_recording(path, tmp_path / "run.mcap")
     assert ported(read(tmp_path / "run.mcap"), "a") == [t.TimedDouble(2, 1.5)]
     assert not (tmp_path / "canary").exists()
