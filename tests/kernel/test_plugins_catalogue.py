@@ -263,7 +263,15 @@ def test_any_name_and_target_is_listed_as_it_is_and_loads_or_is_a_plugin_error(e
         listed = names(catalogue)
         if not catalogue.problems:
             assert set(entries) <= listed
-        for key in listed - {"FlexiAdd", "FlexiConst", "FlexiDump", "FlexiDupe", "FlexiFilter", "FlexiSelect"}:
+        for key in listed - {
+            "FlexiAdd",
+            "FlexiConst",
+            "FlexiDump",
+            "FlexiDupe",
+            "FlexiFilter",
+            "FlexiLogger",
+            "FlexiSelect",
+        }:
             with pytest.raises(PluginError):
                 load_class_of(catalogue, key)
 
