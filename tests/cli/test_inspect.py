@@ -20,6 +20,7 @@ FLEXI = {
     "FlexiDump": (("-p", "TimedLong"), ["in input0"]),
     "FlexiDupe": (("-p", "TimedLong:2"), ["in input0", "out output0_0", "out output0_1"]),
     "FlexiFilter": (("-i", "TimedDouble", "-o", "TimedLong"), ["in input0", "out output0"]),
+    "FlexiLogger": (("-p", "TimedLong"), ["in input0"]),
     "FlexiSelect": (("-p", "TimedLong:2"), ["in selection", "in input0", "in input1", "out output"]),
 }
 HOOKS = [
