@@ -45,6 +45,9 @@ def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.Capture
     }
     assert found["metadata"][0]["kernel"] == "test"
     assert "all checksums are right" in run(capsys, "info", "--check", path)[1]
+    lines = tmp_path / "run.jsonl"  # has none
+    assert run(capsys, "convert", path, lines)[0] == 0
+    assert run(capsys, "info", "--check", lines)[1].endswith("\n  all of it can be read\n")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
