@@ -144,9 +144,13 @@ def _parsed(
         elif "--type-mod" in row.flags:
             modules.append(values[f"option{number}"])
     import_types(modules)
-    return params, tuple(
-        row.flags[0] for number, row in enumerate(rows) if row.required and f"option{number}" not in values
-    )
+    said = {flag for number, row in enumerate(rows) if f"option{number}" in values for flag in row.flags}
+    return params, tuple(row.flags[0] for row in rows if row.flags[0] not in said and _is_needed(row, said))
+
+
+def _is_needed(row: Any, said: set[str]) -> bool:
+    other = getattr(row, "unless", "")
+    return row.required or bool(other and other not in said)
 
 
 def _parameter(spec: Any) -> dict[str, Any]:

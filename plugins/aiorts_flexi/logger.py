@@ -150,7 +150,7 @@ class FlexiLogger(FlexiComponent):
     options: ClassVar[tuple[Option, ...]] = (
         Option(("-i", "--input"), "mode", "flag", "record (default)", value="record"),
         Option(("-o", "--output"), "mode", "flag", "replay the file", value="replay"),
-        Option(("-p", "--port"), "inputs", "repeat", "record: type of an in-port; repeat for more"),
+        Option(("-p", "--port"), "inputs", "repeat", "record: type of an in-port; repeat for more", unless="-o"),
         Option(("-n", "--port-names"), "names", "text", "record: names of the in-ports, separated by commas"),
         Option(("-l", "--logfile"), "logfile", "text", "the file (default logger.mcap)"),
         Option(("-t", "--text"), "text", "flag", "record: a flat text file, a line for each sample"),

@@ -27,6 +27,7 @@ class Option:
     action: for a flag without parameter: a class method of the component that takes the parameters by name and gives
         the text to print; nothing is run then.
     bare: what it stands for without a value; "" is that it has to have one.
+    unless: the flag of another option with which it is not required; "" is that `required` says it all.
     words: words that stand for a value of the parameter, which has no text for it.
     """
 
@@ -38,6 +39,7 @@ class Option:
     required: bool = False
     action: str = ""
     bare: str = ""
+    unless: str = ""
     words: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

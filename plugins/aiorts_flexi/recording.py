@@ -64,11 +64,18 @@ class Recording:
     # -- parameters ------------------------------------------------------------------------------------------------
 
     def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any]]:
-        named = named_types(self._logger.name, values["inputs"], values["names"])
-        return {name: InPort(cls) for name, cls in named.items()}
+        return {name: InPort(cls) for name, cls in self._types(values).items()}
+
+    def _types(self, values: Mapping[str, Any]) -> dict[str, type]:
+        if not values["inputs"]:
+            raise ConfigurationError(
+                f"{self._logger.name}.inputs: expected the type of at least one in-port (-p); "
+                "mode = replay (-o) has the ports of a file"
+            )
+        return named_types(self._logger.name, values["inputs"], values["names"])
 
     def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], None]:
-        for name, cls in named_types(self._logger.name, values["inputs"], values["names"]).items():
+        for name, cls in self._types(values).items():
             known = self._session.type_of(name) if self._inputs and self._session is not None else None
             if known is not None and known is not cls:
                 raise ConfigurationError(

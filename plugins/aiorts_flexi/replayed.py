@@ -115,7 +115,9 @@ def replayed_ports(
     new_names = _remapped(remap)
     _check_names(contents.path, there, {"ports": only, "skip": skip, "remap": tuple(new_names)})
     wanted = [port for port in contents.ports if (not only or port.name in only) and port.name not in skip]
-    if there and not wanted:
+    if not there:
+        raise ConfigurationError(f"{contents.path}: nothing was recorded in it: it has no port to replay")
+    if not wanted:
         raise ConfigurationError(f"{contents.path}: ports and skip leave no port to replay; there are {_list(there)}")
     _check_types(contents.path, [port for port in wanted if port.unknown])
     found: dict[str, Replayed] = {}

@@ -258,6 +258,8 @@ class Replaying:
                 if plan.strict:
                     raise DamagedError(text)
                 self._warn(text)
+        if not player.sent:
+            self._warn(f"{plan.contents.path}: nothing was replayed: it has no sample of these ports in this time")
         if self._logger.verbosity >= 1:
             self._logger.log.info("replayed %d samples of %s", player.sent, plan.contents.path)
         self._logger.finish()

@@ -117,7 +117,7 @@ def _gaps(reader: Recording) -> tuple[tuple[int, int], ...]:
     gaps = []
     last: int | None = None
     for piece in sorted(reader.pieces):
-        if not piece.end:
+        if not piece.filled:
             continue  # definitions alone
         if last is not None and piece.start - last >= GAP:
             gaps.append((last, piece.start))

@@ -15,7 +15,7 @@ from aiorts.errors import RecordError, WireError
 from aiorts.wire import json_text, line_of
 from aiorts_log.info import RecordingInfo, info_of
 from aiorts_log.opening import open_recording
-from aiorts_log.reader import RecordedSample
+from aiorts_log.reader import RecordedSample, RecordingReader
 from aiorts_log.shown import FILE, SHOWN, date, gap_lines, moment, number, shown, size, strict
 from aiorts_log.survey import Gap
 
@@ -37,10 +37,12 @@ def info(file: Path, check: bool, as_json: bool) -> int:
     with open_recording(file) as reader:
         found = info_of(reader)
         gaps = reader.check() if check else ()
+        whole = "all checksums are right" if isinstance(reader, RecordingReader) else "all of it can be read"
     if as_json:
         click.echo(json.dumps(_document(found, gaps if check else None), indent=1, allow_nan=False))
     else:
-        click.echo("\n".join(_lines(found, gaps if check else None)))
+        lines = _lines(found, gaps if check else None)
+        click.echo("\n".join([*lines, *([f"  {whole}"] if check and not gaps else [])]))
     return 1 if gaps else 0
 
 
@@ -132,7 +134,7 @@ def _lines(found: RecordingInfo, gaps: tuple[Gap, ...] | None) -> list[str]:
     if found.fault:
         lines.append(f"  damaged: {shown(found.fault)}; aiorts log salvage gets what is whole")
     if gaps is not None:
-        lines += [f"  damaged: {line}" for line in gap_lines(gaps)] or ["  all checksums are right"]
+        lines += [f"  damaged: {line}" for line in gap_lines(gaps)]
     return lines
 
 

@@ -213,6 +213,8 @@ class Player:
             if self._target is not None:
                 return
             allowed = schedule.paused
+            if allowed:
+                schedule.step(now)
             await send(target, self._stamped(record) if stamped and adjusted else record)
             self.sent += 1
             schedule.sent(now, allowed=allowed)

@@ -195,7 +195,7 @@ def _goes_by_number(reader: Recording) -> bool:
 
     Chunks that overlap in time are no proof of that, since some writers make them in several threads.
     """
-    pieces = [piece for piece in reader.pieces if piece.end]
+    pieces = [piece for piece in reader.pieces if piece.filled]
     overlap = any(before.end > after.start for before, after in pairwise(pieces))
     if not overlap and (len(pieces) != 1 or reader.header.profile == "aiorts"):
         return False

@@ -166,7 +166,10 @@ class RecordingReader:
             return None
         if counted.messages and not summary.chunks:
             return None
-        self._pieces = [Piece(place.start, place.end, place.offset, place.length) for place in summary.chunks]
+        self._pieces = [
+            Piece(one.start, one.end, one.offset, one.length, filled=bool(one.end or one.indexes))
+            for one in summary.chunks
+        ]
         return summary
 
     def _surveyed(self, found: Survey) -> Summary:
@@ -219,7 +222,7 @@ class RecordingReader:
     @cached_property
     def start(self) -> int:
         """The first log time, in ns; 0 when it has no samples."""
-        return min((piece.start for piece in self._pieces if piece.end), default=0)
+        return min((piece.start for piece in self._pieces if piece.filled), default=0)
 
     @cached_property
     def end(self) -> int:

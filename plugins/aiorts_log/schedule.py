@@ -57,8 +57,8 @@ class Pace:
 class Schedule:
     """Where a replay stands, and when it goes on.
 
-    For each sample `take` its log time, wait until `due`, say that it was `sent`. What else happens is told when it
-    does: `pause`, `resume`, `allow`, `jump`, `again`, `change`.
+    For each sample `take` its log time, wait until `due`, say that it is a `step` where it is paused, and that it was
+    `sent`. What else happens is told when it does: `pause`, `resume`, `allow`, `jump`, `again`, `change`.
 
     Args:
         pace: how fast.
@@ -164,6 +164,12 @@ class Schedule:
         if self._next is None or self._log is None:
             return self._anchor
         return self._anchor + -(-(self._next - self._log) * mul // div)
+
+    def step(self, now: int) -> None:
+        """The sample that was taken goes out now although it is paused: `shift` makes its stamp one of this moment."""
+        if self._stopped is not None and self._next is not None:
+            self._step_to(self._next, now)
+            self._number = 0
 
     def sent(self, now: int, *, allowed: bool = False) -> None:
         """The sample that was taken has been sent; `allowed`: although it was paused when that began."""

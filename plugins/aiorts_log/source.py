@@ -67,6 +67,8 @@ class Piece(NamedTuple):
     offset: int
     length: int
     chunk: bool = True
+    filled: bool = True
+    """Whether there are messages in it: definitions alone have no times, which is 0 and 0, and 0 is a time, too."""
 
 
 class Source:

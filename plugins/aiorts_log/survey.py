@@ -93,7 +93,7 @@ class Survey:
                 self.missing[number] = self.missing.get(number, 0) + ahead
                 missing += ahead
         summary.skipped += content.skipped
-        self.pieces.append(piece)
+        self.pieces.append(piece._replace(filled=bool(content.counts)))
         return missing
 
 

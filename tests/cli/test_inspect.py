@@ -118,6 +118,20 @@ def test_without_options_it_says_which_are_needed(name: str, capsys: pytest.Capt
     assert f"give {' and '.join(needed)}" in out
 
 
+def test_a_logger_without_options_is_shown_and_one_that_replays_needs_no_type(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = aiorts(capsys, "inspect", "FlexiLogger")
+    assert (status, err) == (0, "")
+    assert "give -p: aiorts inspect FlexiLogger -p ..." in out
+    recording = tmp_path / "a.jsonl"
+    recording.write_text('{"port": "speed", "type": "TimedDouble", "tm": 5, "data": 1.5, "log_time": 5}\n')
+    for flag in ("-o", "--output"):
+        status, out, err = aiorts(capsys, "inspect", "FlexiLogger", flag, "-l", str(recording), "--json")
+        assert (status, err) == (0, "")
+        assert [port["name"] for port in strict(out)["ports"]] == ["speed"]
+
+
 def test_what_a_class_declares_is_shown_and_nothing_of_it_is_run(arm: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = aiorts(capsys, "inspect", f"{arm / 'arm.py'}:Arm", "--speed", "3", "--json")
     assert (status, err) == (0, "")

@@ -58,6 +58,30 @@ def values(port: InPort[Any]) -> list[Any]:
     return [sample.data for sample in port.drain()]
 
 
+@pytest.mark.parametrize(
+    ("params", "warned"), [({"begin": "+100"}, True), ({"loop": 0, "begin": "+100"}, True), ({}, False)]
+)
+@simulated
+async def test_who_asks_for_what_is_not_there_is_told(
+    params: dict[str, Any], warned: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    steady(tmp_path / "a.mcap", 10)
+    async with Kernel() as kernel:
+        logger = await replay(kernel, tmp_path / "a.mcap", **params)
+        await taker(kernel, logger)
+        await kernel.start(EventContext(), logger, activate=True)
+        await kernel.sleep(10.0)
+    assert any("nothing was replayed" in line for line in caplog.messages) is warned
+
+
+@simulated
+async def test_a_recording_without_any_port_is_refused(tmp_path: Path) -> None:
+    recorded(tmp_path / "a.mcap", [])
+    async with Kernel() as kernel:
+        with pytest.raises(ConfigurationError, match="nothing was recorded in it"):
+            await replay(kernel, tmp_path / "a.mcap")
+
+
 class TestPorts:
     @simulated
     async def test_they_are_those_of_the_file_and_known_as_soon_as_it_is_created(self, tmp_path: Path) -> None:

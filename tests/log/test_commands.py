@@ -45,6 +45,22 @@ def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.Capture
     }
     assert found["metadata"][0]["kernel"] == "test"
     assert "all checksums are right" in run(capsys, "info", "--check", path)[1]
+    lines = tmp_path / "run.jsonl"  # has none
+    assert run(capsys, "convert", path, lines)[0] == 0
+    assert run(capsys, "info", "--check", lines)[1].endswith("\n  all of it can be read\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("command", [("info",), ("info", "--json"), ("cat",), ("diff", "run.mcap")])
+def test_standard_output_that_is_full_is_one_line_that_says_so(command: tuple[str, ...], tmp_path: Path) -> None:
+    make(tmp_path / "run.mcap", 100)
+    with open("/dev/full", "w") as full:
+        code = "import sys; from aiorts.cli import main; sys.exit(main())"
+        line = [sys.executable, "-c", code, "log", *command, "run.mcap"]
+        done = subprocess.run(line, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stderr.startswith("aiorts: E-OUTPUT: standard output: ")
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.fault("D14")

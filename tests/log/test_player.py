@@ -146,6 +146,44 @@ class TestWhilePlaying:
         assert played.values == list(range(600))
 
     @simulated
+    async def test_who_is_stepped_has_the_stamps_of_the_clock_and_none_goes_back(self, tmp_path: Path) -> None:
+        samples = [("ab"[i % 2], BEGIN + i // 2 * 7 * S, TimedLong(BEGIN + i // 2 * 7 * S, i)) for i in range(20)]
+        recorded(tmp_path / "a.mcap", samples)
+        async with Kernel() as kernel:
+            played = Played(kernel, tmp_path / "a.mcap", paused=True)
+            task = asyncio.create_task(played.player.play())
+            began = kernel.clock.time_ns()
+            for count in (1, 3, 2, 5):
+                await kernel.sleep(2.0)
+                played.player.step(count)
+            await kernel.sleep(2.0)
+            stamps = [sample.tm - began for _, _, sample in played.samples]
+            assert stamps == [2 * S] + [4 * S] * 3 + [6 * S] * 2 + [8 * S] * 5
+            played.player.resume()
+            await task
+        assert [sample.tm - began for _, _, sample in played.samples[11:14]] == [10 * S, 17 * S, 17 * S]
+
+    @simulated
+    async def test_who_resumes_while_a_step_is_held_up_loses_no_time(self, tmp_path: Path) -> None:
+        steady(tmp_path / "a.mcap", 4)
+        async with Kernel() as kernel:
+            played = Played(kernel, tmp_path / "a.mcap", paused=True, pace=Pace(rate=10.0))
+            take = played.player._send
+
+            async def slow(port: str, sample: Any) -> None:
+                if not sample.data:
+                    await kernel.sleep(0.02)
+                await take(port, sample)
+
+            played.player._send = slow
+            task = asyncio.create_task(played.player.play())
+            played.player.step(1)
+            await kernel.sleep(0.01)
+            played.player.resume()
+            await task
+        assert [moment // MS for moment in played.moments] == [0, 90, 190, 290]
+
+    @simulated
     async def test_what_a_reader_holds_up_when_it_is_paused_goes_and_nothing_behind_it(self, tmp_path: Path) -> None:
         steady(tmp_path / "a.mcap", 10)
         async with Kernel() as kernel:

@@ -157,6 +157,28 @@ def test_a_time_that_goes_back_does_not_change_the_order(tmp_path: Path) -> None
         assert info_of(reader).gaps == ((BEGIN + 5, BEGIN + 31 * 10**15),)
 
 
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize("begin", [0, BEGIN])
+def test_what_is_recorded_at_time_0_is_the_first_sample_like_any_other(
+    begin: int, indexed: bool, tmp_path: Path
+) -> None:
+    path, second = tmp_path / "a.mcap", 1000 * MS
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        assert writer.flush(10.0)
+        port = writer.add_port("n", TimedLong)
+        for number in range(4):  # a chunk of its own for each
+            assert writer.write(port, TimedLong(0, number), begin + number * second)
+    if not indexed:
+        octets = path.read_bytes()
+        path.write_bytes(octets[: octets.index(b"end.json")])
+    with RecordingReader(path) as reader:
+        assert reader.start == begin
+        assert [sample.data for _, _, sample in reader.records(start=reader.start)] == [0, 1, 2, 3]
+        found = info_of(reader)
+        assert (found.duration, found.closed) == (3.0, indexed)
+        assert found.gaps == tuple((begin + n * second, begin + (n + 1) * second) for n in range(3))
+
+
 @pytest.mark.fault("D17")
 def test_a_recording_that_is_there_is_never_touched_unless_that_is_said(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
