@@ -48,6 +48,8 @@ _COMMANDS: Final = {
 
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
+_DELIVERED: Final = {"aiorts_log.command:log": "Recordings: look, convert, compare, draw, salvage."}
+"""One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""
 """Components that the help names."""
 _EXTENSION: Final = "aiorts.extension"
 """Where a context keeps who offers the command that runs, if a plugin does."""
@@ -109,11 +111,15 @@ class _LazyGroup(HelpfulGroup):
         write_sections(formatter, _COMMANDS)
         if commands := {name: one for name, one in _offered("commands").items() if name not in _COMMANDS}:
             with formatter.section("Commands of plugins"):
-                formatter.write_dl([(name, f"Of {printed(several[0].source)}.") for name, several in commands.items()])
+                formatter.write_dl([(name, _line_of(several[0])) for name, several in commands.items()])
         with formatter.section("Components, as filters"):
             names = [name for name in _offered("components") if name not in commands and name not in _COMMANDS]
             more = f" and {len(names) - _SHOWN} more, see aiorts plugins" if len(names) > _SHOWN else ""
             formatter.write_text(f"{', '.join(names[:_SHOWN])}{more}")
+
+
+def _line_of(command: Any) -> str:
+    return _DELIVERED.get(command.target) or f"Of {printed(command.source)}."
 
 
 def own_commands() -> tuple[str, ...]:
