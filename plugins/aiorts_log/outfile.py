@@ -83,7 +83,7 @@ class OutFile:
     """
 
     can_sync = True
-    """Whether no wait for the disk has failed: after that nothing is known of it, though the next one says it is well."""
+    """Whether no wait for the disk has failed: the next one would say that all is well, which it is not."""
 
     def __init__(
         self, path: Path, existing: Existing = "refuse", min_free: int | None = None, kind: type[LogFile] = LogFile
