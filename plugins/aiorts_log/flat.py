@@ -104,12 +104,11 @@ class _Runs:
 
 
 def note(gaps: list[Gap], gap: Gap, *, apart: bool = False) -> None:
-    """Add a line that is no sample to those before it; lines that follow each other are one place, unless `apart`."""
-    last = gaps[-1] if gaps else None
-    if last is None or apart or (last.offset + last.length + 1 != gap.offset and len(gaps) < _MOST_GAPS):
+    """Add a line that is no sample to those before it; where there are very many it widens the last, unless `apart`."""
+    if apart or len(gaps) < _MOST_GAPS:
         gaps.append(gap)
     else:
-        gaps[-1] = last._replace(length=gap.offset + gap.length - last.offset)
+        gaps[-1] = gaps[-1]._replace(length=gap.offset + gap.length - gaps[-1].offset)
 
 
 def open_regular(path: Path) -> tuple[int, int]:
