@@ -31,10 +31,10 @@ def about(logger: Component, segment: int) -> dict[str, Any]:
 
 def _components(kernel: Kernel) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for number, (name, component) in enumerate(kernel.components.items()):
-        found[name] = {"type": type(component).__name__}
+    for number, component in enumerate(list(kernel.components.values())):  # in one go: this may be another thread
+        found[component.name] = {"type": type(component).__name__}
         if number < _MOST:
-            found[name]["params"] = dict(component.configuration.values)
+            found[component.name]["params"] = dict(component.configuration.values)
     return found
 
 

@@ -21,7 +21,7 @@ from aiorts_flexi.ports import named_types
 from aiorts_log import RecordingError, RecordingOptions, RecordingWriter, TextWriter
 from aiorts_log.control import BackgroundRecording, MakeWriter, Notice
 from aiorts_log.info import MISSED
-from aiorts_log.target import check_target
+from aiorts_log.target import check_parts, check_target
 
 if TYPE_CHECKING:
     from aiorts_flexi.logger import FlexiLogger
@@ -50,7 +50,7 @@ class Recording:
         self._logger = logger
         self._session: BackgroundRecording | None = None
         self._options = RecordingOptions()
-        self._segment = 0
+        self._active_in = self._segment = 0
         self._inputs: dict[str, tuple[InPort[Any], int]] = {}
         """Each in-port, and its number in the recording."""
         self._looking = False
@@ -94,7 +94,7 @@ class Recording:
 
     def _use(self, options: RecordingOptions, paused: bool) -> None:
         self._options = options
-        if self._session is not None:
+        if self._session is not None and not self._closing:
             self._number_ports(self._session)
         self._switch(self._enabled, paused)
 
@@ -121,14 +121,25 @@ class Recording:
         if self._logger.kernel.components.get(self._logger.name, self._logger) is not self._logger:
             return  # it takes the place of another one, whose file it takes over (`take_over`)
         try:
-            check_target(self._logger.logfile, self._options.existing)
+            self._check_target()
         except RecordingError as error:
             raise ConfigurationError(f"{self._logger.name}.logfile: {error}") from None
 
+    def _check_target(self) -> None:
+        check_target(self._logger.logfile, self._options.existing)
+        check_parts(self._logger.logfile, self._options)
+
     def activated(self) -> None:
+        self._active_in += 1
+        session = self._session
+        if self._active_in == 1 or session is None or session.failure is not None:  # else in another context already
+            self._begin()
+
+    def _begin(self) -> None:
+        """Begin the next segment."""
         logger, path, before = self._logger, self._logger.logfile, self._session
         if before is None or before.path != path:
-            check_target(path, self._options.existing)
+            self._check_target()
         self._enabled, self._paused = not logger.use_control, logger.paused
         self._segment += 1
         self._closed.clear()
@@ -156,7 +167,7 @@ class Recording:
 
     def execute(self) -> None:
         if self._session is not None and self._session.is_ordered and not self._closing:
-            self.activated()  # new code that had taken over went, and closed it: go on in another segment
+            self._begin()  # new code that had taken over went, and closed it: go on in another segment
         if self._session is not None and self._session.failure is not None:
             self._is_told = True
             raise self._session.failure
@@ -164,7 +175,8 @@ class Recording:
 
     def deactivated(self) -> None:
         session = self._session
-        if session is None:
+        self._active_in -= 1
+        if session is None or self._active_in > 0:
             return
         self._closing = True
         lost = self._lost() - self._lost_before

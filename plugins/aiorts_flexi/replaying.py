@@ -192,7 +192,6 @@ class Replaying:
         try:
             loop = asyncio.get_running_loop()
         except RuntimeError:
-            self._active_in -= 1
             raise StateError(
                 f"{logger.name}: replays on the kernel's loop and not in a thread; run it in an event context"
             ) from None

@@ -97,6 +97,8 @@ class BackgroundRecording:
         self.owner = owner
         self._tell = tell
         self._after = after
+        self.part = options.part
+        """Number of the file that was written last."""
         self.made = False
         """Whether the file is there because of this recording, or of the one before it."""
         self._ports: list[_Port] = []
@@ -233,6 +235,7 @@ class BackgroundRecording:
             if self._after is not None:
                 self._after.wait_closed()
                 self.made = self._after.made and self._after.path == self.path
+                self.part = self._after.part
                 self._after = None
             try:
                 self._look_after(self._open())
@@ -249,8 +252,8 @@ class BackgroundRecording:
             self._tell(Notice("closed"))
 
     def _open(self) -> RecordingWriter:
-        options = continuing(self.options, self.path) if self.made else self.options
-        writer = self._make(options=options)
+        ours = replace(self.options, existing="append", part=self.part)
+        writer = self._make(options=ours if self.made else continuing(self.options, self.path))
         self.made = True
         with self._lock:
             for port in self._ports:
@@ -270,6 +273,7 @@ class BackgroundRecording:
         self._hand_on(writer)
         writer.remarks.update(self._remarks)
         writer.close()
+        self.part = writer.part
         self._tell_drops(writer.statistics)
         self.failure = writer.failure
 

@@ -32,9 +32,9 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def next_part(path: Path, number: int, existing: Existing) -> int:
-    """The number of the file after that one; where a recording is continued, of one that is not there yet."""
+    """The number of the file after that one: of one that is not there yet, unless it may be replaced."""
     number += 1
-    while existing == "append" and os.path.lexists(part_path(path, number)):
+    while existing != "overwrite" and os.path.lexists(part_path(path, number)):
         number += 1
     return number
 

@@ -24,7 +24,7 @@ from aiorts_log.reader import RecordedPort, RecordedSample
 from aiorts_log.source import Header, Limits, Piece
 from aiorts_log.survey import Gap
 
-__all__ = ("LONGEST", "FlatPort", "FlatReader", "Head", "open_regular")
+__all__ = ("LONGEST", "FlatPort", "FlatReader", "Head", "note", "open_regular")
 
 LONGEST: Final = 2**25
 """Octets of a line; who writes one refuses a sample that would have more."""
@@ -33,6 +33,9 @@ _PIECE: Final = 2**16
 _APART: Final = 1_000_000_000
 """Nanoseconds without samples after which a new piece begins, so that gaps show."""
 _SHOWN: Final = 60
+_MOST_PORTS: Final = 65_535
+_MOST_GAPS: Final = 10_000
+"""Places of damage that are told one by one; what follows is told with the last of them."""
 
 
 class Head(NamedTuple):
@@ -87,12 +90,25 @@ class _Runs:
         self._before[at] = number - 1
         self._open = [at, time, time]
 
+    def skip(self, at: int) -> None:
+        """The line there is nothing to load; many of them would make a piece of any size."""
+        if self._open and at - self._open[0] >= _PIECE:
+            self.end(at)
+
     def end(self, at: int) -> None:
         """The open piece ends there."""
         if self._open:
             begin, low, high = self._open
             self.pieces.append(Piece(low, high, begin, at - begin, chunk=False))
             self._open = []
+
+
+def note(gaps: list[Gap], gap: Gap, *, apart: bool = False) -> None:
+    """Add a line that is no sample to those before it; where there are very many it widens the last, unless `apart`."""
+    if apart or len(gaps) < _MOST_GAPS:
+        gaps.append(gap)
+    else:
+        gaps[-1] = gaps[-1]._replace(length=gap.offset + gap.length - gaps[-1].offset)
 
 
 def open_regular(path: Path) -> tuple[int, int]:
@@ -307,6 +323,7 @@ class FlatReader:
         at = 0
         for number, line in enumerate(self.lines(), 1):
             if line[:1] == b"#" or not line.strip():
+                runs.skip(at)
                 self.remark(line, number)
             else:
                 try:
@@ -315,7 +332,7 @@ class FlatReader:
                         self.whole(data)
                     channel = self._ids.get(key) or self._define(key)
                 except BadOctets as error:
-                    damage.append(Gap(at, len(line), f"line {number}: {error}"))
+                    note(damage, Gap(at, len(line), f"line {number}: {error}"), apart=not self.complete)
                     runs.end(at)
                 else:
                     self._counts[channel] += 1
@@ -342,6 +359,8 @@ class FlatReader:
 
     def _define(self, key: Any) -> int:
         name, type_name = self.named(key)
+        if len(self._ids) >= _MOST_PORTS:
+            raise BadOctets(f"a recording has at most {_MOST_PORTS} ports")
         number = self._ids[key] = len(self._ids) + 1
         about = self._about.get((name, type_name), {})
         channel = Channel(number, number, name, self.encoding, about)

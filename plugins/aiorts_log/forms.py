@@ -183,8 +183,8 @@ def splitter(encoding: Encoding, cls: type) -> Callable[[Any], tuple[bytes, byte
         return None
     structure = describe(cls)
     name, kind = structure.fields[-1].name, structure.fields[-1].kind
-    if not structure.checked or kind.spelling not in _SPLIT_KINDS:
-        return None
+    if not structure.checked or kind.spelling not in _SPLIT_KINDS or hasattr(cls, "__post_init__"):
+        return None  # what looks at all fields together might refuse the record without its array
     encode = MsgpackCodec().encoder(cls)
 
     def split(record: Any) -> tuple[bytes, bytes]:

@@ -60,18 +60,21 @@ class _Port(FlatPort):
                     return reader.sample(f"{data[: end.start()].decode()}}}", int(end[1]))[1]
                 except (RecordError, UnicodeDecodeError) as error:
                     raise WireError(str(error)) from None
-            found = _parsed(data)
-            log_time = found.pop("log_time", 0)
             try:
+                found = _parsed(data)
+                log_time = found.pop("log_time", 0)
                 return reader.sample(json.dumps(found), log_time)[1]
-            except RecordError as error:
+            except (BadOctets, RecordError) as error:
                 raise WireError(str(error)) from None
 
         return take
 
     def plain(self, data: bytes) -> Any:
-        """The data of a line as it stands there."""
-        return _parsed(data)["data"]
+        """The data of a line as it stands there. WireError for a line without."""
+        try:
+            return _parsed(data)["data"]
+        except (BadOctets, KeyError) as error:
+            raise WireError(f"no sample: {error}") from None
 
 
 class LinesReader(FlatReader):
@@ -87,12 +90,10 @@ class LinesReader(FlatReader):
             return Head(begin[0], int(end[1]), line)
         found = _parsed(line)
         names = found.get("port"), found.get("type")
-        time = found.get("log_time", found.get("tm"))
+        time = _nanoseconds(found.get("log_time", found.get("tm")))
         if not all(isinstance(name, str) for name in names) or "data" not in found or found.keys() - _KEYS:
             raise BadOctets('expected {"port": NAME, "type": TYPE, "tm": TIME, "data": DATA}')
-        if isinstance(time, dict) and set(time) == {"sec", "nsec"}:
-            time = time["sec"] * 10**9 + time["nsec"]
-        if type(time) is not int or not 0 <= time < _LATEST:
+        if time is None or not 0 <= time < _LATEST:
             raise BadOctets("has no time: aiorts log cat --log-time writes one for types without tm")
         return Head(names, time, line)
 
@@ -102,13 +103,24 @@ class LinesReader(FlatReader):
         return found[0], found[1]
 
     def published(self, data: bytes, log_time: int) -> int:
-        """The `tm` of a line; `log_time` when it has none."""
+        """The `tm` of a line; `log_time` when it has none, or is none: who decodes it is told."""
         if (begin := _BEGIN.match(data)) and (found := _TM.match(data, begin.end())):
             return int(found[1])
-        tm = _parsed(data).get("tm", log_time)
-        if isinstance(tm, dict):
-            tm = tm.get("sec", 0) * 10**9 + tm.get("nsec", 0)
-        return tm if type(tm) is int else log_time
+        try:
+            tm = _nanoseconds(_parsed(data).get("tm"))
+        except BadOctets:
+            return log_time
+        return log_time if tm is None or not 0 <= tm < _LATEST else tm
+
+
+def _nanoseconds(time: Any) -> int | None:
+    """A time as it stands in a line, a number or seconds and nanoseconds; None for what is none."""
+    if isinstance(time, dict) and set(time) == {"sec", "nsec"}:
+        seconds, nanoseconds = time["sec"], time["nsec"]
+        if type(seconds) is not int or type(nanoseconds) is not int:  # a text of that many times itself fills memory
+            return None
+        return seconds * 10**9 + nanoseconds
+    return time if type(time) is int else None
 
 
 def _names(begin: bytes) -> tuple[str, str]:

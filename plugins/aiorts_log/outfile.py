@@ -82,6 +82,9 @@ class OutFile:
         RecordingError: it cannot be had or continued.
     """
 
+    can_sync = True
+    """Whether no wait for the disk has failed: the next one would say that all is well, which it is not."""
+
     def __init__(
         self, path: Path, existing: Existing = "refuse", min_free: int | None = None, kind: type[LogFile] = LogFile
     ) -> None:
@@ -189,7 +192,9 @@ class OutFile:
 
     def sync(self) -> None:
         """Wait until all of it is on the disk. OSError when it may not be."""
+        self.can_sync = False
         self._file.sync()
+        self.can_sync = True
 
     def sync_folder(self) -> None:
         """Wait until the disk knows that there is the file. OSError when it may not."""

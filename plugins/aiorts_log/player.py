@@ -93,6 +93,8 @@ class Player:
         self._fresh: set[Any] = set()
         """Who was sent something since the loop had its last turn."""
         self._before: Any = None
+        self._moment = -1
+        """Who was sent the sample before, and its log time."""
         if playing.paused:
             self._schedule.pause(clock.monotonic_ns())
 
@@ -193,12 +195,12 @@ class Player:
         """Hand over each when it is due, or all until somebody asks for another position."""
         schedule, send, monotonic_ns = self._schedule, self._send, self._clock.monotonic_ns
         adjusted, now = not self._absolute, monotonic_ns()
-        fresh, before = self._fresh, self._before
+        fresh, before, moment = self._fresh, self._before, self._moment
         for target, log_time, record, stamped in samples:
             if self._target is not None:
                 return
-            if target is not before and target in fresh:
-                # Who reads several ports in one go would find what was recorded before it behind it.
+            if target is not before and fresh and (target in fresh or log_time != moment):
+                # Who reads several ports in one go might find what was recorded before it behind it.
                 await asyncio.sleep(0)
                 fresh.clear()
                 if self._target is not None:
@@ -217,13 +219,14 @@ class Player:
                 schedule.step(now)
             await send(target, self._stamped(record) if stamped and adjusted else record)
             self.sent += 1
+            moment = log_time
             schedule.sent(now, allowed=allowed)
             fresh.add(target)
             before = target
             if not self.sent % _AT_ONCE:
                 await asyncio.sleep(0)
                 fresh.clear()
-        self._before = before
+        self._before, self._moment = before, moment
 
     async def _until_due(self) -> None:
         schedule = self._schedule

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from aiorts.errors import AiortsError
-from aiorts_log.flat import FlatReader
+from aiorts_log.flat import FlatReader, note
 from aiorts_log.form import BadOctets
 from aiorts_log.salvage import SalvageReport
 from aiorts_log.survey import Gap
@@ -37,7 +37,7 @@ def salvage_lines(reader: FlatReader, target: Path, overwrite: bool) -> SalvageR
                 try:
                     name = _sample(reader, line)
                 except (BadOctets, AiortsError) as error:
-                    lost.append(Gap(begin, len(line), f"line {number}: {error}"))
+                    note(lost, Gap(begin, len(line), f"line {number}: {error}"))
                     continue
                 file.write(line + b"\n")
                 samples[name] = samples.get(name, 0) + 1

@@ -12,7 +12,7 @@ from aiorts_log.errors import RecordingError
 from aiorts_log.file import Existing, held_by, part_path
 from aiorts_log.options import RecordingOptions
 
-__all__ = ("check_target", "continuing")
+__all__ = ("check_parts", "check_target", "continuing")
 
 _MOST_PARTS: Final = 1_000_000
 
@@ -45,6 +45,15 @@ def check_target(path: str | os.PathLike[str], existing: Existing) -> None:
         raise RecordingError(f"{where}: cannot be written: permission denied")
 
 
+def check_parts(path: str | os.PathLike[str], options: RecordingOptions) -> None:
+    """Raise RecordingError when a recording in several files would stand among those of another one."""
+    rotates = options.max_octets is not None or options.max_seconds is not None
+    if rotates and options.existing == "refuse" and os.path.lexists(other := part_path(Path(path), 1)):
+        raise RecordingError(
+            f"{other}: is there already, of another recording; move it away, or name another file than {path}"
+        )
+
+
 def _check_folder(where: Path) -> None:
     folder = where.absolute().parent
     if not folder.is_dir():
@@ -54,8 +63,8 @@ def _check_folder(where: Path) -> None:
 
 
 def continuing(options: RecordingOptions, path: Path) -> RecordingOptions:
-    """The same options, to continue what was recorded: in the last of its files that are there."""
+    """The same options, to continue what is there: in the last of its files."""
     part = options.part
-    while part < _MOST_PARTS and part_path(path, part + 1).exists():
+    while options.existing == "append" and part < _MOST_PARTS and part_path(path, part + 1).exists():
         part += 1
-    return replace(options, existing="append", part=part)
+    return replace(options, part=part)

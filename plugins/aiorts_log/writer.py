@@ -56,6 +56,7 @@ class RecordingWriter:
 
     Attributes:
         failure: what ended it before it was closed; None as long as all is well.
+        part: number of the file that is written.
 
     Raises:
         RecordingError: the file cannot be had.
@@ -95,13 +96,13 @@ class RecordingWriter:
         self.failure: RecordingError | None = None
         self.remarks: dict[str, Any] = {}
         """What else is to be said at the end of the recording: plain data."""
-        self._number = self.options.part
+        self.part = self.options.part
         self._last = -1
         self._opened_at = 0.0
         self._clamped = self._octets_before = self._durable = 0
         self._ended = self._orderly = False
         self._owners: dict[int, PortState] = {}
-        self._file = self.out(part_path(self.path, self._number), self.options.existing, self.options.min_free, kind)
+        self._file = self.out(part_path(self.path, self.part), self.options.existing, self.options.min_free, kind)
         self._last = self._file.floor
         self.floor = self._file.floor
         """The last log time of a recording that is continued; samples have to be later."""
@@ -219,7 +220,7 @@ class RecordingWriter:
     def statistics(self) -> RecordingStatistics:
         """What became of the samples up to now."""
         octets = self._octets_before + self._file.size
-        return tally(self._ports, not self._thread.is_alive(), self._durable, self._clamped, octets, self._number + 1)
+        return tally(self._ports, not self._thread.is_alive(), self._durable, self._clamped, octets, self.part + 1)
 
     # -- the thread ------------------------------------------------------------------------------------------------
 
@@ -247,7 +248,7 @@ class RecordingWriter:
     def _begin(self) -> None:
         """Say in the file what is known of the system, and once more of each file that follows."""
         now = max(self._last, 0)
-        self._file.attach_json(METADATA_NAME, {**self._metadata, "part": self._number}, now)
+        self._file.attach_json(METADATA_NAME, {**self._metadata, "part": self.part}, now)
         for name, octets in self._attachments.items():
             self._file.attach(Attachment(now, now, name, "application/octet-stream", octets))
         if self.options.sync != "never":
@@ -343,10 +344,10 @@ class RecordingWriter:
     def _rotate(self) -> None:
         self._finish("continued in the next file")
         self._octets_before += self._file.size
-        self._number = next_part(self.path, self._number, self.options.existing)
-        path = part_path(self.path, self._number)
+        number = next_part(self.path, self.part, self.options.existing)
         existing: Existing = "overwrite" if self.options.existing == "overwrite" else "refuse"
-        self._file = self.out(path, existing, self.options.min_free, self._kind)
+        self._file = self.out(part_path(self.path, number), existing, self.options.min_free, self._kind)
+        self.part = number
         for port in self._ports:
             port.seen = None
             port.next.clear()
@@ -371,7 +372,7 @@ class RecordingWriter:
         self._store()
         found = self.statistics
         self._file.attach_json(END_NAME, {**self.remarks, "why": why, **said_at_end(found)}, max(self._last, 0))
-        if self.options.sync != "never":
+        if self.options.sync != "never" and self._file.can_sync:
             self._file.sync()
             self._durable = found.stored
         self._file.finish()
