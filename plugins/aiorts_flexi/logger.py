@@ -19,8 +19,9 @@ what a user sees: parameters, options, ports and the service port.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol, cast
 
 from aiorts import InPort, OutPort, Param, Provided
 from aiorts.errors import ConfigurationError, StateError
@@ -30,6 +31,17 @@ from aiorts_flexi.recording import Recording
 from aiorts_flexi.replaying import REPLAY_OPTIONS, Playback, Replaying
 
 __all__ = ("BasicOperations", "FlexiLogger", "Role")
+
+_OF_THE_OTHER: Final = {
+    "record": ("speed", "rate", "absolute", "begin", "end", "loop", "max_gap", "only", "skip", "remap", "strict"),
+    "replay": ("encoding", "existing", "sync", "flush_age", "chunk", "queue", "rotate_size", "rotate_time", "min_free"),
+}
+"""Parameters that mean nothing in a mode. What the original ignored is ignored: types and names when it replays."""
+
+
+def _says(option: Option, value: object) -> bool:
+    """Whether an option of a parameter can have given it this value."""
+    return option.kind != "flag" or option.value == value
 
 
 class BasicOperations(Protocol):
@@ -170,7 +182,7 @@ class FlexiLogger(FlexiComponent):
         Option(("--min-free",), "min_free", "number", "record: MB of the disk that stay free (default 1 GiB, or 5 %)"),
         *REPLAY_OPTIONS,
         TYPE_MODULES,
-        VERBOSITY,
+        replace(VERBOSITY, help="how much is logged: 0, 1 ports, 2 segments and pauses, 3 samples of each cycle"),
     )
 
     def __init__(self, name: str = "") -> None:
@@ -192,6 +204,11 @@ class FlexiLogger(FlexiComponent):
             for fixed in ("mode", "use_control"):
                 if values[fixed] != getattr(self, fixed):
                     raise ConfigurationError(f"{self.name}.{fixed}: is said when it is created; create another one")
+        for name in _OF_THE_OTHER[values["mode"]]:
+            if values[name] != self.params[name].spec.default:
+                flag = next(o.flags[-1] for o in self.options if o.param == name and _says(o, values[name]))
+                other = "replay" if values["mode"] == "record" else "record"
+                raise ConfigurationError(f"{self.name}.{name} ({flag}): does nothing unless mode = {other!r}")
         return self.taking(self._roles[values["mode"]].check_configuration(values))
 
     def on_initialize(self) -> None:
@@ -210,6 +227,8 @@ class FlexiLogger(FlexiComponent):
                 self.add_port("Playback", Provided[Playback](self._replaying, instance="Playback"))
 
     def on_activated(self) -> None:
+        if self.use_control and not cast("Any", self.ports["Control"]).connectors:
+            self.log.warning("stands still until Control.start() is called, and nothing is connected to Control yet")
         self.role.activated()
 
     def on_execute(self) -> None:

@@ -301,9 +301,11 @@ class Recording:
         missed = {name: n for (name, why), n in lost.items() if why in MISSED}
         if missed:
             names = ", ".join(f"{count} of {name}" for name, count in missed.items())
-            self._logger.log.warning(
-                "%s", f"samples did not get here: {names}; connect with a longer buffer (length) or full = block"
+            late = all(why == "inactive" for _, why in lost if why in MISSED)
+            remedy = (
+                "they lay unread when it was deactivated" if late else "connect with a longer buffer or full = block"
             )
+            self._logger.log.warning("%s", f"samples were not recorded: {names}; {remedy}")
 
     def _number_ports(self, session: BackgroundRecording) -> None:
         """Give each in-port that there is now its number in the recording."""

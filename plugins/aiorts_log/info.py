@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ("PortInfo", "RecordingInfo", "info_of")
 
-MISSED: Final = ("overwritten", "rejected", "timeout", "lost")
+MISSED: Final = ("overwritten", "rejected", "timeout", "lost", "inactive")
 """Why a connector dropped what its user wanted to have."""
 GAP: Final = 1_000_000_000
 """Nanoseconds without any sample from which it is told; the writer begins a new chunk after such a time."""

@@ -437,8 +437,8 @@ async def test_memory_stays_flat_though_automatic_collection_is_off() -> None:
         while len(worker.begun) < 400:  # which make 80,000
             await asyncio.sleep(0.01)
             highest = max(highest, alive)
-    # On a busy machine a collection may seem to cost more than there is slack: then it waits for 20 times the threshold,
-    # which is 700, and 2,000 since 3.13.
+    # On a busy machine a collection may seem to cost more than there is slack: then it waits for 20 times the
+    # threshold, which is 700, and 2,000 since 3.13.
     assert highest < 20 * gc.get_threshold()[0] + 2_000
 
 

@@ -28,7 +28,7 @@ from aiorts.testing import simulated
 from aiorts.types import Point2D, Pose2D, RangeData, TimedDouble, TimedDoubleSeq, TimedLong, TimedPose2D, TimedString
 from aiorts_flexi.logger import BasicOperations, FlexiLogger
 from aiorts_flexi.recording import Recording
-from aiorts_log import RecordingReader, open_recording
+from aiorts_log import RecordingReader, info_of, open_recording
 from aiorts_log.opening import form_of
 from log_parts import read
 from logger_parts import active, ending, feeders, metadata, recorder
@@ -404,3 +404,46 @@ async def test_new_code_that_fails_gives_the_recording_back(tmp_path: Path, monk
         await kernel.sleep(0.1)
         assert old.last_error is None
     assert [record.data for _, _, record in read(path)] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.fault("B17")
+@simulated
+async def test_what_lay_unread_when_it_was_deactivated_is_told_and_in_the_file(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Kernel() as kernel:
+        logger = await recorder(kernel, tmp_path / "run.mcap")
+        feed = (await feeders(kernel, logger))["input0"]
+        context = await active(kernel, logger, PeriodicContext(rate=1.0))
+        await kernel.sleep(1.5)
+        for number in range(7):
+            feed.write_nowait(TimedLong(0, number))
+        await context.deactivate(logger)
+        await logger.wait_closed()
+    assert "samples were not recorded: 7 of " in caplog.text
+    with open_recording(tmp_path / "run.mcap") as reader:
+        assert list(info_of(reader).dropped.values()) == [7]
+
+
+@pytest.mark.parametrize(
+    ("params", "named"),
+    [
+        ({"speed": 2.0}, "speed (--speed): does nothing unless mode = 'replay'"),
+        ({"mode": "replay", "existing": "append"}, "existing (--append): does nothing unless mode = 'record'"),
+    ],
+)
+@simulated
+async def test_a_parameter_of_the_other_mode_is_refused(params: dict[str, Any], named: str, tmp_path: Path) -> None:
+    async with Kernel() as kernel:
+        with pytest.raises(ConfigurationError) as refused:
+            await kernel.create(FlexiLogger, inputs=["TimedLong"], logfile=tmp_path / "run.mcap", **params)
+    assert named in str(refused.value)
+
+
+@simulated
+async def test_with_control_that_nothing_is_connected_to_it_says_why_it_stands_still(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Kernel() as kernel:
+        await active(kernel, await recorder(kernel, tmp_path / "run.mcap", use_control=True))
+    assert caplog.text.count("stands still until Control.start() is called") == 1
