@@ -163,6 +163,40 @@ def test_ctrl_c_while_recording_leaves_a_valid_log(times: int, tmp_path: Path) -
     assert fed - len(stored) < (400 if times == 1 else fed)
 
 
+@pytest.mark.fault("F09")
+@pytest.mark.campaign
+@pytest.mark.timeout(1800)
+def test_ctrl_c_at_any_moment_leaves_no_broken_log(tmp_path: Path) -> None:
+    """From the start of the process on, once and twice; 150 moments of a raster of 20 ms in the campaign."""
+    for number in range(150) if CAMPAIGN else (10, 45):
+        path, times = tmp_path / f"{number}.mcap", 1 + number % 2
+        command = [sys.executable, "-m", "aiorts", "flexilogger", "-p", "TimedLong", "-l", str(path), "--min-free", "0"]
+        began = time.monotonic()
+        with subprocess.Popen(
+            command, text=True, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+        ) as process:
+            assert process.stdin is not None
+            count = 0
+            while time.monotonic() - began < 0.02 * (number + 1):
+                process.stdin.write(f"{count}\n")
+                process.stdin.flush()
+                count += 1
+                time.sleep(0.001)
+            for _ in range(times):
+                process.send_signal(signal.SIGINT)
+            at = time.monotonic()
+            _, errors = process.communicate(timeout=20)
+        assert time.monotonic() - at < (5.0 if times == 1 else 0.5) + SLACK
+        assert process.returncode in (130, -signal.SIGINT), number  # the interpreter's own, before it is ours
+        assert "Traceback" not in errors or process.returncode == -signal.SIGINT
+        if path.exists() and path.stat().st_size:
+            stored = [record.data for _, _, record in read(path)]
+            assert stored == list(range(len(stored))), number
+            with RecordingReader(path) as reader:
+                assert reader.fault == ""
+                assert reader.clean or times == 2
+
+
 @pytest.mark.fault("F15")
 @pytest.mark.fault("D17")
 def test_a_second_recorder_is_told_who_has_the_file(tmp_path: Path) -> None:
