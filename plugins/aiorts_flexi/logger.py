@@ -149,7 +149,7 @@ class FlexiLogger(FlexiComponent):
     remap: tuple[str, ...] = Param((), type=tuple[str, ...], doc="replay: OLD=NEW, other names for ports")
     position = Param("", doc="replay: play from there, also while it runs; as begin")
     step = Param(0, ge=0, doc="replay: so many samples are sent although it is paused; raised by N, N more")
-    strict = Param(False, doc="replay: a damaged or unfinished recording is an error")
+    strict = Param(False, doc="replay: a recording that was not closed is an error, as a damaged one is")
 
     help_text: ClassVar[str] = """
     \b

@@ -43,7 +43,7 @@ REPLAY_OPTIONS: Final = (
     Option(("--ports",), "only", "text", "replay: only these ports, separated by commas"),
     Option(("--skip",), "skip", "text", "replay: without these ports, separated by commas"),
     Option(("--remap",), "remap", "repeat", "replay: OLD=NEW, another name for a port; repeat for more"),
-    Option(("--strict",), "strict", "flag", "replay: a damaged or unfinished recording is an error"),
+    Option(("--strict",), "strict", "flag", "replay: a recording that was not closed is an error, as a damaged one is"),
 )
 
 
@@ -245,18 +245,12 @@ class Replaying:
         await self.wait_closed()
 
     async def _play(self, player: Player, plan: Plan) -> None:
-        try:
-            await player.play()
-        except DamagedError as error:
+        await player.play()
+        if player.fault:
+            text = f"{plan.contents.path}: {player.fault}"
             if plan.strict:
-                raise
-            self._warn(str(error))
-        else:
-            if player.fault:
-                text = f"{plan.contents.path}: {player.fault}"
-                if plan.strict:
-                    raise DamagedError(text)
-                self._warn(text)
+                raise DamagedError(text)
+            self._warn(text)
         if not player.sent:
             self._warn(f"{plan.contents.path}: nothing was replayed: it has no sample of these ports in this time")
         if self._logger.verbosity >= 1:
