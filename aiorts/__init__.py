@@ -7,48 +7,48 @@ pay for the kernel.
 from __future__ import annotations
 
 from aiorts.late import late as _late
+from aiorts.late import provide as _provide
 
 TYPE_CHECKING = False
 """What `typing` calls so; importing that would take as long as all else until the command line can take Ctrl-C."""
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from anyio import WouldBlock
 
+    from aiorts.assembly import Kernel
     from aiorts.clock import Clock, ScaledClock, SimulatedClock, SystemClock
-    from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, RealtimeContext, ThreadContext
+    from aiorts.composites import Composite
+    from aiorts.contexts import EventContext, ExternalContext, PeriodicContext, ThreadContext
+    from aiorts.diagnostics import LoopStalls
     from aiorts.errors import AiortsError
+    from aiorts.functions import component
     from aiorts.kernel import (
         Bus,
         Component,
         Connector,
         Context,
         InPort,
-        Kernel,
+        KernelService,
+        Microkernel,
         OutPort,
         Param,
-        Provided,
-        Required,
-        ServiceConnector,
-        ServicePort,
+        setting,
     )
-    from aiorts.kernel.catalogue import Catalogue, Extension
-    from aiorts.kernel.composite import Composite
     from aiorts.kernel.configuring import Configuration
-    from aiorts.kernel.declarations import Declaration, declaration_of
-    from aiorts.kernel.function import component
-    from aiorts.kernel.machine import EventPort, StateMachine, StateMachineComponent
-    from aiorts.kernel.modes import MultiModeComponent, Participant
-    from aiorts.kernel.reload_events import Dropped, Reloaded
-    from aiorts.kernel.supervision import Supervised
-    from aiorts.kernel.watchdog import LoopStalls
+    from aiorts.kernel.extensions.catalogue import Catalogue, Extension
+    from aiorts.kernel.extensions.type_modules import import_types
     from aiorts.model.blame import Blame
-    from aiorts.model.lifecycle import LifeCycleState
+    from aiorts.model.lifecycle import LifecycleState
     from aiorts.model.naming import NamePolicy
-    from aiorts.model.profile_schema import profile_schema
-    from aiorts.model.sequence import StartRule
-    from aiorts.model.supervision import Supervision
-    from aiorts.model.system_profile import SystemProfile
+    from aiorts.observe import Declaration, SystemProfile, declaration_of, profile_schema
+    from aiorts.realtime import RealtimeContext
+    from aiorts.reload import Dropped, Reloaded
     from aiorts.running import run
+    from aiorts.services import Provided, Required, ServiceConnector, ServicePort
+    from aiorts.statemachines import EventPort, MultiModeComponent, Participant, StateMachine, StateMachineComponent
+    from aiorts.supervision import StartRule, Supervised, Supervision
 
 __version__ = "0.1.0"
 
@@ -71,8 +71,10 @@ __all__ = (
     "ExternalContext",
     "InPort",
     "Kernel",
-    "LifeCycleState",
+    "KernelService",
+    "LifecycleState",
     "LoopStalls",
+    "Microkernel",
     "MultiModeComponent",
     "NamePolicy",
     "OutPort",
@@ -98,85 +100,62 @@ __all__ = (
     "WouldBlock",
     "component",
     "declaration_of",
+    "import_types",
     "profile_schema",
     "run",
+    "setting",
 )
 
-_HOMES = {
-    "aiorts.clock": (
-        "Clock",
-        "ScaledClock",
-        "SimulatedClock",
-        "SystemClock",
+_late(
+    globals(),
+    {
+        "aiorts.assembly": "Kernel",
+        "aiorts.clock": "Clock ScaledClock SimulatedClock SystemClock",
+        "aiorts.contexts": "EventContext ExternalContext PeriodicContext ThreadContext",
+        "aiorts.errors": "AiortsError",
+        "aiorts.kernel": "Bus Component Connector Context InPort KernelService Microkernel OutPort Param setting",
+        "aiorts.kernel.extensions.catalogue": "Catalogue Extension",
+        "aiorts.kernel.extensions.type_modules": "import_types",
+        "aiorts.composites": "Composite",
+        "aiorts.diagnostics": "LoopStalls",
+        "aiorts.functions": "component",
+        "aiorts.observe": "Declaration SystemProfile declaration_of profile_schema",
+        "aiorts.realtime": "RealtimeContext",
+        "aiorts.reload": "Dropped Reloaded",
+        "aiorts.services": "Provided Required ServiceConnector ServicePort",
+        "aiorts.statemachines": "EventPort MultiModeComponent Participant StateMachine StateMachineComponent",
+        "aiorts.supervision": "StartRule Supervised Supervision",
+        "aiorts.kernel.configuring": "Configuration",
+        "aiorts.model.blame": "Blame",
+        "aiorts.model.lifecycle": "LifecycleState",
+        "aiorts.model.naming": "NamePolicy",
+        "aiorts.running": "run",
+        "anyio": "WouldBlock",
+    },
+    modules=(
+        "clock",
+        "contexts",
+        "errors",
+        "events",
+        "kernel",
+        "model",
+        "statechart",
+        "system",
+        "testing",
+        "types",
+        "wire",
     ),
-    "aiorts.contexts": (
-        "EventContext",
-        "ExternalContext",
-        "PeriodicContext",
-        "RealtimeContext",
-        "ThreadContext",
-    ),
-    "aiorts.errors": ("AiortsError",),
-    "aiorts.kernel": (
-        "Bus",
-        "Component",
-        "Connector",
-        "Context",
-        "InPort",
-        "Kernel",
-        "OutPort",
-        "Param",
-        "Provided",
-        "Required",
-        "ServiceConnector",
-        "ServicePort",
-    ),
-    "aiorts.kernel.catalogue": (
-        "Catalogue",
-        "Extension",
-    ),
-    "aiorts.kernel.composite": ("Composite",),
-    "aiorts.kernel.configuring": ("Configuration",),
-    "aiorts.kernel.declarations": (
-        "Declaration",
-        "declaration_of",
-    ),
-    "aiorts.kernel.function": ("component",),
-    "aiorts.kernel.machine": (
-        "EventPort",
-        "StateMachine",
-        "StateMachineComponent",
-    ),
-    "aiorts.kernel.modes": (
-        "MultiModeComponent",
-        "Participant",
-    ),
-    "aiorts.kernel.reload_events": (
-        "Dropped",
-        "Reloaded",
-    ),
-    "aiorts.kernel.supervision": ("Supervised",),
-    "aiorts.kernel.watchdog": ("LoopStalls",),
-    "aiorts.model.blame": ("Blame",),
-    "aiorts.model.lifecycle": ("LifeCycleState",),
-    "aiorts.model.naming": ("NamePolicy",),
-    "aiorts.model.profile_schema": ("profile_schema",),
-    "aiorts.model.sequence": ("StartRule",),
-    "aiorts.model.supervision": ("Supervision",),
-    "aiorts.model.system_profile": ("SystemProfile",),
-    "aiorts.running": ("run",),
-    "anyio": ("WouldBlock",),
-}
-"""Where each public name lives; the events are in `aiorts.events`, the words of state charts in `aiorts.statechart`."""
-_MODULES = frozenset(
-    ("clock", "contexts", "errors", "events", "kernel", "model", "statechart", "system", "testing", "types", "wire")
 )
-"""`import aiorts` is enough to say `aiorts.types.TimedDouble`."""
+"""Where each public name lives; the events are in `aiorts.events`, the words of state charts in `aiorts.statechart`.
 
-# Hidden from type checkers, which would otherwise believe in every name.
-if not TYPE_CHECKING:
-    __getattr__ = _late(__name__, _HOMES, _MODULES)
+`import aiorts` is enough to say `aiorts.types.TimedDouble`.
+"""
 
 
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_MODULES})
+def _finders(kind: str) -> Any:
+    from aiorts.kernel.extensions.finders import FINDERS
+
+    return FINDERS[kind]
+
+
+_provide(("types", "declared types", "codecs"), _finders)

@@ -2,7 +2,8 @@
 
 A clock has two faces. `time_ns()` is the time since the epoch, for stamps; it goes where the wall clock goes.
 `monotonic_ns()` never jumps and never goes back; every period and deadline is measured on it. Nothing here keeps a
-wake-up of its own: real timers are `aiorts.kernel.timers`, simulated ones lie in a heap until somebody moves the clock.
+wake-up of its own: real timers are `aiorts.kernel.loop.timers`, simulated ones lie in a heap until somebody moves the
+clock.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ if TYPE_CHECKING:
 __all__ = (
     "Clock",
     "Hold",
+    "LoopClock",
     "ScaledClock",
     "SimulatedClock",
     "SystemClock",
     "Timer",
     "TimerHeap",
+    "clock_of",
     "current_clock",
     "to_ns",
 )
@@ -142,6 +145,43 @@ class ScaledClock(Clock):
         return f"ScaledClock({self.speed:g})"
 
 
+class LoopClock(Clock):
+    """The time of an event loop that keeps its own, a simulator's or a browser's.
+
+    Stamps begin at the wall clock's and go on with the loop. `come_to(deadline_ns)` tells that the loop has rung for a
+    deadline: it has come to it, whatever its `time()`, a float, was rounded to.
+    """
+
+    __slots__ = ("_base", "_epoch", "_loop", "_reached")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._reached = 0
+        self._base = self.monotonic_ns()
+        self._epoch = time.time_ns()
+
+    def time_ns(self) -> int:
+        return self._epoch + self.monotonic_ns() - self._base
+
+    def monotonic_ns(self) -> int:
+        return max(self._reached, self.loop_ns())
+
+    def loop_ns(self) -> int:
+        """What the loop itself says, which may be a little less: a timer for this clock is set by it."""
+        return round(self._loop.time() * NS_PER_S)
+
+    def come_to(self, deadline_ns: int) -> None:
+        """The loop rang for this moment."""
+        self._reached = max(self._reached, deadline_ns)
+
+    def real_deadline_ns(self, deadline_ns: int) -> int:
+        # As far as anybody can tell: the loop may jump there.
+        return time.monotonic_ns() + deadline_ns - self.monotonic_ns()
+
+    def __repr__(self) -> str:
+        return f"LoopClock({self._loop!r})"
+
+
 class SimulatedClock(Clock):
     """Time that passes only when it is moved: by a `SimulatedLoop`, or on any other loop by `advance()`.
 
@@ -151,7 +191,8 @@ class SimulatedClock(Clock):
     """
 
     def __init__(self, start_ns: int = 0) -> None:
-        self._now = 0
+        self.now_ns = 0
+        """What `monotonic_ns()` gives; `move_to` sets it."""
         self._epoch = start_ns
         self._timers = TimerHeap()
         self._probes: dict[object, Callable[[], int]] = {}
@@ -162,20 +203,20 @@ class SimulatedClock(Clock):
         self._advancing = False
 
     def time_ns(self) -> int:
-        return self._epoch + self._now
+        return self._epoch + self.now_ns
 
     def monotonic_ns(self) -> int:
-        return self._now
+        return self.now_ns
 
     def set_time_ns(self, epoch_ns: int) -> None:
         """Sets the wall clock alone, as an operator would: stamps jump, periods and deadlines do not."""
-        self._epoch = epoch_ns - self._now
+        self._epoch = epoch_ns - self.now_ns
 
     def real_deadline_ns(self, deadline_ns: int) -> int:
         raise StateError(f"{self!r}: a simulated deadline has no real time; wait for it with timers_for(clock).call_at")
 
     def __repr__(self) -> str:
-        return f"<SimulatedClock at {self._now / 1e9:.9f} s>"
+        return f"<SimulatedClock at {self.now_ns / 1e9:.9f} s>"
 
     # -- timers ---------------------------------------------------------------------------------------------------
 
@@ -193,15 +234,15 @@ class SimulatedClock(Clock):
         return len(self._timers)
 
     def move_to(self, now_ns: int) -> None:
-        """Sets the time, fires nothing; a moment in the past is ignored. For whoever drives the clock."""
-        self._now = max(now_ns, self._now)
+        """Sets the time, fires nothing; a moment in the past is ignored. For the code that drives the clock."""
+        self.now_ns = max(now_ns, self.now_ns)
 
     def fire(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Moves to the earliest deadline and runs all its timers (and those overdue) once. For whoever drives."""
+        """Moves to the earliest deadline and runs all its timers (and those overdue) once. For what drives it."""
         deadline = self._timers.next_deadline()
         if deadline is not None:
             self.move_to(deadline)
-            self._timers.run_due(self._now, loop)
+            self._timers.run_due(self.now_ns, loop)
 
     # -- moving by hand -------------------------------------------------------------------------------------------
 
@@ -213,11 +254,11 @@ class SimulatedClock(Clock):
         step = to_ns(seconds)
         if step < 0:
             raise ValueError(f"seconds={seconds!r}: expected 0 or more, time does not go back")
-        await self.advance_to(self._now + step)
+        await self.advance_to(self.now_ns + step)
 
     async def advance_to(self, monotonic_ns: int) -> None:
         """`advance()` to a moment of `monotonic_ns()`; raises ValueError for one in the past."""
-        if monotonic_ns < self._now:
+        if monotonic_ns < self.now_ns:
             raise ValueError(f"{self!r}: cannot go back to {monotonic_ns} ns")
         loop = asyncio.get_running_loop()
         if self._driver is not None:
@@ -238,7 +279,7 @@ class SimulatedClock(Clock):
             self._advancing = False
 
     async def _settle(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Gives the loop turns until kernel activity has stopped and nobody holds the clock."""
+        """Gives the loop turns until kernel activity has stopped and the clock is not held."""
         quiet, before = 0, self._activity()
         while quiet < SETTLED_TURNS:
             if self._holds:
@@ -312,6 +353,28 @@ class SimulatedClock(Clock):
 
 def _discard(table: dict[object, Any], key: object) -> None:
     table.pop(key, None)
+
+
+_OF_THE_MACHINE = ("asyncio", "uvloop")
+"""Who makes loops whose `time()` is CLOCK_MONOTONIC."""
+
+_CLOCK = "_aiorts_loop_clock"
+"""Attribute of a loop that keeps its own time: all kernels on it share one clock."""
+
+
+def clock_of(loop: asyncio.AbstractEventLoop) -> Clock:
+    """The clock of a kernel on this loop that is given none: the machine's, or the loop's where it keeps its own."""
+    simulated = getattr(loop, "aiorts_clock", None)
+    if isinstance(simulated, SimulatedClock):
+        return simulated
+    keeper = next((base for base in type(loop).__mro__ if "time" in vars(base)), type(loop))
+    if keeper.__module__.partition(".")[0] in _OF_THE_MACHINE:
+        return SystemClock()
+    clock = getattr(loop, _CLOCK, None)
+    if not isinstance(clock, LoopClock):
+        clock = LoopClock(loop)
+        setattr(loop, _CLOCK, clock)
+    return clock
 
 
 def current_clock() -> SimulatedClock | None:

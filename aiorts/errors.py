@@ -42,14 +42,14 @@ __all__ = (
     "WireError",
     "WiringError",
     "WriteTimeout",
-    "said",
+    "format_error",
 )
 
 _E = TypeVar("_E", bound="AiortsError")
 
 
 class Place(NamedTuple):
-    """Characters `start` to `end` (from 0, `end` excluded) of a text that somebody typed; none where it only ends."""
+    """Characters `start` to `end` (from 0, `end` excluded) of a text that the user typed; none where it only ends."""
 
     text: str
     start: int
@@ -107,7 +107,7 @@ class UnknownTypeError(AiortsError, LookupError):
 
 
 class ConversionError(AiortsError, ValueError):
-    """A value cannot be converted to the type asked for without changing it silently."""
+    """A value cannot be converted to the requested type without changing it silently."""
 
     code = "E-CONVERT"
 
@@ -143,7 +143,7 @@ class StateError(AiortsError, RuntimeError):
 
 
 class ComponentError(AiortsError, RuntimeError):
-    """A component's own hook failed while it did what was asked; the cause is `__cause__`."""
+    """A component's own hook failed while a request was carried out; the cause is `__cause__`."""
 
     code = "E-COMPONENT"
 
@@ -167,7 +167,7 @@ class PluginError(AiortsError):
 
 
 class MissingExtra(PluginError, ImportError):
-    """Something optional is asked for that is not installed; says which command installs it.
+    """Something optional is needed that is not installed; says which command installs it.
 
     Args:
         what: what was asked for ("chart.png").
@@ -215,7 +215,7 @@ class HookAbandoned(HookTimeout):
 
 
 class TransitionTimeout(AiortsError, TimeoutError):
-    """A life-cycle request did not take effect within its deadline."""
+    """A lifecycle request did not take effect within its deadline."""
 
     code = "E-TRANSITION"
 
@@ -268,10 +268,11 @@ class InterfaceMismatch(ServiceError, WiringError, TypeError):
     code = "E-INTERFACE"
 
 
-def said(error: BaseException) -> str:
-    """`Class: text` of what somebody else's code raised; its `__str__` may be as bad as what raised it."""
+def format_error(error: BaseException) -> str:
+    """`Class: text` of what foreign code raised; its `__str__` may be as bad as what raised it."""
     try:
-        text = str(error)
+        text = str.__str__(str(error))  # a text of a class of its own, too, becomes a plain one
     except BaseException:  # noqa: BLE001 - the border of an exception that is a user's own
         text = "(its text cannot be had)"
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    name: str = type.__dict__["__name__"].__get__(type(error))
+    return f"{name}: {text}" if text else name

@@ -1,4 +1,6 @@
-"""What a kernel's bus, its connectors and `kernel.watch()` tell: every typed event, as a frozen value.
+"""What a kernel's bus, its connectors and `kernel.changes()` publish: every typed event, as a frozen value.
+
+These are the names of the events; each is defined in the room that reports it.
 
 `kernel.bus.subscribe(StateChanged, observer)` asks for one kind and all that are derived from it.
 """
@@ -10,7 +12,18 @@ from aiorts.late import late as _late
 TYPE_CHECKING = False
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bus import (
+    from aiorts.composites import CompositeChanged
+    from aiorts.diagnostics import LoopStall
+    from aiorts.kernel.configuration_events import (
+        ConfigurationSetActivated,
+        ConfigurationSetAdded,
+        ConfigurationSetChanged,
+        ConfigurationSetRemoved,
+        ParameterAdded,
+        ParameterChanged,
+        ParameterRemoved,
+    )
+    from aiorts.kernel.loop.bus import (
         CallFailed,
         ComponentAdded,
         ComponentRemoved,
@@ -33,24 +46,10 @@ if TYPE_CHECKING:
         StateChanged,
         ThreadsExhausted,
     )
-    from aiorts.kernel.composite import CompositeChanged
-    from aiorts.kernel.configuration_events import (
-        ConfigurationSetActivated,
-        ConfigurationSetAdded,
-        ConfigurationSetChanged,
-        ConfigurationSetRemoved,
-        ParameterAdded,
-        ParameterChanged,
-        ParameterRemoved,
-    )
-    from aiorts.kernel.heartbeats import ComponentBeat, ContextBeat
-    from aiorts.kernel.listening import ConnectorEvent, Happening
-    from aiorts.kernel.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
-    from aiorts.kernel.modes import ModeChanged
-    from aiorts.kernel.reload_events import ComponentReloaded
-    from aiorts.kernel.supervision import Helped, HelpExhausted
-    from aiorts.kernel.watchdog import LoopStall
-    from aiorts.model.change import Change, Fresh
+    from aiorts.observe import Change, ComponentBeat, ConnectorEvent, ConnectorEventKind, ContextBeat, ProfileSnapshot
+    from aiorts.reload import ComponentReloaded
+    from aiorts.statemachines import MachineAfter, MachineBefore, MachineChanged, MachineEnded, ModeChanged
+    from aiorts.supervision import ComponentRecovered, RestartLimitReached
 
 __all__ = (
     "CallFailed",
@@ -71,10 +70,10 @@ __all__ = (
     "ContextStopped",
     "Disconnected",
     "Event",
-    "Fresh",
-    "Happening",
-    "HelpExhausted",
-    "Helped",
+    "ProfileSnapshot",
+    "ConnectorEventKind",
+    "RestartLimitReached",
+    "ComponentRecovered",
     "HookAfter",
     "HookBefore",
     "HookFailed",
@@ -99,72 +98,23 @@ __all__ = (
     "ThreadsExhausted",
 )
 
-_HOMES = {
-    "aiorts.kernel.bus": (
-        "CallFailed",
-        "ComponentAdded",
-        "ComponentRemoved",
-        "Connected",
-        "ContextStarted",
-        "ContextStopped",
-        "Disconnected",
-        "Event",
-        "HookAfter",
-        "HookBefore",
-        "HookFailed",
-        "MemberAdded",
-        "MemberRemoved",
-        "Overrun",
-        "ParametersChanged",
-        "PortAdded",
-        "PortRemoved",
-        "RateChanged",
-        "ServiceCalled",
-        "StateChanged",
-        "ThreadsExhausted",
-    ),
-    "aiorts.kernel.composite": ("CompositeChanged",),
-    "aiorts.kernel.configuration_events": (
-        "ConfigurationSetActivated",
-        "ConfigurationSetAdded",
-        "ConfigurationSetChanged",
-        "ConfigurationSetRemoved",
-        "ParameterAdded",
-        "ParameterChanged",
-        "ParameterRemoved",
-    ),
-    "aiorts.kernel.heartbeats": (
-        "ComponentBeat",
-        "ContextBeat",
-    ),
-    "aiorts.kernel.listening": (
-        "ConnectorEvent",
-        "Happening",
-    ),
-    "aiorts.kernel.machine_events": (
-        "MachineAfter",
-        "MachineBefore",
-        "MachineChanged",
-        "MachineEnded",
-    ),
-    "aiorts.kernel.modes": ("ModeChanged",),
-    "aiorts.kernel.reload_events": ("ComponentReloaded",),
-    "aiorts.kernel.supervision": (
-        "Helped",
-        "HelpExhausted",
-    ),
-    "aiorts.kernel.watchdog": ("LoopStall",),
-    "aiorts.model.change": (
-        "Change",
-        "Fresh",
-    ),
-}
-"""Where each name lives; imported when it is first used."""
-
-# Hidden from type checkers, which would otherwise believe in every name.
-if not TYPE_CHECKING:
-    __getattr__ = _late(__name__, _HOMES)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+_late(
+    globals(),
+    {
+        "aiorts.kernel.loop.bus": (
+            "CallFailed ComponentAdded ComponentRemoved Connected ContextStarted ContextStopped Disconnected "
+            "Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun ParametersChanged PortAdded "
+            "PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
+        ),
+        "aiorts.composites": "CompositeChanged",
+        "aiorts.diagnostics": "LoopStall",
+        "aiorts.observe": "Change ComponentBeat ConnectorEvent ConnectorEventKind ContextBeat ProfileSnapshot",
+        "aiorts.reload": "ComponentReloaded",
+        "aiorts.statemachines": "MachineAfter MachineBefore MachineChanged MachineEnded ModeChanged",
+        "aiorts.supervision": "ComponentRecovered RestartLimitReached",
+        "aiorts.kernel.configuration_events": (
+            "ConfigurationSetActivated ConfigurationSetAdded ConfigurationSetChanged ConfigurationSetRemoved "
+            "ParameterAdded ParameterChanged ParameterRemoved"
+        ),
+    },
+)

@@ -1,6 +1,7 @@
 """Timers in the order (deadline, rank, creation), and holds on a clock: data that neither waits nor asks the time.
 
-Who fires them is decided elsewhere: real ones by `aiorts.kernel.timers`, simulated ones by whoever moves the clock.
+Who fires them is decided elsewhere: real ones by `aiorts.kernel.loop.timers`, simulated ones by whoever moves the
+clock.
 """
 
 from __future__ import annotations
@@ -14,27 +15,25 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-__all__ = ("Hold", "Timer", "TimerHeap")
-
 
 class Timer:
     """One callback that waits for its deadline. `cancel()` is idempotent and allowed at any time."""
 
-    __slots__ = ("_callback", "_heap", "deadline_ns")
+    __slots__ = ("_call", "_heap", "deadline_ns")
 
     def __init__(self, deadline_ns: int, callback: Callable[[], object], heap: TimerHeap) -> None:
         self.deadline_ns = deadline_ns
-        self._callback: Callable[[], object] | None = callback
+        self._call: Callable[[], object] | None = callback
         self._heap: TimerHeap | None = heap
 
     @property
     def pending(self) -> bool:
         """Neither fired nor cancelled."""
-        return self._callback is not None
+        return self._call is not None
 
     def cancel(self) -> None:
         """The callback will not run; without effect when it has."""
-        self._callback = None
+        self._call = None
         if (heap := self._heap) is not None:
             self._heap = None
             heap.forget_one()
@@ -100,7 +99,7 @@ class TimerHeap:
         try:
             for entry in entries:
                 timer = entry[3]
-                callback, timer._callback = timer._callback, None
+                callback, timer._call = timer._call, None
                 if callback is not None:
                     try:
                         callback()
@@ -148,7 +147,7 @@ class Hold:
         self._release: Callable[[], None] | None = release
 
     def release(self) -> None:
-        """Lets time pass again, unless somebody else holds it; idempotent."""
+        """Lets time pass again, unless it is held elsewhere, too; idempotent."""
         release, self._release = self._release, None
         if release is not None:
             release()

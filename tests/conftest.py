@@ -13,28 +13,36 @@ import gc
 import importlib.util
 import logging
 import os
+import random
 import signal
 import sys
 import tempfile
 import threading
 import time
+import tomllib
 import traceback
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Never
 
 import pytest
 from hypothesis import settings
 
-from aiorts.kernel.catalogue import Catalogue
+from aiorts.kernel.extensions.catalogue import Catalogue
+from tiers import are_slow, far_from_quick
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Iterator
 
+os.environ.pop("FORCE_COLOR", None)
 HAS_UVLOOP = importlib.util.find_spec("uvloop") is not None
 DESCRIPTORS = Path("/proc/self/fd")
 ENDS_WITHIN = 2.0  # seconds that a pool's thread has to end after its loop was closed
 OWN_THREADS = ("pytest_timeout", "pytest-timeout")  # of the test runner, not of a test
 ENDING = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if name in signal.Signals.__members__]
+FAR_FROM_QUICK = pytest.StashKey[dict[str, tuple[float, bool]]]()
+BUSY = 2.0
+"""Tasks that wait for each processor, above which the time that a test takes says nothing."""
 COMPLAINTS = ("never retrieved", "was destroyed but it is pending", "was never awaited")
 
 # A run under nohup, or behind a shell's "&", inherits signals that are ignored, and so would every process of a test.
@@ -43,13 +51,29 @@ for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), *((s, sig
         signal.signal(_signal, _handler)
 
 
+# Where bytecode is not to be written, that of the tests goes to pytest's own folder while they are collected: compiling
+# them again would take three times as long as all the rest of it.
+_AS_ASKED_FOR = sys.dont_write_bytecode, sys.pycache_prefix
+if sys.dont_write_bytecode:
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+
 settings.register_profile("aiorts", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "aiorts")
 
 
+def _check_installed() -> None:
+    """Refuse an installation that is older than `pyproject.toml`: it has a copy of the entry points."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text("utf-8"))["project"]
+    ours = {(group, *one) for group, several in project["entry-points"].items() for one in several.items()}
+    installed = {(one.group, one.name, one.value) for one in distribution("aiorts").entry_points}
+    if missing := ours - installed:
+        pytest.exit(f"aiorts was installed before {min(missing)} was offered; run: pip install -e . --no-deps", 4)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Name the test that ends the process of all tests: os._exit, a test's time limit too, leaves no summary."""
+    _check_installed()
     leave, process, capture = os._exit, os.getpid(), config.pluginmanager.getplugin("capturemanager")
 
     def told(status: int) -> Never:
@@ -63,12 +87,67 @@ def pytest_configure(config: pytest.Config) -> None:
     os._exit = told
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """AIORTS_TESTS_FROM=NODEID: that test and all after it, to go on where a run was ended."""
-    first = os.environ.get("AIORTS_TESTS_FROM")
-    places = [place for place, item in enumerate(items) if item.nodeid == first]
-    if places:
-        del items[: places[0]]
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--tier",
+        choices=("quick", "slow", "all"),
+        default="quick",
+        help="quick tests (the default), those in tests/SLOW.txt, or all; a test that is named with :: runs always",
+    )
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="run the tests in another order, the same for a seed")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave the tests of the tier that was asked for, in the order that was."""
+    tier = config.getoption("--tier")
+    if tier != "all" and not any("::" in argument for argument in config.args) and not config.getoption("lf", False):
+        wanted = [slow is (tier == "slow") for slow in are_slow(item.nodeid for item in items)]
+        config.hook.pytest_deselected(items=[item for item, take in zip(items, wanted, strict=True) if not take])
+        items[:] = [item for item, take in zip(items, wanted, strict=True) if take]
+    if (seed := config.getoption("--shuffle")) is not None:
+        random.Random(seed).shuffle(items)
+
+
+def pytest_collection() -> None:
+    """Look for no garbage while thousands of tests are made: all of them stay."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """What tests import is theirs: only what was imported to collect them has its bytecode kept.
+
+    And what there is now stays: a full collection in a test, which went through all of it, took most of its time.
+    """
+    gc.enable()
+    gc.freeze()
+    sys.dont_write_bytecode, sys.pycache_prefix = _AS_ASKED_FOR
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Find the quick tests that were far from quick; one that is so in two runs of an idle machine is a failure."""
+    config = session.config
+    reporter = config.pluginmanager.getplugin("terminalreporter")
+    if config.getoption("--tier") != "quick" or reporter is None or hasattr(config, "workerinput"):
+        return
+    took = {report.nodeid: report.duration for report in reporter.getreports("passed")}
+    cache, key = getattr(config, "cache", None), f"aiorts/far from quick, {sys.version_info[0]}.{sys.version_info[1]}"
+    before = set(cache.get(key, []) if cache else [])
+    late = far_from_quick(took)
+    config.stash[FAR_FROM_QUICK] = {name: (took[name], name in before) for name in late}
+    if os.getloadavg()[0] > BUSY * (os.cpu_count() or 1):
+        return
+    if cache:
+        cache.set(key, sorted((before - took.keys()) | late))
+    if before & late and session.exitstatus == pytest.ExitCode.OK:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Name them."""
+    found = config.stash.get(FAR_FROM_QUICK, {})
+    for name, (seconds, again) in sorted(found.items(), key=lambda each: -each[1][0])[:20]:
+        twice = "; the second time: if the machine is idle, see tests/tiers.py" if again else ""
+        terminalreporter.write_line(f"slow among the quick: {seconds:.2f} s {name}{twice}")
 
 
 @pytest.fixture(

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from aiorts import Component, Context, EventContext, InPort, Kernel, LifeCycleState, OutPort
-from aiorts_flexi.logger import FlexiLogger
+from aiorts import Component, Context, EventContext, InPort, Kernel, LifecycleState, OutPort
+from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_log import RecordingReader
 
 
@@ -46,7 +46,7 @@ async def until(condition: Callable[[], object], seconds: float = 10.0) -> None:
 
 async def until_error(logger: FlexiLogger) -> BaseException:
     """Wait until it is in error; what put it there."""
-    await until(lambda: logger.state is LifeCycleState.ERROR)
+    await until(lambda: logger.state is LifecycleState.ERROR)
     assert logger.last_error is not None
     return logger.last_error
 

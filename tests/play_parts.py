@@ -9,13 +9,13 @@ from typing import Any
 from aiorts import Clock, Kernel
 from aiorts.types import TimedDouble, TimedLong
 from aiorts_log import RecordingOptions, RecordingWriter
-from aiorts_log.chunks import ChunkBuilder
-from aiorts_log.form import DATA_END, HEADER, MAGIC, Channel, record, text
-from aiorts_log.forms import encoder, schema_of
-from aiorts_log.opening import open_recording
-from aiorts_log.player import Player, Playing
-from aiorts_log.read_ahead import Reading
-from aiorts_log.schedule import Pace
+from aiorts_log.mcap.chunks import ChunkBuilder
+from aiorts_log.mcap.encodings import encoder, schema_of
+from aiorts_log.mcap.format import DATA_END, HEADER, MAGIC, Channel, record, text
+from aiorts_log.playing.player import Player, Playing
+from aiorts_log.playing.read_ahead import Reading
+from aiorts_log.playing.schedule import Pace
+from aiorts_log.text.opening import open_recording
 
 BEGIN = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -58,7 +58,7 @@ def foreign(path: Path, times: list[int], *, numbered: bool = True, type_name: s
         type_name: of another port, "b", with a sample for each; "" is that there is none.
     """
     encode = encoder("msgpack", TimedLong)
-    octets = MAGIC + record(HEADER, text(""), text("somebody"))
+    raw = MAGIC + record(HEADER, text(""), text("somebody"))
     for first in range(0, len(times), 20):
         builder = Unordered()
         builder.define(schema_of(1, TimedLong, "msgpack"))
@@ -71,9 +71,9 @@ def foreign(path: Path, times: list[int], *, numbered: bool = True, type_name: s
             for channel in (1, 2) if type_name else (1,):
                 builder.add(channel, number if numbered else 0, time, time, encode(TimedLong(0, number)))
         builder.start, builder.end = min(part), max(part)
-        parts, _ = builder.take(len(octets))
-        octets += b"".join(parts)
-    path.write_bytes(octets + record(DATA_END, struct.pack("<I", 0)))
+        parts, _ = builder.take(len(raw))
+        raw += b"".join(parts)
+    path.write_bytes(raw + record(DATA_END, struct.pack("<I", 0)))
     return path
 
 
@@ -95,7 +95,7 @@ class Played:
             clock=kernel.clock,
             sleep=kernel.sleep,
             send=self.take,
-            tell=self.told.append,
+            notify=self.told.append,
         )
 
     async def take(self, port: str, sample: Any) -> None:

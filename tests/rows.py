@@ -6,7 +6,10 @@ The marks `@pytest.mark.row(n)` of tests, classes and modules (`pytestmark`) are
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 TESTS = Path(__file__).parent
 TARGET = TESTS / "ROWS.md"
@@ -20,7 +23,7 @@ FEATURES = {
     7: "A component can be tested in its own process, with a rig",
     8: "Runs on Linux; run on Windows and macOS, or said not to be",
     9: "Real-time threads: scheduling class, exact wake-up, resident memory",
-    10: "Life-cycle state for each pair of component and context",
+    10: "Lifecycle state for each pair of component and context",
     11: "All twelve hooks of a component",
     12: "A cycle runs in passes: transitions, execute, state update",
     13: "A hook that raises moves its component to error, with diagnostics",
@@ -107,7 +110,7 @@ FEATURES = {
     126: "Scale and offset, clamp, several sources for a pin",
     127: "What happens on overflow and NaN is chosen",
     128: "A whole system simulated with the same result every time",
-    130: "Written guarantees of order, delivery and life cycle",
+    130: "Written guarantees of order, delivery and lifecycle",
     # From 201 on: what no other system of the comparison offers, and so has no row there.
     201: "The interface of a running component changes and everyone sees it",
     202: "A missed deadline names who held the loop",
@@ -119,37 +122,48 @@ NOT_FULFILLED = {
 """What of a row is not so."""
 
 
-def rows_of(node: ast.AST) -> list[int]:
-    """The numbers in the `row(...)` marks of one expression."""
-    found: list[int] = []
+def _marks_of(node: ast.AST, kind: str) -> list[Any]:
+    """What stands in the marks of a kind in one expression: `row(1, 2)`."""
+    found: list[Any] = []
     for part in ast.walk(node):
-        if isinstance(part, ast.Call) and isinstance(part.func, ast.Attribute) and part.func.attr == "row":
-            found += [arg.value for arg in part.args if isinstance(arg, ast.Constant) and isinstance(arg.value, int)]
+        if isinstance(part, ast.Call) and isinstance(part.func, ast.Attribute) and part.func.attr == kind:
+            found += [argument.value for argument in part.args if isinstance(argument, ast.Constant)]
     return found
 
 
-def _marked(body: list[ast.stmt], inherited: list[int], prefix: str) -> list[tuple[int, str]]:
-    for statement in body:
-        if isinstance(statement, ast.Assign) and any(ast.unparse(t) == "pytestmark" for t in statement.targets):
-            inherited = inherited + rows_of(statement.value)
-    found: list[tuple[int, str]] = []
+def _tests(body: list[ast.stmt], inherited: list[ast.expr], prefix: str) -> Iterator[tuple[str, list[ast.expr]]]:
+    """Each test and the expressions in which its marks stand: its own, those of its class and of its module."""
+    assigned = [(statement.targets[0], statement.value) for statement in body if isinstance(statement, ast.Assign)]
+    named = [(target.id, value) for target, value in assigned if isinstance(target, ast.Name)]
+    inherited = inherited + [value for name, value in named if name == "pytestmark"]
     for statement in body:
         if isinstance(statement, ast.ClassDef) and statement.name.startswith("Test"):
-            own = [row for decorator in statement.decorator_list for row in rows_of(decorator)]
-            found += _marked(statement.body, inherited + own, f"{prefix}{statement.name}::")
+            yield from _tests(statement.body, inherited + statement.decorator_list, f"{prefix}{statement.name}::")
         elif isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef) and statement.name.startswith("test"):
-            own = [row for decorator in statement.decorator_list for row in rows_of(decorator)]
-            found += [(row, f"{prefix}{statement.name}") for row in dict.fromkeys(inherited + own)]
-    return found
+            yield f"{prefix}{statement.name}", inherited + statement.decorator_list
+    for name, _ in named:
+        if name.startswith("Test"):
+            yield f"{prefix}{name}::runTest", inherited  # a state machine of hypothesis
 
 
-def collect(folder: Path = TESTS) -> dict[int, list[str]]:
-    """Row number -> tests that show it, in the order of files and lines."""
-    shown: dict[int, list[str]] = {}
-    for path in sorted(folder.rglob("test_*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
-        for row, name in _marked(tree.body, [], f"{path.relative_to(folder).as_posix()}::"):
-            shown.setdefault(row, []).append(name)
+@cache
+def defined(folder: Path = TESTS) -> dict[str, list[ast.expr]]:
+    """Every test, in the order of files and lines, and the expressions in which its marks stand."""
+    return {
+        name: marks
+        for path in sorted(folder.rglob("test_*.py"))
+        for name, marks in _tests(
+            ast.parse(path.read_text(encoding="utf-8"), str(path)).body, [], f"{path.relative_to(folder).as_posix()}::"
+        )
+    }
+
+
+def collect(kind: str = "row", folder: Path = TESTS) -> dict[Any, list[str]]:
+    """What is marked -> tests with that mark."""
+    shown: dict[Any, list[str]] = {}
+    for name, marks in defined(folder).items():
+        for mark in dict.fromkeys(mark for expression in marks for mark in _marks_of(expression, kind)):
+            shown.setdefault(mark, []).append(name)
     return shown
 
 

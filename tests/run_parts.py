@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from aiorts.cli.app import run_command
-from aiorts.kernel.catalogue import Catalogue
-from aiorts.kernel.offers import offer_from
+from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.kernel.extensions.finders import offer_from
 
 COMPONENTS = '''
 import time
@@ -245,7 +245,7 @@ class Terminal:
             stdout=theirs,
             stderr=theirs,
             cwd=folder,
-            env={**os.environ, "TERM": "xterm", **(env or {})},
+            env={**os.environ, "TERM": "xterm", "NO_COLOR": "1", **(env or {})},
         )
         os.close(theirs)
 

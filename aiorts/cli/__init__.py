@@ -7,6 +7,8 @@ import os
 import signal
 import sys
 
+from aiorts.exits import INTERRUPTED
+
 TYPE_CHECKING = False  # without `typing`: until the first line of `main` Ctrl-C shows a traceback
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -14,22 +16,28 @@ if TYPE_CHECKING:
 
 __all__ = ("main",)
 
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+_DESCRIPTORS = 24
+"""Without a file of the user's own: three for each loop and queue of timers, and some for imports and for threads."""
+
 
 def main() -> int:
     """Run the command line of this process; returns the exit status."""
     _fill_gaps()
-    _interrupts_end_it()
+    _signals_end_it()
+    if not _has_room():
+        return 2
     # Called last of all: what the interpreter does then is short, and a signal would end it with another status.
-    atexit.register(_on_interrupt, signal.SIG_IGN)
+    atexit.register(_ignore_signals)
     try:
         from aiorts.cli.app import run_command
 
         _import_command(sys.argv[1:2])
         return run_command(sys.argv[1:], last=True)
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
     finally:
-        _interrupts_end_it()
+        _signals_end_it()
 
 
 def _fill_gaps() -> None:
@@ -41,20 +49,46 @@ def _fill_gaps() -> None:
             os.open(os.devnull, os.O_RDWR)  # the lowest free number, which is this one
 
 
-def _interrupts_end_it() -> None:
-    """Have Ctrl-C end the process where it stands: there is nothing to put in order before a command runs, and after.
+def _has_room() -> bool:
+    """Whether this process can open what any command opens; says so when not.
+
+    Later it would show as whatever wants the next descriptor: an import, the event loop, a context's thread.
+    """
+    opened: list[int] = []
+    try:
+        opened.extend(os.dup(0) for _ in range(_DESCRIPTORS))
+    except OSError as error:
+        limit = os.sysconf("SC_OPEN_MAX")  # no import could open its file now
+        told = f"aiorts: E-FDS: {error.strerror}: the limit that is set is {limit}; raise it with ulimit -n 4096\n"
+        os.write(2, told.encode())
+        return False
+    finally:
+        for descriptor in opened:
+            os.close(descriptor)
+    return True
+
+
+def _signals_end_it() -> None:
+    """Have a signal end the process where it stands: there is nothing to put in order before a command runs, and after.
 
     A KeyboardInterrupt would show a traceback wherever nobody catches it: in a weak reference's callback of an import,
     in the interpreter's own end.
     """
-    _on_interrupt(lambda number, frame: os._exit(130))
+    for name in _SIGNALS:
+        _on_signal(name, lambda number, frame: os._exit(128 + number))
 
 
-def _on_interrupt(handler: Callable[[int, Any], object] | signal.Handlers) -> None:
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell script
+def _ignore_signals() -> None:
+    for name in _SIGNALS:
+        _on_signal(name, signal.SIG_IGN)
+
+
+def _on_signal(name: str, handler: Callable[[int, Any], object] | signal.Handlers) -> None:
+    number = getattr(signal, name, None)
+    if number is None or signal.getsignal(number) is signal.SIG_IGN:  # as in the background of a shell script
         return
     try:
-        signal.signal(signal.SIGINT, handler)
+        signal.signal(number, handler)
     except ValueError:  # not the main thread, which has the signals
         return
 
@@ -71,10 +105,10 @@ def _import_command(names: list[str]) -> None:
     for name in names:
         if name.startswith("-"):
             continue
-        home = app._COMMANDS.get(name, ("aiorts.cli.filter:",))[0].partition(":")[0]
+        home = app._COMMANDS.get(name, ("aiorts.cli.commands.filter:",))[0].partition(":")[0]
         try:
             importlib.import_module(home)
         except ImportError:
             continue  # the command line says so when it comes to it
-        if home not in ("aiorts.cli.run", "aiorts.cli.filter"):
-            _on_interrupt(signal.default_int_handler)
+        if home not in ("aiorts.cli.commands.run", "aiorts.cli.commands.filter"):
+            _on_signal("SIGINT", signal.default_int_handler)

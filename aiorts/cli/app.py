@@ -7,50 +7,45 @@ import errno
 import importlib
 import os
 import sys
-import traceback
 from collections.abc import Sequence
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from aiorts import __version__
-from aiorts.cli.completion import completes
+from aiorts import __version__, exits
+from aiorts.cli.console.completion import completes
+from aiorts.cli.console.output import say_json
+from aiorts.cli.console.plugins_option import catalogue_of, plugins_option, use_environment
+from aiorts.cli.console.report import printed, report, report_error
 from aiorts.cli.group import HelpfulGroup, strict, write_sections
-from aiorts.cli.output import say_json
-from aiorts.cli.plugins_option import catalogue_of, plugins_option, use_environment
-from aiorts.cli.report import printed, report, report_error
 from aiorts.errors import AiortsError, PluginError
 
 if TYPE_CHECKING:
     from aiorts import Extension
 
-__all__ = ("BROKEN_PIPE", "aiorts", "own_commands", "run_command")
-
-BROKEN_PIPE: Final = 141
-"""128 + SIGPIPE: what a shell says of a command whose reader has gone."""
-
 _COMMANDS: Final = {
-    "run": ("aiorts.cli.run:run", "Run a system file."),
-    "check": ("aiorts.cli.check:check_command", "Check system files without running them."),
-    "graph": ("aiorts.cli.graph:graph_command", "Draw a system file: mermaid, dot or svg."),
-    "schema": ("aiorts.cli.schema:schema_command", "Print the JSON Schema of system files, for editors."),
-    "plugins": ("aiorts.cli.plugins:plugins", "List what plugins offer; --check imports each."),
+    "run": ("aiorts.cli.commands.run:run", "Run a system file, or one component."),
+    "check": ("aiorts.cli.commands.check:check_command", "Check system files without running them."),
+    "graph": ("aiorts.cli.commands.graph:graph_command", "Draw a system file: mermaid, dot or svg."),
+    "schema": ("aiorts.cli.commands.schema:schema_command", "Print the JSON Schema of system files, for editors."),
+    "plugins": ("aiorts.cli.commands.plugins:plugins", "List what plugins offer; --check imports each."),
     "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
-    "inspect": ("aiorts.cli.inspection:inspect", "Show a component or a type without running it."),
-    "types": ("aiorts.cli.record_types:types", "List the record types that ports can have."),
-    "doctor": ("aiorts.cli.doctor:doctor", "Look at this machine, and say what to do."),
-    "bench": ("aiorts.bench.cli:bench", "Measure this machine: push policies, contexts, scale and more."),
-    "completion": ("aiorts.cli.completion:completion", "Print the script that completes words in your shell."),
-    "help": ("aiorts.cli.helping:help_", "Help for a command; help errors lists all error codes."),
+    "inspect": ("aiorts.cli.commands.inspection:inspect", "Show a component or a type without running it."),
+    "types": ("aiorts.cli.commands.record_types:types", "List the record types that ports can have."),
+    "doctor": ("aiorts.cli.commands.doctor:doctor", "Look at this machine, and say what to do."),
+    "completion": ("aiorts.cli.console.completion:completion", "Print the script that completes words in your shell."),
+    "help": ("aiorts.cli.commands.helping:help_", "Help for a command; help errors lists all error codes."),
 }
 
 
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
-_DELIVERED: Final = {"aiorts_log.command:log": "Recordings: look, convert, compare, draw, salvage."}
-"""One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""
 """Components that the help names."""
+_DELIVERED: Final = {
+    "aiorts_bench.cli:bench": "Measure this machine: push policies, contexts, scale and more.",
+    "aiorts_log.commands.command:log": "Recordings: look, convert, compare, draw, salvage.",
+}
+"""One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""
 _EXTENSION: Final = "aiorts.extension"
 """Where a context keeps who offers the command that runs, if a plugin does."""
 
@@ -85,14 +80,18 @@ class _LazyGroup(HelpfulGroup):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
-        if name not in _COMMANDS and not name.startswith("-") and name not in (names := self.list_commands(ctx)):
+        is_type = ":" in name or name.endswith(".py")  # FILE.py:Class is a filter
+        known = name in _COMMANDS or name.startswith("-") or is_type
+        if not known and name not in (names := self.list_commands(ctx)):
+            from difflib import get_close_matches
+
             near = get_close_matches(name[:60], names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:_SHOWN])}"
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; what one of a plugin raises is one line that names the plugin, and exit status 1."""
+        """Run the command; what one of a plugin raises is one line that names the plugin."""
         try:
             return super().invoke(ctx)
         except (AiortsError, click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
@@ -100,10 +99,12 @@ class _LazyGroup(HelpfulGroup):
         except Exception as error:
             extension = ctx.meta.get(_EXTENSION)
             if extension is not None and not ctx.params["debug"]:
-                cause = traceback.format_exception_only(error)[-1].strip()
+                from traceback import format_exception_only
+
+                cause = format_exception_only(error)[-1].strip()
                 advice = f"`aiorts --debug {extension.name}` shows the traceback"
                 report("E-PLUGIN", f"command {extension.name!r} of {extension.source}: {cause}; {advice}")
-                return 1
+                return exits.FAILED
             raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -116,19 +117,16 @@ class _LazyGroup(HelpfulGroup):
             names = [name for name in _offered("components") if name not in commands and name not in _COMMANDS]
             more = f" and {len(names) - _SHOWN} more, see aiorts plugins" if len(names) > _SHOWN else ""
             formatter.write_text(f"{', '.join(names[:_SHOWN])}{more}")
+        with formatter.section("Exit status"):
+            formatter.write_dl(exits.TABLE)
 
 
 def _line_of(command: Any) -> str:
     return _DELIVERED.get(command.target) or f"Of {printed(command.source)}."
 
 
-def own_commands() -> tuple[str, ...]:
-    """The names that come before those of plugins."""
-    return tuple(_COMMANDS)
-
-
 def _of_plugin(ctx: click.Context, name: str) -> click.Command | None:
-    from aiorts.cli.offered import command_named
+    from aiorts.cli.commands.offered import command_named
 
     found = command_named(name, catalogue_of())
     if found is None:
@@ -140,7 +138,7 @@ def _of_plugin(ctx: click.Context, name: str) -> click.Command | None:
 
 
 def _offered(kind: str) -> dict[str, tuple[Extension, ...]]:
-    from aiorts.cli.offered import offered
+    from aiorts.cli.commands.offered import offered
 
     return offered(catalogue_of(), kind)
 
@@ -171,7 +169,7 @@ def run_command(arguments: Sequence[str], *, last: bool = False) -> int:
     try:
         return _run_command(arguments)
     finally:
-        stopping = sys.modules.get("aiorts.cli.stopping")
+        stopping = sys.modules.get("aiorts.cli.runtime.stopping")
         if stopping is not None and not last:
             stopping.watch_no_more()
 
@@ -179,30 +177,33 @@ def run_command(arguments: Sequence[str], *, last: bool = False) -> int:
 def _run_command(arguments: Sequence[str]) -> int:
     if any("\0" in argument for argument in arguments):
         report("E-USAGE", "aiorts: an argument has a NUL character, which no file or name can have")
-        return 2
+        return exits.REFUSED
     try:
         status = aiorts.main(list(arguments), prog_name="aiorts", standalone_mode=False)
-        return _flushed(status if isinstance(status, int) else 0)
+        return _flushed(status if isinstance(status, int) else exits.DONE)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
-        return 2
+        return exits.REFUSED
     except click.ClickException as error:
         if completes():
-            return 1  # a word that cannot be completed is not worth a line between two key presses
+            return exits.FAILED  # a word that cannot be completed is not worth a line between two key presses
         _refused(arguments, "E-USAGE", _usage(error))
         report("E-USAGE", _usage(error))
         return error.exit_code
     except click.Abort:
-        return 130
+        return exits.INTERRUPTED
     except AiortsError as error:
         if completes():
-            return 1
+            return exits.FAILED
         _refused(arguments, error.code, str(error))
         report_error(error, verbose=False)
-        return 2
+        return exits.of_error(error)
     except BrokenPipeError:
         return _silenced()
     except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            report("E-FDS", f"{error}; raise the limit with ulimit -n 4096")
+            return 1
         if error.errno not in _FULL or error.filename is not None:
             raise
         _silenced()
@@ -231,7 +232,7 @@ def _flushed(status: int) -> int:
 
 def _lost(error: Exception) -> int:
     report("E-OUTPUT", f"standard output: {error}; its last lines are lost")
-    return 1
+    return exits.FAILED
 
 
 def _refused(arguments: Sequence[str], code: str, text: str) -> None:
@@ -239,7 +240,7 @@ def _refused(arguments: Sequence[str], code: str, text: str) -> None:
     if "--json" in arguments:
         with contextlib.suppress(OSError, ValueError):
             say_json({"error": {"code": code, "text": text}})
-            _flushed(0)
+            _flushed(exits.DONE)
 
 
 def _silenced() -> int:
@@ -250,4 +251,4 @@ def _silenced() -> int:
         os.close(nowhere)
     except (OSError, ValueError, AttributeError):
         sys.stdout = None  # as Python itself has it when it is started without one
-    return BROKEN_PIPE
+    return exits.BROKEN_PIPE

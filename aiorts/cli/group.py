@@ -12,13 +12,10 @@ from typing import Any, Final
 import click
 from click.shell_completion import CompletionItem
 
-__all__ = ("HelpfulGroup", "strict", "write_sections")
-
 _SECTIONS: Final = (
     ("Begin", ("demo", "doctor", "help")),
     ("Systems", ("run", "check", "graph", "schema")),
     ("What there is", ("inspect", "types", "plugins")),
-    ("Measure", ("bench",)),
     ("Shell", ("completion",)),
 )
 """Every other command of aiorts stands below "More"."""
@@ -60,9 +57,14 @@ def strict(command: click.Command) -> click.Command:
     parse: Any = command.parse_args
 
     def parse_args(ctx: click.Context, args: list[str]) -> list[str]:
-        if not ctx.resilient_parsing:
-            _refuse_repetition(command, ctx, args)
-        rest: list[str] = parse(ctx, args)
+        try:
+            if not ctx.resilient_parsing:
+                _refuse_repetition(command, ctx, args)
+            rest: list[str] = parse(ctx, args)
+        except click.UsageError as error:
+            if error.ctx is None:  # click's parser leaves it out where an option lacks its value
+                error.ctx = ctx
+            raise
         if not ctx.resilient_parsing:
             _refuse_endless(command, ctx)
         return rest

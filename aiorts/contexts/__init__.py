@@ -1,11 +1,14 @@
-"""The execution contexts that ship with aiorts, registered the way a third party's are."""
+"""The execution contexts of aiorts, registered as those of any package.
+
+Each decides when a cycle is due and for which members; `aiorts.kernel.execution` carries it out. The real-time context
+has a room of its own, `aiorts.realtime`.
+"""
 
 from __future__ import annotations
 
 from aiorts.contexts.event import EventContext
 from aiorts.contexts.external import ExternalContext
 from aiorts.contexts.periodic import PeriodicContext
-from aiorts.contexts.realtime import RealtimeContext
 from aiorts.contexts.thread import ThreadContext
 
-__all__ = ("EventContext", "ExternalContext", "PeriodicContext", "RealtimeContext", "ThreadContext")
+__all__ = ("EventContext", "ExternalContext", "PeriodicContext", "ThreadContext")

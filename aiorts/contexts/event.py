@@ -1,65 +1,95 @@
-"""A context that runs a component because something happened to it: new data, `trigger()`, a failure to be dealt with.
+"""A context that runs a component for a cause: new data, `trigger()`, a failure to handle.
 
-Components with a cause stand on a ready list and run in the order of addition, each at most once in a cycle. One is
-ready again when unread data remains and it took at least one sample; a component that leaves its data alone is not
-asked again before more comes.
+Members with a cause are on a ready list and run in the order of addition, each at most once in a cycle. One is ready
+again when unread data remains and it read at least one sample; a component that leaves its data unread runs again only
+when more arrives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import attrgetter
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
-from aiorts.kernel.context import Context
-from aiorts.kernel.life import Wait
-from aiorts.kernel.port import NOTHING, OFF
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.cycle import Wait
+from aiorts.kernel.execution.member import Member
 from aiorts.kernel.ports import InPort
-from aiorts.model.lifecycle import LifeCycleState
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.notified_ports import NotifiedPorts
+from aiorts.model.lifecycle import LifecycleState
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
-    from aiorts.kernel.member import Member
+    from aiorts.kernel.execution.cell import ComponentSide
     from aiorts.kernel.ports import Port
-
-__all__ = ("EventContext",)
 
 _FOR_EVER = Wait(None)
 _order = attrgetter("order")
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
-_INACTIVE = LifeCycleState.INACTIVE
+_INACTIVE = LifecycleState.INACTIVE
+
+
+class EventMember(Member):
+    """A member that runs when it has a cause."""
+
+    __slots__ = ("ready", "triggered")
+    context: EventContext
+    in_ports: NotifiedPorts
+
+    def __init__(self, component: ComponentSide, context: EventContext, order: int) -> None:
+        super().__init__(component, context, order)
+        self.in_ports = NotifiedPorts()  # pyright: ignore[reportIncompatibleVariableOverride] # it is made once
+        self.ready = False
+        """Whether it is on the ready list."""
+        self.triggered = False
+
+    def notify(self, port: InPort[object]) -> None:
+        """A sample came in: this member has a cause to run."""
+        # Written out: this stands between a sample and the hook it is for.
+        self.in_ports.notified.append(port)
+        if not self.ready:
+            self.ready = True
+            context = self.context
+            ready = context._ready
+            driver = context.runner.driver
+            if not ready and driver is not None:
+                driver.kick()
+            ready.append(self)
 
 
 class EventContext(Context):
     """Runs members that have a cause. Args: see `Context`."""
 
     kind: ClassVar[str] = "event"
+    _member_class = EventMember
+    _members: list[EventMember]  # type: ignore[assignment] # all that it makes are
 
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
-        self._ready: list[Member] = []
-        """Each of these is marked ready. Empty while the context sleeps: whoever makes the first entry wakes it."""
-        self._everyone: Sequence[Member] = ()
-        """Who was there when all were triggered at once: as good as ready and triggered, without a mark on each."""
+        self._ready: list[EventMember] = []
+        """Members marked ready. Empty while the context sleeps: the first entry wakes it."""
+        self._everyone: Sequence[EventMember] = ()
+        """The members when all were triggered at once: ready and triggered, without a mark on each."""
         self._listening = 0
         """In-ports that wake members."""
 
     def trigger(self, *components: Component) -> None:
         """Give these members, or all, a cause to run. Triggers before the next cycle coalesce."""
-        self._check("trigger")
+        self.runner.check("trigger")
         if components:
-            self._make_ready([self._member(component) for component in components])
+            self._make_ready([cast("EventMember", self.runner.member(component)) for component in components])
         else:
             self._everyone = self._members.copy()
-            if self._driver is not None:
-                self._driver.kick()
+            if self.runner.driver is not None:
+                self.runner.driver.kick()
 
-    def _make_ready(self, members: Sequence[Member]) -> None:
+    def _make_ready(self, members: Sequence[EventMember]) -> None:
         self._mark(members)
-        if self._driver is not None:
-            self._driver.kick()
+        if self.runner.driver is not None:
+            self.runner.driver.kick()
 
-    def _mark(self, members: Sequence[Member]) -> None:
+    def _mark(self, members: Sequence[EventMember]) -> None:
         ready = self._ready
         for member in members:
             member.triggered = True
@@ -67,29 +97,21 @@ class EventContext(Context):
                 member.ready = True
                 ready.append(member)
 
-    def _member_ready(self, member: Member) -> None:
-        ready = self._ready
-        ready.append(member)
-        if len(ready) == 1 and self._driver is not None:
-            self._driver.kick()
-
-    def _member_aborted(self, member: Member) -> None:
+    def _member_aborted(self, member: EventMember) -> None:  # type: ignore[override] # all that it makes are
         self._make_ready((member,))
 
-    def _port_added(self, member: Member, port: Port[object]) -> None:
+    def _port_added(self, member: EventMember, port: Port[object]) -> None:  # type: ignore[override] # as above
         super()._port_added(member, port)
         if isinstance(port, InPort):
             self._listening += 1
-            port._wakes += (member.ring,)
-            port._arm()
+            receiver_of(port).add_callback(member.notify)
 
-    def _port_removed(self, member: Member, port: Port[object]) -> None:
+    def _port_removed(self, member: EventMember, port: Port[object]) -> None:  # type: ignore[override] # as above
         known = port in member.in_ports
         super()._port_removed(member, port)
         if isinstance(port, InPort) and known:
             self._listening -= 1
-            port._wakes = tuple(wake for wake in port._wakes if wake != member.ring)
-            port._arm()
+            receiver_of(port).remove_callback(member.notify)
 
     def _next_cause(self) -> Wait | None:
         if self._everyone:
@@ -109,20 +131,14 @@ class EventContext(Context):
         if len(ready) != 1 or self._everyone or self._actions or self._stopping or self._updating:
             return None
         member = ready[0]
-        rung = member.rung
-        if len(rung) != 1 or not rung[0]._direct or member.execute is None:
+        if member.execute is None or not member.in_ports.begin_alone():
             return None
         ready.clear()
-        rung[0]._armed = True
-        rung.clear()
         member.ready = member.triggered = False
-        for port in member.in_ports:
-            if port._last is not NOTHING:
-                port._before, port._last = port._last, NOTHING
         self.ticks += 1
         return member
 
-    def _begin_cycle(self) -> Sequence[Member]:
+    def _begin_cycle(self) -> Sequence[EventMember]:
         everyone, self._everyone = self._everyone, ()
         if everyone:
             if not self._ready:
@@ -133,80 +149,55 @@ class EventContext(Context):
             ready.sort(key=_order)
         members = []
         for member in ready:
-            rung = member.rung
-            if member.execute is not None and len(rung) == 1 and rung[0]._direct:
-                # Written out: the one that data came for, through the port that nobody else writes or reads.
-                rung[0]._armed = True
-                rung.clear()
-            elif (member.triggered and member.execute is not None) or _has_cause(member):
-                if rung:
-                    member.rearm()
-            else:
-                continue
+            ports = member.in_ports
+            if not ports.notified or member.execute is None or not ports.begin_alone():
+                if not (member.triggered and member.execute is not None) and not _has_cause(member):
+                    continue
+                if ports:
+                    ports.begin()
             members.append(member)
             member.ready = member.triggered = False
-            for port in member.in_ports:
-                if port._last is not NOTHING:
-                    port._before, port._last = port._last, NOTHING
         return members
 
-    def _begin_for_all(self, everyone: Sequence[Member]) -> Sequence[Member]:
-        """All were triggered and nobody has another cause: no flag is set, no port has rung."""
+    def _begin_for_all(self, everyone: Sequence[EventMember]) -> Sequence[EventMember]:
+        """Begin a cycle triggered for all, when no member has another cause: no flag is set, no port was notified."""
         if not self._listening:
-            return everyone  # who cannot run is passed over
+            return everyone  # members that cannot run are passed over
         members = [member for member in everyone if member.execute is not None or _can_run(member)]
         for member in members:
-            for port in member.in_ports:
-                if port._last is not NOTHING:
-                    port._before, port._last = port._last, NOTHING
+            if member.in_ports:
+                member.in_ports.begin()
         return members
 
-    def _end_cycle(self, members: Sequence[Member]) -> None:
+    def _end_cycle(self, members: Sequence[EventMember]) -> None:  # type: ignore[override] # as above
         if not self._listening:
             return
         again = []
-        # Written out: this ends every cycle.
-        for member in members:
-            for port in member.in_ports:
-                if port._last is not NOTHING:
-                    queue = port._direct
-                    if (queue or queue is OFF or len(member.in_ports) > 1) and member.active and _left_unread(member):
-                        again.append(member)
-                    break
+        for member in members:  # no comprehension: this ends every cycle, and before CPython 3.12 it is a call
+            if member.in_ports.queue and member.active and member.in_ports.left_unread():
+                again.append(member)  # noqa: PERF401
         if again:
             self._make_ready(again)
 
 
-def _can_run(member: Member) -> bool:
+def _can_run(member: EventMember) -> bool:
     return member.state is not _INACTIVE and not member.left
 
 
-def _has_cause(member: Member) -> bool:
-    """Whether it was triggered or has unread data; data that rang may have been read in the cycle it came in.
+def _has_cause(member: EventMember) -> bool:
+    """Whether it was triggered or has unread data; what notified may have been read in the cycle it came in.
 
     Who is inactive or has left has no cause: a trigger does not wait for an activation.
     """
     if member.state is _INACTIVE or member.left:
         member.ready = member.triggered = False
-        member.rearm()
+        member.in_ports.enable_notify()
         return False
     if member.triggered:
         return True
-    # Armed before looked at: what a thread writes in between rings again, and is not left lying.
+    # Before it is looked at: what a thread writes in between puts it on the list again.
     member.ready = False
-    rung = member.rung.copy()
-    member.rearm()
-    for port in rung:
-        if port.is_new:
-            member.ready = True
-            member.rung.append(port)  # asked again before the cycle begins, the answer is the same
-            return True
-    return False
-
-
-def _left_unread(member: Member) -> bool:
-    for port in member.in_ports:
-        queue = port._direct
-        if queue or (queue is OFF and port._unread()):
-            return True
+    if member.in_ports.find_data():
+        member.ready = True
+        return True
     return False

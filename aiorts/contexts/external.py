@@ -1,4 +1,4 @@
-"""A context that somebody else drives: `await tick()` runs exactly one cycle and returns when it is over."""
+"""A context driven from outside: `await tick()` runs exactly one cycle and returns when it is over."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.errors import ClosedError, StateError
-from aiorts.kernel.context import Context
-from aiorts.kernel.life import Wait
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.cycle import Wait
 
 if TYPE_CHECKING:
-    from aiorts.kernel.member import Member
-
-__all__ = ("ExternalContext",)
+    from aiorts.kernel.execution.member import Member
 
 
 class ExternalContext(Context):
@@ -24,27 +22,27 @@ class ExternalContext(Context):
 
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = True) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
-        self._asked: deque[asyncio.Future[None]] = deque()
+        self._requested: deque[asyncio.Future[None]] = deque()
         self._over: list[asyncio.Future[None]] = []
 
     async def tick(self, count: int = 1) -> None:
         """Run `count` cycles, one after the other; ticks of several tasks queue up, none is lost.
 
-        What a cycle leads to (a failure, a deactivation) has taken effect when this returns. A tick that is cancelled
-        before its cycle began is withdrawn.
+        Effects of a cycle (a failure, a deactivation) are complete when this returns. A tick that is cancelled before
+        its cycle began is withdrawn.
 
         Raises:
             StateError: called from a hook of this context, which would wait for itself.
             ClosedError: the context stopped.
         """
-        kernel = self._check("tick")
-        if self._inside():
+        kernel = self.runner.check("tick")
+        if self.runner.inside():
             raise StateError(f"{self.name}: tick() from a hook of this context would wait for itself")
         for _ in range(count):
             over: asyncio.Future[None] = kernel.loop.create_future()
-            self._asked.append(over)
-            if self._driver is not None:
-                self._driver.kick()
+            self._requested.append(over)
+            if self.runner.driver is not None:
+                self.runner.driver.kick()
             await over
 
     def _next_cause(self) -> Wait | None:
@@ -52,17 +50,17 @@ class ExternalContext(Context):
         for future in over:
             if not future.done():
                 future.set_result(None)
-        while self._asked and self._asked[0].done():
-            self._asked.popleft()
-        return None if self._asked else Wait(None)
+        while self._requested and self._requested[0].done():
+            self._requested.popleft()
+        return None if self._requested else Wait(None)
 
     def _begin_cycle(self) -> Sequence[Member]:
-        self._over.append(self._asked.popleft())
+        self._over.append(self._requested.popleft())
         return super()._begin_cycle()
 
     def _life_ended(self, error: BaseException | None) -> None:
-        for future in (*self._over, *self._asked):
+        for future in (*self._over, *self._requested):
             if not future.done():
                 future.set_exception(ClosedError(f"{self.name}: the context has stopped"))
-        self._over, self._asked = [], deque()
+        self._over, self._requested = [], deque()
         super()._life_ended(error)

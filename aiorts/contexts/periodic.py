@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import logging
-import threading
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from aiorts.contexts.schedule import MAX_RATE, Schedule, check_rate
-from aiorts.kernel.bus import Overrun, RateChanged
-from aiorts.kernel.context import Context
-from aiorts.kernel.life import Wait
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.cycle import Wait
+from aiorts.kernel.loop.bus import Overrun, RateChanged
+from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.model.blame import MissedDeadlines, Overload
 from aiorts.model.profile import ContextStatistics
 
 if TYPE_CHECKING:
-    from aiorts.kernel.deadman import DeadlineWatch
-    from aiorts.kernel.member import Member
+    from aiorts.kernel.execution.deadline_timer import DeadlineTimer
+    from aiorts.kernel.execution.member import Member
 
-__all__ = ("PeriodicContext",)
-
-_LOG = logging.getLogger("aiorts.kernel")
+_LOG = KernelLog()
 
 
 class PeriodicContext(Context):
@@ -29,9 +26,9 @@ class PeriodicContext(Context):
 
     Args:
         rate: Hz, 0.001 to `max_rate`.
-        overrun: "skip" leaves missed ticks out, "catch_up" runs them as far as they are at most 1 s old.
-        max_rate: the highest rate that may be asked for, Hz.
-        name, deadline, timing: see `Context`; execution times are taken by default.
+        overrun: "skip" leaves missed ticks out, "catch_up" runs those that are at most 1 s old.
+        max_rate: the highest rate allowed, Hz.
+        name, deadline, timing: see `Context`; execution times are measured by default.
 
     Raises:
         ConfigurationError: rate or policy out of range.
@@ -54,11 +51,11 @@ class PeriodicContext(Context):
         self._fresh = True
         self._missed: MissedDeadlines | None = None
         self._overload = Overload()
-        self._watch: DeadlineWatch | None = None
+        self._deadline_timer: DeadlineTimer | None = None
 
     @property
     def rate(self) -> float | None:
-        """Hz."""
+        """The rate, Hz."""
         return None if self._schedule is None else self._schedule.rate
 
     @property
@@ -87,14 +84,14 @@ class PeriodicContext(Context):
         )
 
     async def set_rate(self, rate: float, *, timeout: float | None = 5.0) -> None:
-        """Another rate from now on: the next tick is one new period after the last; members get `on_rate_changed`.
+        """Change the rate: the next tick is one new period after the last; members get `on_rate_changed`.
 
         Raises:
             ConfigurationError: the rate is out of range; the old one stays.
         """
-        self._check("set_rate")
+        self.runner.check("set_rate")
         checked = check_rate(rate, self._max_rate())
-        await self._ask([(f"set rate {checked} Hz", partial(self._life.change_rate, checked))], timeout)
+        await self.runner.ask([(f"set rate {checked} Hz", partial(self.runner.life.change_rate, checked))], timeout)
 
     def _max_rate(self) -> float:
         return MAX_RATE if self._schedule is None else self._schedule.max_rate
@@ -106,20 +103,21 @@ class PeriodicContext(Context):
 
     def _life_ended(self, error: BaseException | None) -> None:
         try:
-            if self._watch is not None:
-                self._require_kernel()._deadman.unwatch(self._watch)
-                self._watch = None
+            if self._deadline_timer is not None:
+                self._deadline_timer.close()
+                self._deadline_timer = None
         finally:
             super()._life_ended(error)
 
     def _look_out(self) -> None:
-        """Have missed deadlines of this rate watched; in the thread that runs the hooks."""
+        """Have missed deadlines of this rate noticed; in the thread that runs the hooks."""
         plan = self._schedule
         if plan is None:
             return
-        if self._watch is None:
-            self._watch = self._require_kernel()._deadman.watch(self, threading.get_ident())
-        self._watch.period(plan.period_ns)
+        if self._deadline_timer is None:
+            self._deadline_timer = self.runner.kernel.monitor_deadlines(self)
+        if self._deadline_timer is not None:
+            self._deadline_timer.period(plan.period_ns)
 
     def _next_cause(self) -> Wait | None:
         plan = self._schedule
@@ -135,20 +133,20 @@ class PeriodicContext(Context):
         return Wait(plan.due_ns)
 
     def _begin_cycle(self) -> Sequence[Member]:
-        plan, watch = self._schedule, self._watch
+        plan, timer = self._schedule, self._deadline_timer
         if plan is not None:
             due_ns, now_ns = plan.due_ns, self._now_ns()
             missed = plan.begin(now_ns)
             if missed is not None:
-                self._tell_overrun(missed, due_ns, now_ns)
-            if watch is not None:
-                watch.arm(plan.due_ns + plan.period_ns)
+                self._report_overrun(missed, due_ns, now_ns)
+            if timer is not None:
+                timer.arm(plan.due_ns + plan.period_ns)
         return super()._begin_cycle()
 
-    def _tell_overrun(self, missed: tuple[int, int], due_ns: int, now_ns: int) -> None:
+    def _report_overrun(self, missed: tuple[int, int], due_ns: int, now_ns: int) -> None:
         """Count, publish and log who made this cycle late."""
-        plan, watch = self._schedule, self._watch
-        blame = None if watch is None else watch.blame(now_ns, due_ns)
+        plan, timer = self._schedule, self._deadline_timer
+        blame = None if timer is None else timer.blame(now_ns, due_ns)
         policy = "skip" if plan is None else plan.overrun
         if self._missed is None:
             self._missed = MissedDeadlines()
@@ -156,7 +154,7 @@ class PeriodicContext(Context):
             # Information only: a missed deadline is counted, and many a system misses some and is none the worse.
             missed_now = "1 deadline" if times == 1 else f"{times} deadlines"
             _LOG.info("%s: %s missed: %s", self.name, missed_now, blame)
-        self._publish(Overrun(self.name, *missed, policy, blame))
+        self.runner.publish(Overrun(self.name, *missed, policy, blame))
         # What the machine does to a system is not the system's fault: a loaded one would never be silent.
         ours = blame is not None and blame.kind in ("hook", "loop")
         if plan is None or blame is None or not ours or 2 * blame.held_ns < plan.period_ns:
@@ -177,6 +175,6 @@ class PeriodicContext(Context):
         if self._schedule is not None:
             self._schedule.set_rate(rate, self._now_ns())
             self._look_out()
-            if self._watch is not None:
-                self._watch.arm(self._schedule.due_ns)
-        self._publish(RateChanged(self.name, rate))
+            if self._deadline_timer is not None:
+                self._deadline_timer.arm(self._schedule.due_ns)
+        self.runner.publish(RateChanged(self.name, rate))

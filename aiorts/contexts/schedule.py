@@ -1,47 +1,46 @@
-"""When the ticks of a rate are due; pure arithmetic on nanoseconds, nothing here waits or asks the time.
+"""Computes when the ticks of a rate are due: pure arithmetic on nanoseconds.
 
-Tick n is due at `start + n / rate`, computed with integers from the rate's exact ratio, so that nothing accumulates
-at any length. A cycle that is not done when the next is due, or within a deadline of its own, is an overrun, and so is
-one that begins when the next is due already. The policy "skip" then runs the newest tick that is due and counts the
-others as skipped; "catch_up" runs the missed ticks at once, as far as they are at most one second old, and the newest
-in any case.
+Tick n is due at `start + n / rate`, computed with integers from the rate's exact ratio, so that no error accumulates.
+A cycle that is not done when the next is due, or within a deadline of its own, is an overrun, and so is one that begins
+when the next is due already. The policy "skip" then runs the newest tick that is due and counts the others as skipped;
+"catch_up" runs the missed ticks at once if they are at most one second old, and the newest in any case.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 from aiorts.errors import ConfigurationError
-
-__all__ = ("MAX_RATE", "MIN_RATE", "Schedule", "check_rate")
+from aiorts.model.values import shown
 
 MIN_RATE: Final = 0.001
 MAX_RATE: Final = 10_000.0
 _HIGHEST_CEILING: Final = 1e9
-"""A period is at least a nanosecond."""
+"""Hz: a period is at least a nanosecond."""
 _CATCH_UP_NS: Final = 1_000_000_000
 _POLICIES: Final = ("skip", "catch_up")
 
 
 def check_rate(rate: object, highest: float = MAX_RATE) -> float:
     """`rate` as a float; ConfigurationError unless it is a number of Hz from MIN_RATE to `highest`."""
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or not math.isfinite(rate):
-        raise ConfigurationError(f"rate = {rate!r}: expected a number of Hz from {MIN_RATE} to {highest}")
+    if isinstance(rate, bool) or not isinstance(rate, int | float):
+        raise ConfigurationError(f"rate = {shown(rate)}: expected a number of Hz from {MIN_RATE} to {highest}")
     if not MIN_RATE <= rate <= highest:
-        raise ConfigurationError(f"rate = {rate!r} Hz: expected {MIN_RATE} to {highest} (max_rate raises the ceiling)")
+        raise ConfigurationError(
+            f"rate = {shown(rate)} Hz: expected {MIN_RATE} to {highest} (max_rate raises the ceiling)"
+        )
     return float(rate)
 
 
 def _check_ceiling(max_rate: object) -> None:
-    # bool is an int, and NaN would let no rate through and say nothing of why.
+    # bool is an int, and with NaN every comparison is false.
     if (
         isinstance(max_rate, bool)
         or not isinstance(max_rate, int | float)
         or not MIN_RATE <= max_rate <= _HIGHEST_CEILING
     ):
         raise ConfigurationError(
-            f"max_rate = {max_rate!r}: expected a number of Hz from {MIN_RATE} to {_HIGHEST_CEILING}"
+            f"max_rate = {shown(max_rate)}: expected a number of Hz from {MIN_RATE} to {_HIGHEST_CEILING}"
         )
 
 
@@ -75,24 +74,24 @@ class Schedule:
         self._set_ratio()
 
     def start(self, now_ns: int) -> None:
-        """Tick 0 is due now."""
+        """Make tick 0 due now."""
         self._start_ns = self.due_ns = now_ns
         self._tick = 0
         self._over = False
 
     def begin(self, now_ns: int) -> tuple[int, int] | None:
-        """The tick that is due begins, or a newer one when that has been missed.
+        """Begin the tick that is due, or a newer one when that was missed.
 
         Returns:
-            None when all is in time; after an overrun the ticks that are left out and how long the first of them, or
+            None when it is in time; after an overrun the number of ticks left out, and how long the first of them, or
             else the one that begins, has been due, in nanoseconds.
         """
         behind = now_ns - self.due_ns
         skipped = self._leave_out(now_ns) if behind >= self.period_ns else 0
-        late = now_ns - self.due_ns
-        if late > 0:
-            self.lateness_total_ns += late
-            self.lateness_max_ns = max(self.lateness_max_ns, late)
+        if behind > 0:
+            self.lateness_total_ns += now_ns - self.due_ns
+            # Of the tick that waited longest: by the one that is run, a stall of any length would be within a period.
+            self.lateness_max_ns = max(self.lateness_max_ns, behind)
         if not skipped and not self._over:
             return None
         self._over = False
@@ -100,14 +99,14 @@ class Schedule:
         return skipped, max(0, behind)
 
     def end(self, now_ns: int) -> None:
-        """The tick is done."""
+        """End the tick."""
         until = None if self.deadline_ns is None else self.due_ns + self.deadline_ns
         self._tick += 1
         self.due_ns = self._due(self._tick)
         self._over = now_ns > (self.due_ns if until is None else until)
 
     def _leave_out(self, now_ns: int) -> int:
-        """Go on to the tick that is run now; how many are left out."""
+        """Go on to the tick that runs now; returns how many are left out."""
         resume = self._newest(now_ns)
         if self.overrun == "catch_up":
             # The first one that is not older than what is caught up with.
@@ -119,7 +118,7 @@ class Schedule:
         return skipped
 
     def set_rate(self, rate: float, now_ns: int) -> None:
-        """Another rate: the next tick is one new period after the last one, or now when that is over."""
+        """Change the rate: the next tick is one new period after the last one, or now when that is over."""
         last = self._due(self._tick - 1) if self._tick else now_ns
         self.rate = rate
         self._set_ratio()

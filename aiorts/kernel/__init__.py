@@ -1,23 +1,25 @@
 """The microkernel: components, ports, connectors, what every context is. It knows no concrete context, transport,
 format or command.
 
-Its names are imported when they are used: who only asks what plugins there are (`catalogue.py`) needs none of them.
+Its names are imported when they are used: who only asks what plugins there are (`extensions/catalogue.py`) needs none
+of them.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bus import Bus
     from aiorts.kernel.component import Component
-    from aiorts.kernel.connector import Connector
-    from aiorts.kernel.context import Context
-    from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.loop.bus import Bus
+    from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.parameters import Param
-    from aiorts.kernel.ports import InPort, OutPort, Provided, Required, ServicePort
-    from aiorts.kernel.service_port import ServiceConnector
+    from aiorts.kernel.ports import InPort, OutPort
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.service import KernelService, setting
 
 __all__ = (
     "Bus",
@@ -25,35 +27,23 @@ __all__ = (
     "Connector",
     "Context",
     "InPort",
-    "Kernel",
+    "KernelService",
+    "Microkernel",
     "OutPort",
     "Param",
-    "Provided",
-    "Required",
-    "ServiceConnector",
-    "ServicePort",
+    "setting",
 )
 
-_HOMES: Final = {
-    "Bus": "bus",
-    "Component": "component",
-    "Connector": "connector",
-    "Context": "context",
-    "InPort": "ports",
-    "Kernel": "kernel",
-    "OutPort": "ports",
-    "Param": "parameters",
-    "Provided": "ports",
-    "Required": "ports",
-    "ServiceConnector": "service_port",
-    "ServicePort": "ports",
-}
-
-# Hidden from type checkers, which would otherwise believe in every name.
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> object:
-        if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        found = globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-        return found
+_late(
+    globals(),
+    {
+        "aiorts.kernel.loop.bus": "Bus",
+        "aiorts.kernel.component": "Component",
+        "aiorts.kernel.ports.connector": "Connector",
+        "aiorts.kernel.execution.context": "Context",
+        "aiorts.kernel.ports": "InPort OutPort",
+        "aiorts.kernel.service": "KernelService setting",
+        "aiorts.kernel.microkernel": "Microkernel",
+        "aiorts.kernel.parameters": "Param",
+    },
+)

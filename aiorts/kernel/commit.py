@@ -8,42 +8,43 @@ from __future__ import annotations
 
 import inspect
 import keyword
-import logging
 import threading
-import traceback
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from aiorts.errors import AiortsError, ClosedError, ConfigurationError
+from aiorts.kernel.declarations import declarations
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.exceptions import text_of
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.origins import in_brackets, origin_of
 from aiorts.kernel.port_groups import PortPlan, plan_ports
-from aiorts.model.sets import ConfigurationState, same, values_in_force
+from aiorts.model.configuration.sets import ConfigurationState, same, values_in_force
 from aiorts.model.values import shown
 
 if TYPE_CHECKING:
-    from aiorts.kernel.bus import Bus
-    from aiorts.kernel.component import Component
-
-__all__ = ("Edit", "commit", "try_out")
+    from aiorts.kernel.execution.cell import Configured
+    from aiorts.kernel.loop.bus import Bus
 
 Edit = Callable[[ConfigurationState], ConfigurationState]
 """What makes the wished state of the present one; raises ConfigurationError."""
-_LOG = logging.getLogger("aiorts.kernel")
+_LOG = KernelLog()
 _LOOP_PATIENCE = 5.0
 """Real seconds that a context's thread waits for the loop to change ports."""
 
 
-def commit(component: Component, edit: Edit) -> AiortsError | None:
+def commit(component: Configured, edit: Edit) -> AiortsError | None:
     """Put in force what `edit` makes of the configuration; why not, if not."""
     try:
-        _Change(component._rt_successor or component, edit).put()
+        _Change(cell(component).successor or component, edit).put()
     except AiortsError as error:
         return error
     return None
 
 
-def try_out(component: Component, edit: Edit) -> AiortsError | None:
+def try_out(component: Configured, edit: Edit) -> AiortsError | None:
     """What would refuse this change now; nothing is changed."""
     try:
         _Change(component, edit)
@@ -57,49 +58,49 @@ class _Change:
 
     __slots__ = ("_component", "_new", "_old", "_ports", "_use")
 
-    def __init__(self, component: Component, edit: Edit) -> None:
-        if not component._rt_host.alive:
+    def __init__(self, component: Configured, edit: Edit) -> None:
+        if not cell(component).alive:
             raise ClosedError(f"{component.name}: was removed; its configuration cannot be changed")
         self._component = component
-        self._old = component._rt_params._state
+        self._old = cell(component).configuration
         self._new = edit(self._old)
         for name in self._new.specs.keys() - self._old.specs.keys():
             _check_free(component, name)
         self._use = self._judge()
         self._ports: PortPlan | None = None
         if _overrides(component, "ports_for"):
-            plan = plan_ports(component, _asked(component, "ports_for", _wanted_ports, component, self._new.values))
+            plan = plan_ports(component, _call_own(component, "ports_for", _wanted_ports, component, self._new.values))
             self._ports = None if plan.idle else plan
 
     def _judge(self) -> Callable[[], object] | None:
         """Ask the validators of values that are new in any set, then the component's own rule."""
         component, old, new = self._component, self._old, self._new
-        first = not component._rt_params._judged
+        first = not cell(component).judged
         for name, values in new.sets.items():
             before = old.sets.get(name, {})
             for parameter, value in values.items():
                 validator = new.specs[parameter].validator
                 if validator is None or (not first and parameter in before and same(before[parameter], value)):
                     continue
-                _asked(component, f"{parameter} = {shown(value)}", _approve, validator, value)
+                _call_own(component, f"{parameter} = {shown(value)}", _approve, validator, value)
         if not _overrides(component, "check_configuration"):
             return None
         for name in new.sets:
             if name != new.active and (first or not _alike(old, new, name)):
                 values = MappingProxyType(values_in_force(new.sets, name))
-                _asked(component, f"set {name}", component.check_configuration, values)
-        use: Callable[[], object] | None = _asked(
+                _call_own(component, f"set {name}", component.check_configuration, values)
+        use: Callable[[], object] | None = _call_own(
             component, "check_configuration", component.check_configuration, new.values
         )
         if use is not None and not callable(use):
-            _asked(component, "check_configuration", _refuse_result, use, "a function or None")
+            _call_own(component, "check_configuration", _refuse_result, use, "a function or None")
         return use
 
     # -- in force --------------------------------------------------------------------------------------------------
 
     def put(self) -> None:
-        """All of it, and then tell; ConfigurationError when the component could not use it, and nothing was changed."""
-        kernel = self._component._rt_kernel
+        """Put all of it in force, then publish; ConfigurationError, and no change, when the component cannot use it."""
+        kernel = cell(self._component).kernel
         if self._ports is None or kernel is None or kernel.on_loop_thread():
             self._put_here()
             return
@@ -107,7 +108,7 @@ class _Change:
         refused: list[AiortsError] = []
 
         def on_loop() -> None:
-            if _claimed(chance):
+            if claimed(chance):
                 try:
                     self._put_here()
                 except AiortsError as error:
@@ -115,9 +116,9 @@ class _Change:
                 finally:
                     done.set()
 
-        kernel._on_loop(on_loop)
+        kernel.call_on_loop(on_loop)
         if not done.wait(_LOOP_PATIENCE):
-            if _claimed(chance):
+            if claimed(chance):
                 raise ClosedError(
                     f"{self._component.name}: the loop did not change the ports in time; nothing was changed"
                 )
@@ -127,23 +128,23 @@ class _Change:
 
     def _put_here(self) -> None:
         component, ports = self._component, self._ports
-        if component._rt_params._state is not self._old:
+        if cell(component).configuration is not self._old:
             raise ConfigurationError(
                 f"{component.name}: its own check changed the configuration that it was asked about; it only looks"
             )
         try:
             if ports is not None:
                 ports.put()
-            _asked(component, "putting the configuration in force", self._put_values)
+            _call_own(component, "putting the configuration in force", self._put_values)
         except BaseException:
             self._set(self._new, self._old)
             if ports is not None:
                 ports.undo()
             raise
-        component._rt_params._judged = True
+        cell(component).judged = True
         if ports is not None:
             ports.settle()
-        self._tell()
+        self._publish()
 
     def _put_values(self) -> None:
         self._set(self._old, self._new)
@@ -154,7 +155,7 @@ class _Change:
 
     def _set(self, old: ConfigurationState, new: ConfigurationState) -> None:
         component = self._component
-        component._rt_params._state = new
+        cell(component).configuration = new
         for name in old.specs:
             if name not in new.specs:
                 vars(component).pop(name, None)
@@ -162,10 +163,10 @@ class _Change:
             if name not in old.values or old.values[name] is not value:
                 setattr(component, name, value)
 
-    def _tell(self) -> None:
-        kernel = self._component._rt_kernel
+    def _publish(self) -> None:
+        kernel = cell(self._component).kernel
         if kernel is not None and self._new is not self._old:
-            kernel._on_loop(partial(_publish, kernel.bus, self._component.name, self._old, self._new))
+            kernel.call_on_loop(partial(_publish, kernel.bus, self._component.name, self._old, self._new))
 
 
 def _publish(bus: Bus, name: str, old: ConfigurationState, new: ConfigurationState) -> None:
@@ -178,7 +179,7 @@ def _publish(bus: Bus, name: str, old: ConfigurationState, new: ConfigurationSta
         bus.publish(event)
 
 
-def _check_free(component: Component, name: str) -> None:
+def _check_free(component: Configured, name: str) -> None:
     """A parameter becomes an attribute: it must be able to, and take the place of nothing."""
     if not name.isidentifier() or keyword.iskeyword(name) or name.startswith("_"):
         raise ConfigurationError(
@@ -188,8 +189,8 @@ def _check_free(component: Component, name: str) -> None:
         raise ConfigurationError(f"{component.name}.{name}: the component has something of that name already")
 
 
-def _overrides(component: Component, method: str) -> bool:
-    return getattr(type(component), method) is not component._rt_defaults[method]
+def _overrides(component: Configured, method: str) -> bool:
+    return method in declarations(type(component)).overrides
 
 
 def _alike(old: ConfigurationState, new: ConfigurationState, name: str) -> bool:
@@ -200,7 +201,7 @@ def _alike(old: ConfigurationState, new: ConfigurationState, name: str) -> bool:
     return all(same(before[parameter], value) for parameter, value in after.items())
 
 
-def _claimed(chance: list[bool]) -> bool:
+def claimed(chance: list[bool]) -> bool:
     """True for the first who asks, from whatever thread."""
     try:
         return chance.pop()
@@ -208,7 +209,7 @@ def _claimed(chance: list[bool]) -> bool:
         return False
 
 
-def _wanted_ports(component: Component, values: Mapping[str, Any]) -> dict[str, Any]:
+def _wanted_ports(component: Configured, values: Mapping[str, Any]) -> dict[str, Any]:
     found = component.ports_for(values)
     if not isinstance(found, Mapping):
         _refuse_result(found, "ports by name")
@@ -234,19 +235,20 @@ def _refuse_result(result: object, expected: str) -> NoReturn:
 
 def _text_of(error: BaseException) -> str:
     """What it says, without its class where that says nothing; its `__str__` may be as bad as what raised it."""
-    text = "".join(traceback.format_exception_only(error)).strip()
-    if isinstance(error, ValueError):
+    text = text_of(error)
+    if issubclass(type(error), ValueError):
         return text.partition(": ")[2] or "refused"
-    return f"raised {text}"
+    return f"raised {text}{in_brackets(origin_of(error, installed=True))}"
 
 
-def _asked(component: Component, what: str, function: Callable[..., Any], *args: Any) -> Any:
+def _call_own(component: Configured, what: str, function: Callable[..., Any], *args: Any) -> Any:
     """What the component's own code says; whatever it raises refuses the change."""
     try:
         return function(*args)
     except ConfigurationError:
         raise  # it says all that is to be said, and may carry a place
     except BaseException as error:  # the border round a component's check
-        if isinstance(error, KeyboardInterrupt) and component._rt_kernel is not None:
-            component._rt_kernel._interrupted(error)
+        kernel = cell(component).kernel
+        if issubclass(type(error), KeyboardInterrupt) and kernel is not None:
+            kernel.pass_on_interrupt(error)
         raise ConfigurationError(f"{component.name}: {what}: {_text_of(error)}; nothing was changed") from error

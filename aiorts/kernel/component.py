@@ -8,36 +8,41 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Awaitable, Mapping
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, cast
 
-from aiorts.errors import DeclarationError, StateError, WiringError, said
+from aiorts.errors import (
+    AiortsError,
+    ComponentError,
+    DeclarationError,
+    PluginError,
+    StateError,
+    WiringError,
+    format_error,
+)
 from aiorts.kernel.configuring import OVERRIDABLE, Configurable, declared_state
-from aiorts.kernel.gate import Gate
-from aiorts.kernel.hooks import check_spelling, hook_kinds
-from aiorts.kernel.host import PortHost
-from aiorts.kernel.log import ComponentLog, LogFields
-from aiorts.kernel.parameters import Declared, Parameters
-from aiorts.kernel.ports import InPort, OutPort, Port, Provided, Required, ServiceEnd, ServicePort, Turns
-from aiorts.kernel.service_ends import add_end, check_declared
-from aiorts.model.configuration import ParameterSpec
-from aiorts.model.lifecycle import HOOKS, LifeCycleState
+from aiorts.kernel.declarations import Declarations, Kind, declarations
+from aiorts.kernel.execution.cell import ATTRIBUTE, Cell, cell, has_cell, log_fields
+from aiorts.kernel.execution.hooks import check_spelling, hook_kinds
+from aiorts.kernel.loop.exceptions import presentable, trace_of
+from aiorts.kernel.loop.log import ComponentLog
+from aiorts.kernel.loop.origins import located
+from aiorts.kernel.parameters import Declared
+from aiorts.kernel.ports import Port, PortDeclaration
+from aiorts.kernel.ports.port import wake_waiter
+from aiorts.model.configuration.sets import ConfigurationState
+from aiorts.model.lifecycle import HOOKS, LifecycleState
 from aiorts.model.names import check_name
 from aiorts.model.profile import ComponentProfile
 
 if TYPE_CHECKING:
     from aiorts.clock import Clock
-    from aiorts.kernel.composed import Composed
-    from aiorts.kernel.context import Context
-    from aiorts.kernel.heir import Heir
-    from aiorts.kernel.homes import Home
-    from aiorts.kernel.kernel import Kernel
-    from aiorts.kernel.member import Member
-    from aiorts.kernel.service_visit import Visit
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.microkernel import Microkernel
 
-__all__ = ("Component", "Hook")
-
-T = TypeVar("T")
+C = TypeVar("C", bound="Component")
+D = TypeVar("D", bound=PortDeclaration)
 Hook = Awaitable[None] | None
 """What a hook may return: it is `async def` or plain `def`, and the value is None."""
 
@@ -45,7 +50,7 @@ Hook = Awaitable[None] | None
 class Component(Configurable):
     """The unit of a system. Derive from it, declare ports and parameters, write the hooks you need.
 
-    Every private name of this class begins with `_rt_`: `self._log` or `self._members` are yours.
+    Its one private attribute is `_rt`: `self._log` or `self._members` are yours.
 
     Args:
         name: the instance's name; the kernel gives one ("pid0") where there is none.
@@ -54,57 +59,58 @@ class Component(Configurable):
     """
 
     max_instance: ClassVar[int | None] = None
-    _rt_port_declarations: ClassVar[dict[str, Port[Any] | ServiceEnd[Any]]] = {}
-    _rt_parameter_specs: ClassVar[dict[str, ParameterSpec]] = {}
-    _rt_hook_kinds: ClassVar[dict[str, int]] = {}
-    # What few instances ever have stands in the class until then: an instance without it is smaller.
-    _rt_last_error: BaseException | None = None
-    _rt_abandoned: BaseException | None = None
-    """Why it never runs again: a hook ignored every cancellation and was left behind."""
-    _rt_failed_in: tuple[Member, str] | None = None
-    """The hook whose failure is being logged."""
-    _rt_log: ComponentLog | None = None
-    _rt_deadlines: Mapping[str, float] | None = None
-    """Seconds that single hooks may take; see `Kernel.supervise`."""
-    _rt_composes: ClassVar[bool] = False
-    """Whether it stands for others: `kernel/composite.py`."""
-    _rt_composite: Composed | None = None
-    _rt_homes: tuple[Home, ...] = ()
-    """Where it ran before it ran with that composite."""
-    _rt_heir: Heir | None = None
-    """While it is made to take another one's place: what it takes over."""
+    alone: ClassVar[Mapping[str, object]] = MappingProxyType({})
+    """The context that it runs in alone, by `aiorts run` or as a filter, as the table of a system file: {"rate": 50.0}.
 
-    def __init_subclass__(cls, *, _rt_redefines: frozenset[str] = frozenset(), **options: Any) -> None:
+    Without `kind` it is a periodic one. Where nothing is said, one with in-ports runs on data, any other 10 times a
+    second.
+    """
+    _rt: Cell
+    """What the kernel keeps on it; of a class: its `Declarations`."""
+
+    def __init_subclass__(
+        cls, *, kind: Kind | None = None, redefines: frozenset[str] = frozenset(), **options: Any
+    ) -> None:
         super().__init_subclass__(**options)
-        cls._rt_port_declarations = dict(cls._rt_port_declarations)
-        cls._rt_parameter_specs = dict(cls._rt_parameter_specs)
-        for attribute, value in vars(cls).items():
-            if attribute in _OURS - _rt_redefines:
-                raise DeclarationError(
-                    f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
-                )
-            if isinstance(value, Port | ServiceEnd):
-                cls._rt_port_declarations[attribute] = value
-                check_name(value.name or attribute, "port")
-            elif isinstance(value, Declared):
-                cls._rt_parameter_specs[attribute] = value.named(attribute, cls.__qualname__)
+        inherited = declarations(cls)
+        ports, parameters = dict(inherited.ports), dict(inherited.parameters)
+        for attribute in sorted(vars(cls).keys() & (_OURS - redefines)):
+            raise DeclarationError(
+                f"{cls.__qualname__}.{attribute}: Component has a {attribute} of its own; choose another name"
+            )
+        # What the first base has is inherited; that of others is found as Python finds attributes.
+        for body in reversed(cls.__mro__) if len(cls.__bases__) > 1 else (cls,):
+            for attribute, value in vars(body).items():
+                if isinstance(value, PortDeclaration):
+                    ports[attribute] = value
+                    check_name(value.name or attribute, "port")
+                elif isinstance(value, Declared):
+                    parameters[attribute] = value.named(attribute, body.__qualname__)
         check_spelling(cls)
-        cls._rt_hook_kinds = hook_kinds(cls, Component)
-        check_declared(cls)
-        cls._rt_configuration_state = declared_state(cls, cls._rt_parameter_specs)
+        kinds = [
+            one for base in reversed(cls.__mro__[1:]) if issubclass(base, Component) for one in declarations(base).kinds
+        ]
+        for attribute, declared in ports.items():
+            declared.check_declared(cls, attribute)
+        overrides = frozenset(name for name in OVERRIDABLE if getattr(cls, name) is not getattr(Configurable, name))
+        all_of_it = Declarations(
+            ports,
+            parameters,
+            hook_kinds(cls, Component),
+            declared_state(cls, parameters),
+            overrides,
+            tuple(dict.fromkeys((*kinds, *(() if kind is None else (kind,))))),
+        )
+        setattr(cls, ATTRIBUTE, all_of_it)
 
     def __init__(self, name: str = "") -> None:
         if name:
             check_name(name, "component")
-        self._rt_host = PortHost(name or type(self).__name__.lower(), Turns())
-        self._rt_named = bool(name)
-        self._rt_kernel: Kernel | None = None
-        self._rt_members: list[Member] = []
-        self._rt_gate = Gate()
-        self._rt_params = Parameters(self._rt_host.name, self._rt_configuration_state)
-        for parameter, value in self._rt_configuration_state.values.items():
+        declared = declarations(type(self))
+        self._rt = Cell(name or type(self).__name__.lower(), bool(name), declared.hook_kinds, declared.configuration)
+        for parameter, value in declared.configuration.values.items():
             setattr(self, parameter, value)
-        for attribute, declaration in self._rt_port_declarations.items():
+        for attribute, declaration in declared.ports.items():
             setattr(self, attribute, self.add_port(declaration.name or attribute, declaration))
 
     # -- who and where ---------------------------------------------------------------------------------------------
@@ -112,14 +118,15 @@ class Component(Configurable):
     @property
     def name(self) -> str:
         """The instance's name, unique in its kernel."""
-        return self._rt_host.name
+        return cell(self).name
 
     @property
-    def kernel(self) -> Kernel:
+    def kernel(self) -> Microkernel:
         """The kernel this component belongs to; StateError before it was added."""
-        if self._rt_kernel is None:
+        kernel = cell(self).kernel
+        if kernel is None:
             raise StateError(f"{self.name}: belongs to no kernel yet; await kernel.add(...) first")
-        return self._rt_kernel
+        return cast("Microkernel", kernel)
 
     @property
     def clock(self) -> Clock:
@@ -128,137 +135,101 @@ class Component(Configurable):
 
     @property
     def context(self) -> Context:
-        """The execution context that runs this hook; outside of hooks the only one; StateError where that is nobody."""
-        running = self._rt_running
+        """The execution context that runs this hook; outside of hooks the only one; StateError where there is none."""
+        here = cell(self)
+        running = here.running
         if running is not None:
             return running.context
-        if len(self._rt_members) == 1:
-            return self._rt_members[0].context
-        raise StateError(f"{self.name}: is in {len(self._rt_members)} contexts and no hook runs; say which")
+        if len(here.members) == 1:
+            return here.members[0].context
+        raise StateError(f"{self.name}: is in {len(here.members)} contexts and no hook runs; say which")
 
     @property
     def contexts(self) -> tuple[Context, ...]:
         """The contexts this component is in, in the order it was added."""
-        return tuple(member.context for member in self._rt_members)
+        return tuple(member.context for member in cell(self).members)
 
     @property
-    def states(self) -> Mapping[str, LifeCycleState]:
-        """The life-cycle state in each context, by the context's name."""
-        return MappingProxyType({member.context.name: member.state for member in self._rt_members})
+    def states(self) -> Mapping[str, LifecycleState]:
+        """The lifecycle state in each context, by the context's name."""
+        return MappingProxyType({member.context.name: member.state for member in cell(self).members})
 
     @property
-    def state(self) -> LifeCycleState | None:
-        """The life-cycle state in the context at hand; None in no context."""
-        running = self._rt_running
+    def state(self) -> LifecycleState | None:
+        """The lifecycle state in the context at hand; None in no context."""
+        here = cell(self)
+        running = here.running
         if running is not None:
             return running.state
-        return self._rt_members[0].state if self._rt_members else None
+        return here.members[0].state if here.members else None
 
     @property
     def has_finished(self) -> bool:
         """Whether this source said that it has nothing more (`finish`), was deactivated and not activated since."""
-        return any(m.finishing and m.state is not LifeCycleState.ACTIVE for m in self._rt_members)
+        return any(m.finishing and m.state is not LifecycleState.ACTIVE for m in cell(self).members)
 
     @property
     def last_error(self) -> BaseException | None:
         """What made this component fail last, with its traceback; earlier causes are chained to it."""
-        return self._rt_last_error
+        return cell(self).last_error
 
     @property
     def log(self) -> ComponentLog:
         """This component's logger on stdlib logging: kernel, component, hook and tick are fields of each record."""
-        if self._rt_log is None:
+        here = cell(self)
+        if here.log is None:
             kernel = self.kernel
-            self._rt_log = ComponentLog(self._rt_log_fields, kernel.clock.monotonic_ns, shared=kernel._log_budget)
-        return self._rt_log
-
-    @property
-    def _rt_running(self) -> Member | Visit | None:
-        """The member whose hook runs now, or the call that is served."""
-        gate = self._rt_gate
-        if gate.inside is None and not gate.shared and self._rt_members:
-            # In one context its hooks may pass by the gate.
-            member = self._rt_members[0]
-            driver = member.context._driver
-            return member if driver is not None and driver.current is member else None
-        return gate.inside
-
-    def _rt_log_fields(self) -> LogFields:
-        kernel = self._rt_kernel.name if self._rt_kernel is not None else ""
-        running = self._rt_running
-        if self._rt_failed_in is not None:
-            member, hook = self._rt_failed_in
-            return LogFields(kernel, self.name, hook, member.tick)
-        if running is not None:
-            return LogFields(kernel, self.name, running.hook, running.tick)
-        return LogFields(kernel, self.name)
+            # Of the component, not of the cell: a reload gives the new instance the cell of the old one.
+            here.log = ComponentLog(partial(log_fields, self), kernel.clock.monotonic_ns, shared=kernel._log_budget)
+        return here.log
 
     @property
     def profile(self) -> ComponentProfile:
         """What this component is at this moment, frozen."""
-        error = self._rt_last_error
+        error = cell(self).last_error
         return ComponentProfile(
             self.name,
             type(self).__name__,
             tuple(port.profile for port in self.ports.values()),
-            self._rt_params._state.values,
+            cell(self).configuration.values,
             MappingProxyType({name: state.value for name, state in self.states.items()}),
-            None if error is None else said(error),
+            None if error is None else format_error(error),
         )
 
     def __repr__(self) -> str:
         states = ", ".join(f"{context}: {state}" for context, state in self.states.items())
         return f"<{type(self).__name__} {self.name} {len(self.ports)} ports{' ' + states if states else ''}>"
 
-    def _repr_html_(self) -> str:
-        from aiorts.kernel.html import component_html
-
-        return component_html(self)
+    def _repr_html_(self) -> str | None:
+        kernel = cell(self).kernel
+        return None if kernel is None else kernel.html_of(self)
 
     # -- ports -----------------------------------------------------------------------------------------------------
 
     @property
     def ports(self) -> Mapping[str, Port[Any]]:
         """The ports there are now, by name."""
-        return MappingProxyType(self._rt_host.ports)
+        return MappingProxyType(cell(self).ports)
 
-    @overload
-    def add_port(self, name: str, port: InPort[T]) -> InPort[T]: ...
-
-    @overload
-    def add_port(self, name: str, port: OutPort[T]) -> OutPort[T]: ...
-
-    @overload
-    def add_port(self, name: str, port: Provided[T]) -> Provided[T]: ...
-
-    @overload
-    def add_port(self, name: str, port: Required[T]) -> Required[T]: ...
-
-    @overload
-    def add_port(self, name: str, port: Port[Any] | ServiceEnd[Any]) -> Port[Any] | ServiceEnd[Any]: ...
-
-    def add_port(self, name: str, port: Port[Any] | ServiceEnd[Any]) -> Port[Any] | ServiceEnd[Any]:
+    def add_port(self, name: str, port: D) -> D:
         """A live port made after the declaration `port`, at any time; announced on the bus.
 
         Raises:
             InvalidNameError: the name is not allowed. WiringError: there is one of that name already.
             DeclarationError: a value of the port's type cannot travel.
         """
-        if self._rt_kernel is not None:
-            self._rt_kernel.check_thread(f"{self.name}.add_port")
+        kernel, here = cell(self).kernel, cell(self)
+        if kernel is not None:
+            kernel.check_thread(f"{self.name}.add_port")
         check_name(name, "port")
-        if self._rt_heir is not None:
-            return self._rt_heir.bind(self, name, port)
-        if isinstance(port, ServiceEnd):
-            return add_end(self, name, port)
-        if name in self._rt_host.ports:
-            raise WiringError(f"{self.name}.{name}: there is a port of that name already")
-        if not isinstance(port, InPort | OutPort):
+        if not isinstance(port, PortDeclaration):
             raise DeclarationError(f"{self.name}.{name}: expected InPort, OutPort, Provided or Required, got {port!r}")
-        bound: InPort[Any] | OutPort[Any] = port.bind(self._rt_host, name)
-        self._rt_host.ports[name] = bound
-        if self._rt_kernel is not None:
-            self._rt_kernel._roster.port_added(self, bound)
+        maker = here.port_maker or declarations(type(self)).port_maker
+        if maker is not None:
+            return cast("D", maker.bind(self, name, port))
+        bound = port.add_to(self, here, name)
+        if kernel is not None:
+            kernel.registry.port_added(self, here.ports[name])
         return bound
 
     def remove_port(self, name: str) -> None:
@@ -267,33 +238,35 @@ class Component(Configurable):
         Raises:
             WiringError: there is no such port.
         """
-        if self._rt_kernel is not None:
-            self._rt_kernel.check_thread(f"{self.name}.remove_port")
-        port = self._rt_host.ports.get(name)
+        kernel, here = cell(self).kernel, cell(self)
+        if kernel is not None:
+            kernel.check_thread(f"{self.name}.remove_port")
+        port = here.ports.get(name)
         if port is None:
-            raise WiringError(f"{self.name}.{name}: no such port; there are {', '.join(self._rt_host.ports) or 'none'}")
-        if self._rt_heir is not None:
-            return self._rt_heir.unbind(self, name)
-        if self._rt_kernel is not None:
+            raise WiringError(f"{self.name}.{name}: no such port; there are {', '.join(here.ports) or 'none'}")
+        if here.port_maker is not None:
+            here.port_maker.unbind(self, name)
+            return
+        if kernel is not None:
             for connector in port.connectors:
-                self._rt_kernel._connections.end(connector)
-        del self._rt_host.ports[name]
-        if isinstance(port, InPort | ServicePort):
-            port._wake_waiter()
-        if self._rt_kernel is not None:
-            self._rt_kernel._roster.port_removed(self, port)
+                kernel.connections.end(connector)
+        del here.ports[name]
+        wake_waiter(port)
+        if kernel is not None:
+            kernel.registry.port_removed(self, port)
 
     # -- what a hook may ask for -----------------------------------------------------------------------------------
 
     def finish(self) -> None:
         """Say that this source has nothing more: it is deactivated after this cycle."""
-        if self._rt_kernel is not None and self._rt_host.thread_id != threading.get_ident():
-            self._rt_kernel.check_thread(f"{self.name}.finish")
-        running = self._rt_running
+        kernel, here = cell(self).kernel, cell(self)
+        if kernel is not None and here.thread_id != threading.get_ident():
+            kernel.check_thread(f"{self.name}.finish")
+        running = here.running
         if running is not None:
             running.finish()
             return
-        for member in self._rt_members:
+        for member in here.members:
             member.finish()
 
     async def sleep(self, seconds: float) -> None:
@@ -354,31 +327,48 @@ class Component(Configurable):
         """Its code was replaced (`Kernel.reload`): take over from the instance of the old code, between two cycles."""
         return _nothing()
 
-    # -- called by the kernel --------------------------------------------------------------------------------------
-
-    def _rt_move(self, threaded: bool) -> None:
-        """It is about to join a thread context, or has left one."""
-
-    def _rt_unfold(self) -> tuple[Component, ...]:
-        """What runs where it is started."""
-        return (self,)
-
-    def _rt_leaves(self) -> tuple[Component, ...]:
-        """What it is made of."""
-        return (self,)
-
-    def _rt_rename(self, name: str) -> None:
-        self._rt_host.name = name
-        self._rt_params._owner = name
-        self._rt_named = True
-
 
 def _nothing() -> Hook:
-    """What a hook that nobody wrote returns: super().on_x() can be awaited all the same."""
+    """What a hook returns that the class does not define: super().on_x() can be awaited all the same."""
     return _DONE
 
 
-Component._rt_hook_kinds = hook_kinds(Component, Component)
+setattr(
+    Component,
+    ATTRIBUTE,
+    Declarations({}, {}, hook_kinds(Component, Component), ConfigurationState.of({}), frozenset(), ()),
+)
+
+
+def construct(cls: type[C], name: str) -> C:
+    """A component of this class, which belongs to no kernel yet.
+
+    Raises:
+        ComponentError: its own `__init__` raises. PluginError: it forgets `super().__init__(name)`, or takes no name.
+        AiortsError: what `__init__` raises of that kind, as it is.
+    """
+    try:
+        component = cls(name)
+    except AiortsError:
+        raise
+    except BaseException as error:  # a component's border: its constructor is the user's
+        if issubclass(type(error), KeyboardInterrupt):
+            raise
+        advice = _advice(cls, error)
+        kind = PluginError if advice else ComponentError
+        raise kind(f"{cls.__name__} cannot be constructed: {located(error)}{advice}") from presentable(error)
+    if not has_cell(component):
+        raise PluginError(f"{cls.__name__}.__init__ must call super().__init__(name)")
+    return component
+
+
+def _advice(cls: type[Component], error: BaseException) -> str:
+    """For an `__init__` that was not even entered."""
+    trace = trace_of(error)
+    entered = trace is not None and trace.tb_next is not None
+    if entered or not issubclass(type(error), TypeError) or cls.__init__ is Component.__init__:
+        return ""
+    return "; write def __init__(self, name) and call super().__init__(name)"
 
 
 class _Done:
@@ -394,6 +384,7 @@ _DONE = _Done()
 _OURS = frozenset(name for name in (*vars(Component), *vars(Configurable)) if not name.startswith("_")) - {
     *HOOKS,
     *OVERRIDABLE,
+    "alone",
     "max_instance",
     "on_reload",
 }

@@ -1,4 +1,4 @@
-"""What is told of a component's configuration, after it is in force; values are as the parameters hold them.
+"""The events of a component's configuration, published once it is in force; values are as the parameters hold them.
 
 The events of sets alone tell what every set holds at any moment, those of parameters what is in force: either feed is
 complete.
@@ -7,22 +7,11 @@ complete.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
-from aiorts.kernel.bus import Event, ParametersChanged
-from aiorts.model.sets import ConfigurationState, same
-
-__all__ = (
-    "ConfigurationSetActivated",
-    "ConfigurationSetAdded",
-    "ConfigurationSetChanged",
-    "ConfigurationSetRemoved",
-    "ParameterAdded",
-    "ParameterChanged",
-    "ParameterRemoved",
-    "configuration_events",
-)
+from aiorts.kernel.loop.bus import Event, ParametersChanged
+from aiorts.late import dataclass
+from aiorts.model.configuration.sets import ConfigurationState, same
 
 Pairs = tuple[tuple[str, Any], ...]
 
@@ -98,10 +87,10 @@ class ConfigurationSetActivated(Event):
 
 
 def configuration_events(component: str, old: ConfigurationState, new: ConfigurationState) -> Iterator[Event]:
-    """What there is to tell when `new` took the place of `old`."""
+    """The events to publish when `new` took the place of `old`."""
     for name, spec in new.specs.items():
         if name not in old.specs:
-            from aiorts.model.standard_names import remark_on
+            from aiorts.model.configuration.standard_names import remark_on
 
             yield ParameterAdded(component, name, new.values[name], spec.type_text, spec.unit, remark_on(spec))
     for name in old.specs:

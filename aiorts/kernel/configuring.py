@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError
 from aiorts.kernel.between_cycles import between_cycles, soon
 from aiorts.kernel.commit import Edit, commit
+from aiorts.kernel.declarations import declarations
+from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.parameters import Declared, Parameters
-from aiorts.kernel.ports import InPort, OutPort, Port
-from aiorts.model.sets import DEFAULT, ConfigurationState
+from aiorts.kernel.ports import InPort, OutPort
+from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 
 if TYPE_CHECKING:
-    from aiorts.kernel.component import Component
-    from aiorts.kernel.kernel import Kernel
-    from aiorts.model.configuration import ParameterSpec
-    from aiorts.model.configuration_profile import ConfigurationProfile
-
-__all__ = ("OVERRIDABLE", "Configurable", "Configuration", "declared_state")
+    from aiorts.kernel.execution.cell import Configured
+    from aiorts.model.configuration.configuration_profile import ConfigurationProfile
+    from aiorts.model.configuration.parameters import ParameterSpec
 
 OVERRIDABLE: Final = frozenset({"configurations", "check_configuration", "ports_for"})
 """What a component class may write for itself."""
@@ -42,7 +41,7 @@ class Configuration:
 
     __slots__ = ("_component",)
 
-    def __init__(self, component: Component) -> None:
+    def __init__(self, component: Configured) -> None:
         self._component = component
 
     @property
@@ -63,9 +62,9 @@ class Configuration:
     @property
     def profile(self) -> ConfigurationProfile:
         """Parameters, what is allowed, sets and the values in force, as plain data."""
-        from aiorts.model.configuration_profile import configuration_profile
+        from aiorts.model.configuration.configuration_profile import configuration_profile
 
-        return configuration_profile(self._state, type(self._component)._rt_parameter_specs)
+        return configuration_profile(self._state, declarations(type(self._component)).parameters)
 
     def __repr__(self) -> str:
         return f"<Configuration {self._component.name} {self.active} of {', '.join(self.sets)}>"
@@ -113,7 +112,7 @@ class Configuration:
 
     @property
     def _state(self) -> ConfigurationState:
-        return self._component._rt_params._state
+        return cell(self._component).configuration
 
     def _converted(self, changes: Mapping[str, object], name: str | None) -> dict[str, Any]:
         """The values as parameters hold them: what the caller does with a list afterwards is his own affair."""
@@ -122,20 +121,20 @@ class Configuration:
         return _only(held, changes)
 
     async def _change(self, changes: Mapping[str, object], name: str | None, what: str = "configuration") -> None:
-        if (kernel := self._component._rt_kernel) is not None:
+        if (kernel := cell(self._component).kernel) is not None:
             kernel.check_thread(f"{self._component.name}.{what}")
         checked, owner = self._converted(changes, name), self._component.name
         await self._put(lambda state: state.changed(checked, name, owner))
 
     async def _apply(self, edit: Edit, what: str = "configuration") -> None:
-        kernel = self._component._rt_kernel
+        kernel = cell(self._component).kernel
         if kernel is not None:
             kernel.check_thread(f"{self._component.name}.{what}")
         edit(self._state)  # who asks for nonsense hears it at once
         await self._put(edit)
 
     async def _put(self, edit: Edit) -> None:
-        component, kernel = self._component, self._component._rt_kernel
+        component, kernel = self._component, cell(self._component).kernel
         change = partial(commit, component, edit)
         if kernel is not None:
             await between_cycles(kernel, component, change)
@@ -143,7 +142,7 @@ class Configuration:
             raise error
 
     def _apply_soon(self, edit: Edit) -> None:
-        component, kernel = self._component, self._component._rt_kernel
+        component, kernel = self._component, cell(self._component).kernel
         edit(self._state)
         change = partial(commit, component, edit)
         if kernel is not None:
@@ -161,23 +160,13 @@ class Configurable:
 
     configurations: ClassVar[Mapping[str, Mapping[str, object]]] = {}
     """Sets that every instance begins with: name to what it holds, as {"stiff": {"gain": 5.0}}."""
-    _rt_configuration_state: ClassVar[ConfigurationState] = ConfigurationState.of({})
-    _rt_defaults: ClassVar[Mapping[str, Any]] = {}
-    # What few instances ever have stands in the class until then.
-    _rt_group: Mapping[str, Port[Any]] = MappingProxyType({})
-    """The ports that `ports_for` asked for."""
-    _rt_successor: Component | None = None
-    """The instance in whose place it was, while that proves itself: what was asked of it is asked of that."""
-    _rt_changes_queued = 0
-    _rt_params: Parameters
-    _rt_kernel: Kernel | None
 
     # -- for those who use the component ---------------------------------------------------------------------------
 
     @property
     def params(self) -> Parameters:
         """The parameters, by name: value in force, default, unit, bounds."""
-        return self._rt_params
+        return Parameters(self)  # type: ignore[arg-type] # Component is the only one
 
     @property
     def configuration(self) -> Configuration:
@@ -219,7 +208,7 @@ class Configurable:
         """
         configuration = self.configuration
         owner = configuration._component.name
-        if name in type(configuration._component)._rt_parameter_specs:
+        if name in declarations(type(configuration._component)).parameters:
             raise ConfigurationError(f"{owner}.{name}: is declared by its class; only what was added can be removed")
         await configuration._apply(lambda state: state.without_parameter(name, owner), "remove_param")
 
@@ -242,18 +231,12 @@ class Configurable:
         """
         return {}
 
-    def _rt_put(self, params: Mapping[str, object]) -> None:
-        """Put values in force while the component runs nowhere, and make the ports that go with them."""
-        component = self.configuration._component
-        refused = commit(component, lambda state: state.changed(params, None, component.name))
-        if refused is not None:
-            raise refused
 
-
-Configurable._rt_defaults = {
-    "check_configuration": Configurable.check_configuration,
-    "ports_for": Configurable.ports_for,
-}
+def put_parameters(component: Configured, values: Mapping[str, object]) -> None:
+    """Put values in force while the component runs nowhere, and make the ports that go with them."""
+    refused = commit(component, lambda state: state.changed(values, None, component.name))
+    if refused is not None:
+        raise refused
 
 
 def declared_state(cls: type[Configurable], specs: Mapping[str, ParameterSpec]) -> ConfigurationState:
@@ -262,7 +245,7 @@ def declared_state(cls: type[Configurable], specs: Mapping[str, ParameterSpec]) 
     Raises:
         DeclarationError: a set names what is not there, or holds a bad value; a check is not plain `def`.
     """
-    for method in cls._rt_defaults:
+    for method in ("check_configuration", "ports_for"):
         function = inspect.getattr_static(cls, method)
         if not inspect.isfunction(function) or inspect.iscoroutinefunction(function):
             raise DeclarationError(

@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 from aiorts.errors import WiringError
-from aiorts.kernel import wiring
-from aiorts.kernel.bus import Connected, Disconnected
-from aiorts.kernel.service_port import ServiceConnector, is_service
-from aiorts.kernel.service_visit import Calls
+from aiorts.kernel.loop.bus import Connected, Disconnected
+from aiorts.kernel.loop.guarded import KernelLog, guarded
+from aiorts.kernel.ports import PortDeclaration, wiring
+from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.losses import Losses
+from aiorts.kernel.ports.tap import make_tap, resize
+from aiorts.kernel.service import notify, report_fault
 from aiorts.model.numbering import Numbering
+from aiorts.model.options import (
+    connector_profile,
+    idle,
+    loses_unasked,
+    says_what_is_lost,
+    transport_notice,
+    without_effect,
+)
 from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
-    from aiorts.kernel.connector import Connector
-    from aiorts.kernel.kernel import Kernel
-    from aiorts.model.service_profile import ServiceConnectorProfile
+    from aiorts.kernel.execution.cell import KernelSide
+    from aiorts.kernel.ports.in_port import InPort
+    from aiorts.kernel.ports.out_port import OutPort
+    from aiorts.kernel.service import KernelService
 
-__all__ = ("Connections",)
+_LOG = KernelLog()
 
 
 class Connections:
-    """Who is connected with whom."""
+    """Which ports are connected with which."""
 
-    def __init__(self, kernel: Kernel) -> None:
+    def __init__(self, kernel: KernelSide) -> None:
         self._kernel = kernel
         self.connectors: dict[str, Connector] = {}
-        self.service_connectors: dict[str, ServiceConnector] = {}
-        self.calls = Calls()
+        self.service_connectors: dict[str, Any] = {}
+        """Those that are none of data ports."""
+        self.losses = Losses(kernel)
         self._numbering = Numbering(self._taken)
+        self._idle: set[str] = set()
+        """Warnings of options that choose nothing, each given once."""
+        self._reported: set[str] = set()
+        """Options without effect that have been warned of."""
 
     def make(self, ports: Sequence[Any], options: Mapping[str, Any]) -> list[Any]:
         """Connect every out-port with every in-port, or service ports with one another.
@@ -38,25 +55,84 @@ class Connections:
         Raises:
             WiringError: says which ports or options do not go together; nothing was connected.
         """
-        if any(map(is_service, ports)):
-            return self._make_services(ports, options)
+        for port in ports:
+            connecting = port.connecting if isinstance(port, PortDeclaration) else None
+            if connecting is not None:
+                return self._make_others(connecting.plan(self._kernel, ports, options), options)
         plans = wiring.plan(self._kernel, ports, options)
+        if options:
+            self._report_idle(options, plans[0])
+        reports_losses = not says_what_is_lost(options) and all(loses_unasked(profile) for *_, profile in plans)
         made = []
         for out, in_, profile in plans:
             name = self._free_name(profile.name, f"{out.path}-{in_.path}", len(plans))
             connector = wiring.wire(self._kernel, out, in_, replace(profile, name=name))
             self.connectors[name] = connector
+            if reports_losses and in_.length is None:
+                self.losses.listen(connector)
             made.append(connector)
+        if options:
+            self._report_once([key for key in without_effect(options) if key not in self._reported], made[0])
         for connector in made:
-            self._kernel.bus.publish(Connected(connector.profile))
-            if self._kernel.bus.samples_wanted:
-                self._kernel.listening.made(connector)
+            self._notify_made(connector)
         return made
 
-    def _make_services(self, ports: Sequence[Any], options: Mapping[str, Any]) -> list[Any]:
-        from aiorts.kernel import service_wiring  # late: most systems have no services
+    def tap(
+        self,
+        service: KernelService,
+        out: OutPort[Any],
+        take: Callable[[InPort[Any]], object],
+        *,
+        length: int,
+        full: str = "overwrite",
+    ) -> Connector:
+        """Let a service take what an out-port writes, until the returned connector is closed.
 
-        plans = service_wiring.connect(self._kernel, ports, options)
+        `take` is called with an in-port that has something to read: in the write itself, or soon on the loop where a
+        thread writes; also while it reads, where that lets a waiting writer in. What it leaves is there at the next
+        call. The system stays what it is: no profile, no supervision and no end of a run sees the connector, whose
+        ledger counts like any other's.
+
+        Args:
+            length: samples that it may leave unread. full: what a write does then: "overwrite", "reject", "block".
+        """
+        profile, _ = connector_profile(
+            out.path, {"length": length, "full": full, "timeout": None}, f"{out.path}-{service.name}", (out.path,)
+        )
+
+        def contained(port: InPort[Any]) -> None:
+            try:
+                take(port)
+            except Exception as error:  # noqa: BLE001 - the border round a plugin's service
+                report_fault(service, f"{out.path}: its tap", error)
+
+        return make_tap(self._kernel, service.name, out, profile, contained)
+
+    def resize_tap(self, connector: Connector, length: int) -> None:
+        """Let a tap leave so many samples unread from now on; those that are there stay."""
+        resize(connector, length)
+
+    def _notify_made(self, connector: Connector) -> None:
+        self._kernel.bus.publish(Connected(connector.profile))
+        notify(self._kernel.services, "connector_made", connector)
+
+    def _report_idle(
+        self, options: Mapping[str, Any], plan: tuple[OutPort[Any], InPort[Any], ConnectorProfile]
+    ) -> None:
+        """Warn of what chooses nothing, once for each option."""
+        for _, text in idle(options):
+            if text not in self._idle:
+                self._idle.add(text)
+                out, in_, profile = plan
+                _LOG.warning("W-OPTION: %s: %s", profile.name or f"{out.path}-{in_.path}", text)
+
+    def _report_once(self, keys: Sequence[str], connector: Connector) -> None:
+        if keys:
+            self._reported.update(keys)
+            _LOG.warning("W-TRANSPORT: %s: %s", connector.name, transport_notice(keys))
+
+    def _make_others(self, plans: Sequence[tuple[str, Any]], options: Mapping[str, Any]) -> list[Any]:
+        """Connectors that are none of data ports."""
         made = []
         for path, plan in plans:
             name = self._free_name(str(options.get("name") or ""), path, len(plans))
@@ -69,29 +145,30 @@ class Connections:
     def _taken(self, name: str) -> bool:
         return name in self.connectors or name in self.service_connectors
 
-    def _those(self, connector: Connector | ServiceConnector) -> Mapping[str, Any]:
-        return self.service_connectors if isinstance(connector, ServiceConnector) else self.connectors
+    def _those(self, connector: Any) -> dict[str, Any]:
+        return self.connectors if isinstance(connector, Connector) else self.service_connectors
 
-    def renew(self, profile: ConnectorProfile | ServiceConnectorProfile) -> Connector | ServiceConnector:
-        """Connect the first two ports of a profile, the writer's first, as they were connected before.
+    def renew(self, profile: Any, *, reports_losses: bool) -> Any:
+        """Connect the first two ports of a profile, the writer's first, as before; `tells`: losses are reported.
 
         Raises:
             WiringError: there is no such port any more, or they do not go together any more.
         """
         if not isinstance(profile, ConnectorProfile):
-            return self._renew_services(profile)
-        out, in_ = (self._kernel._roster.find(path) for path in profile.ports[:2])
+            return self._renew_other(profile)
+        out, in_ = (self._kernel.registry.find(path) for path in profile.ports[:2])
         ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
         name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
         connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name))
         self.connectors[name] = connector
-        self._kernel.bus.publish(Connected(connector.profile))
+        if reports_losses:
+            self.losses.listen(connector)
+        self._notify_made(connector)
         return connector
 
-    def _renew_services(self, profile: ServiceConnectorProfile) -> ServiceConnector:
-        from aiorts.kernel import service_wiring
-
-        plan = service_wiring.renewed(self._kernel, profile)
+    def _renew_other(self, profile: Any) -> Any:
+        port: Any = self._kernel.registry.find(profile.ports[0])
+        plan = port.connecting.renewed(self._kernel, profile)
         name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
         connector = self.service_connectors[name] = plan.make(name)
         self._kernel.bus.publish(Connected(connector.profile))
@@ -103,27 +180,35 @@ class Connections:
             raise WiringError(f"{path}: there is a connector named {given!r}; choose another")
         return self._numbering.lowest(f"{base}-", 2) if self._taken(base) else base
 
-    def check_mine(self, connector: Connector | ServiceConnector) -> None:
+    def check_mine(self, connector: Any) -> None:
         """Raise WiringError unless it is one of this kernel's, closed or not."""
         if not connector.closed and self._those(connector).get(connector.name) is not connector:
             raise WiringError(f"{connector.name}: is not a connector of {self._kernel.name}")
 
-    def end(self, connector: Connector | ServiceConnector) -> None:
+    def end(self, connector: Any) -> None:
         """Take it out of force; idempotent."""
         if connector.closed:
             return
-        if isinstance(connector, ServiceConnector):
-            connector._close()
-            self.service_connectors.pop(connector.name, None)
-        else:
+        if isinstance(connector, Connector):
             wiring.unwire(connector)
-            self.connectors.pop(connector.name, None)
+            if connector.in_.is_tap:
+                return
+            self.losses.end(connector)
+        else:
+            connector.ports[0].connecting.end(connector)
+        self._those(connector).pop(connector.name, None)
         self._numbering.free(connector.name)
         self._kernel.bus.publish(Disconnected(connector.profile))
 
     def end_all(self) -> None:
         """In reverse order."""
-        for services in reversed(tuple(self.service_connectors.values())):
-            self.end(services)
-        for connector in reversed(tuple(self.connectors.values())):
-            self.end(connector)
+        self.end_each(tuple(self.service_connectors.values())[::-1])
+        self.end_each(tuple(self.connectors.values())[::-1])
+        self.losses.close()
+
+    def end_each(self, connectors: Sequence[Any]) -> None:
+        """End these; one that cannot be ended does not keep the others."""
+        for connector in connectors:
+            guarded(f"{connector.name}: could not be ended", self.end, connector)
+            if not connector.closed:
+                self._kernel._faulted()

@@ -1,55 +1,98 @@
-"""What a component class declares, as values: ports, parameters and hooks, read from the class; nothing is created."""
+"""What a component class declares, read from its body once: ports, parameters, hooks and sets; nothing is created."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import DeclarationError
-from aiorts.kernel.component import Component
-from aiorts.kernel.hooks import HookKind
-from aiorts.kernel.port import Port
-from aiorts.model.configuration import ParameterSpec
-from aiorts.model.profile import PortProfile
+from aiorts.kernel import naming
+from aiorts.kernel.execution.cell import ATTRIBUTE
 
-__all__ = ("Declaration", "declaration_of")
+if TYPE_CHECKING:
+    from aiorts.kernel.execution.cell import Cell, ComponentSide
+    from aiorts.kernel.ports import PortDeclaration
+    from aiorts.model.configuration.parameters import ParameterSpec
+    from aiorts.model.configuration.sets import ConfigurationState
 
 
-@dataclass(frozen=True, slots=True)
-class Declaration:
-    """What a component class says of itself.
+class Kind:
+    """What the kernel needs to know of a kind of component, such as a composite, beside what it knows of every one.
 
-    ports: those of its class body; it may add others when it is created.
-    hooks: those it defines, in the order of a component's life.
+    One object without state for all components of the kind: `class Composite(Component, kind=CompositeKind())`. A class
+    may derive from several kinds; each is asked.
     """
 
-    type: str
-    ports: tuple[PortProfile, ...]
-    parameters: tuple[ParameterSpec, ...]
-    hooks: tuple[str, ...]
+    def moved(self, component: Any, *, threaded: bool) -> None:
+        """It is about to join a thread context, or has left one."""
+
+    def removed(self, component: Any) -> None:
+        """It has left the kernel."""
+
+    def reports(self, component: Any) -> Mapping[str, Any]:
+        """What its profile says beside what every component's says: fields of a ComponentReport."""
+        return {}
+
+    def keeps_code(self, component: Any) -> str:
+        """Why its code cannot be replaced now; "" where it can."""
+        return ""
+
+    def others_replaced(self, component: Any, pairs: Mapping[Any, Any]) -> None:
+        """New instances (the values) have the places of others: pass that on to what it keeps of them."""
+
+    def heritage(self, component: Any) -> Callable[[Any], None] | None:
+        """What gives a new instance what this one shares with others: made before this goes, called with the new."""
+        return None
 
 
-def declaration_of(cls: type[Component]) -> Declaration:
-    """What this class declares. DeclarationError when it is no component class."""
-    if not (isinstance(cls, type) and issubclass(cls, Component)):
-        raise DeclarationError(f"{cls!r:.60}: expected a class derived from Component")
-    return Declaration(
-        cls.__name__,
-        _ports(cls),
-        tuple(cls._rt_parameter_specs.values()),
-        tuple(hook for hook, kind in cls._rt_hook_kinds.items() if kind != HookKind.ABSENT),
-    )
+class Declarations:
+    """What one component class declares, its bases' declarations included.
+
+    It stands in the class under the name under which an instance has its cell. So an instance that has cleared its
+    `__dict__` comes here, and is given its cell back.
+    """
+
+    __slots__ = ("configuration", "hook_kinds", "kinds", "overrides", "parameters", "port_maker", "ports")
+
+    def __init__(
+        self,
+        ports: dict[str, PortDeclaration],
+        parameters: dict[str, ParameterSpec],
+        hook_kinds: dict[str, int],
+        configuration: ConfigurationState,
+        overrides: frozenset[str],
+        kinds: tuple[Kind, ...],
+    ) -> None:
+        self.ports = ports
+        """By the attribute that holds it; a port may be named otherwise."""
+        self.parameters = parameters
+        self.hook_kinds = hook_kinds
+        """How each hook is to be run: a `HookKind` by the hook's name."""
+        self.configuration = configuration
+        """What instances begin with."""
+        self.overrides = overrides
+        """What it writes for itself of `configurations`, `check_configuration` and `ports_for`."""
+        self.kinds = kinds
+        self.port_maker: Any = None
+        """While an instance is constructed that is to take another one's place: what makes its ports."""
+
+    def __get__(self, component: ComponentSide | None, cls: type[ComponentSide]) -> Declarations | Cell:
+        if component is None:
+            return self
+        kept = naming.kept_cell(component)
+        if kept is None:
+            raise AttributeError(
+                f"{cls.__name__!r} object has no attribute {ATTRIBUTE!r}", name=ATTRIBUTE, obj=component
+            )
+        setattr(component, ATTRIBUTE, kept)
+        return kept
 
 
-def _ports(cls: type[Component]) -> tuple[PortProfile, ...]:
-    """Data ports as they are declared; interfaces that share a service port as one."""
-    found: dict[str, PortProfile] = {}
-    for attribute, declared in cls._rt_port_declarations.items():
-        name = declared.name or attribute
-        if isinstance(declared, Port):
-            found[name] = replace(declared.profile, name=name)
-            continue
-        one = replace(declared.profile, name=declared.instance or (attribute if declared.name else "") or name)
-        port = found.get(name, PortProfile(name, "service", "", doc=one.doc))
-        kinds = ", ".join((*filter(None, (port.type,)), one.type))
-        found[name] = replace(port, type=kinds, interfaces=(*port.interfaces, one))
-    return tuple(found.values())
+def declarations(cls: type[Any]) -> Declarations:
+    """What this component class declares."""
+    found: Declarations = getattr(cls, ATTRIBUTE)
+    return found
+
+
+def kinds_of(component: ComponentSide) -> tuple[Kind, ...]:
+    """The kinds that this component is of; most are of none."""
+    return declarations(type(component)).kinds

@@ -8,28 +8,33 @@ import weakref
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.execution.cell import Cell, ComponentSide, KernelSide
     from aiorts.model.naming import NamePolicy
 
-__all__ = ("closed", "instance_name", "opened")
-
 _LOCK: Final = threading.Lock()
-_OPEN: Final[weakref.WeakSet[Kernel]] = weakref.WeakSet()
+_OPEN: Final[weakref.WeakSet[KernelSide]] = weakref.WeakSet()
 
 
-def opened(kernel: Kernel) -> None:
+def opened(kernel: KernelSide) -> None:
     """Its names count in the process from now on."""
     with _LOCK:
         _OPEN.add(kernel)
 
 
-def closed(kernel: Kernel) -> None:
+def closed(kernel: KernelSide) -> None:
     """Its names are free again."""
     with _LOCK:
         _OPEN.discard(kernel)
 
 
-def instance_name(kernel: Kernel, kind: type, policy: NamePolicy) -> str:
+def kept_cell(component: ComponentSide) -> Cell | None:
+    """The cell of a component as its open kernel has it; None when the component belongs to none."""
+    with _LOCK:
+        kernels = tuple(_OPEN)
+    return next(filter(None, (kernel.registry.kept_cell(component) for kernel in kernels)), None)
+
+
+def instance_name(kernel: KernelSide, kind: type, policy: NamePolicy) -> str:
     """The name of the next instance of this type."""
     import platform  # 1.5 ms that few kernels need
 

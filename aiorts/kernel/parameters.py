@@ -8,14 +8,16 @@ replaced between cycles only, so a hook never sees half a change. The parameter 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import DeclarationError
-from aiorts.model.configuration import Constraint, ParameterSpec, validate
-from aiorts.model.sets import ConfigurationState
+from aiorts.kernel.execution.cell import cell
+from aiorts.late import dataclass
+from aiorts.model.configuration.parameters import Constraint, ParameterSpec, validate
 
-__all__ = ("Declared", "Param", "Parameter", "Parameters")
+if TYPE_CHECKING:
+    from aiorts.kernel.execution.cell import ComponentSide
+    from aiorts.model.configuration.sets import ConfigurationState
 
 T = TypeVar("T")
 
@@ -70,7 +72,8 @@ def Param(  # noqa: N802 - a declaration reads as a type does
         type: the type where the default does not tell it (None, an empty tuple).
         unit, doc, widget: for people and tools.
         ge, gt, le, lt, choices, pattern: what values are allowed.
-        constraint: the same as text, in OpenRTM's grammar ("0<=x<=10"); see `aiorts.model.constraint_text`.
+        constraint: the same as text, in OpenRTM's grammar ("0<=x<=10"); see
+            `aiorts.model.configuration.constraint_text`.
         validator: asked, between cycles, for each new value; a ValueError that it raises refuses the whole change.
 
     Raises:
@@ -82,7 +85,7 @@ def Param(  # noqa: N802 - a declaration reads as a type does
             raise DeclarationError(
                 f"constraint={constraint!r}: stands for ge, gt, le, lt, choices and pattern; give either"
             )
-        from aiorts.model.constraint_text import parse_constraint
+        from aiorts.model.configuration.constraint_text import parse_constraint
 
         allowed = parse_constraint(constraint)
     declared: Any = Declared(default, type, unit, doc, allowed, widget, validator)
@@ -111,13 +114,14 @@ class Parameter:
 class Parameters(Mapping[str, Parameter]):
     """The parameters of one component, by name. Changed through `Component.configure` and `.configuration` only."""
 
-    __slots__ = ("_judged", "_owner", "_state")
+    __slots__ = ("_component",)
 
-    def __init__(self, owner: str, state: ConfigurationState) -> None:
-        self._owner = owner
-        self._state = state
-        self._judged = False
-        """Whether the component's own checks have seen the values in force."""
+    def __init__(self, component: ComponentSide) -> None:
+        self._component = component
+
+    @property
+    def _state(self) -> ConfigurationState:
+        return cell(self._component).configuration
 
     def __getitem__(self, name: str) -> Parameter:
         return Parameter(self._state.specs[name], self._state.values[name])
@@ -138,4 +142,4 @@ class Parameters(Mapping[str, Parameter]):
 
     def check(self, changes: Mapping[str, object]) -> dict[str, Any]:
         """The changes converted and checked; ConfigurationError when any is bad, and then none is made."""
-        return validate(self._state.specs, changes, owner=self._owner, current=self._state.values)
+        return validate(self._state.specs, changes, owner=self._component.name, current=self._state.values)

@@ -6,30 +6,29 @@ Looked at once a second while a context runs; nothing is asked in between and no
 from __future__ import annotations
 
 import asyncio
-import logging
 import weakref
 from typing import TYPE_CHECKING, Any, Final
 
 from anyio.to_thread import current_default_thread_limiter
 
 from aiorts.clock import SimulatedClock
-from aiorts.kernel.bus import ThreadsExhausted
+from aiorts.kernel.loop.bus import ThreadsExhausted
+from aiorts.kernel.loop.guarded import KernelLog
 
 if TYPE_CHECKING:
     from anyio import CapacityLimiter
 
-    from aiorts.kernel.kernel import Kernel
+    from aiorts.kernel.execution.cell import KernelSide
 
-__all__ = ("PoolWatch",)
 
-_LOG = logging.getLogger("aiorts.kernel")
+_LOG = KernelLog()
 _EVERY: Final = 1.0
 
 
-class PoolWatch:
+class PoolMonitor:
     """The look of one kernel at the pools of its loop."""
 
-    def __init__(self, kernel: Kernel) -> None:
+    def __init__(self, kernel: KernelSide) -> None:
         self._kernel = weakref.proxy(kernel)
         self._limiter: CapacityLimiter | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -50,7 +49,7 @@ class PoolWatch:
     def _look(self) -> None:
         self.close()
         kernel = self._kernel
-        if not kernel._contexts:
+        if not kernel.contexts:
             return
         self._timer = kernel.loop.call_later(_EVERY, self._look)
         waiting, threads = self._queue()

@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import AiortsError, ConfigurationError
-from aiorts.kernel.bus import PortAdded, PortRemoved
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.bus import PortAdded, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.port import host_of, wake_waiter
 from aiorts.model.names import check_name
 
 if TYPE_CHECKING:
-    from aiorts.kernel.component import Component
-
-__all__ = ("PortPlan", "plan_ports")
+    from aiorts.kernel.execution.cell import ComponentSide
 
 
 class PortPlan:
@@ -27,7 +27,7 @@ class PortPlan:
 
     __slots__ = ("_added", "_before", "_component", "_group", "_group_before", "_removed", "_reworded")
 
-    def __init__(self, component: Component, group: dict[str, Port[Any]], wanted: Mapping[str, Port[Any]]) -> None:
+    def __init__(self, component: ComponentSide, group: dict[str, Port[Any]], wanted: Mapping[str, Port[Any]]) -> None:
         old = _standing(component)
         self._component = component
         self._group, self._group_before = group, old
@@ -38,7 +38,7 @@ class PortPlan:
         ]
         self._added = [port for name, port in group.items() if old.get(name) is not port]
         self._removed = [port for name, port in old.items() if group.get(name) is not port]
-        self._before = dict(component._rt_host.ports)
+        self._before = dict(cell(component).ports)
 
     @property
     def idle(self) -> bool:
@@ -52,14 +52,14 @@ class PortPlan:
         fixed = {name: port for name, port in self._before.items() if name not in self._group_before}
         self._set(self._group, {**fixed, **self._group})
         for port in self._added:
-            for member in component._rt_members:
-                member.context._port_added(member, port)
+            for member in cell(component).members:
+                member.port_added(port)
 
     def undo(self) -> None:
         """As if nothing had been."""
         for port in self._added:
-            for member in self._component._rt_members:
-                member.context._port_removed(member, port)
+            for member in cell(self._component).members:
+                member.port_removed(port)
         self._set(self._group_before, self._before)
 
     def settle(self) -> None:
@@ -67,15 +67,15 @@ class PortPlan:
         component = self._component
         for live, declared in self._reworded:
             live.doc, live.max_connectors = declared.doc, declared.max_connectors
-        kernel = component._rt_kernel
+        kernel = cell(component).kernel
         for port in self._removed:
             if kernel is not None:
                 for connector in port.connectors:
-                    kernel._connections.end(connector)
-            for member in component._rt_members:
-                member.context._port_removed(member, port)
+                    kernel.connections.end(connector)
+            for member in cell(component).members:
+                member.port_removed(port)
             if isinstance(port, InPort):
-                port._wake_waiter()
+                wake_waiter(port)
         if kernel is None:
             return
         for port in self._removed:
@@ -84,14 +84,14 @@ class PortPlan:
             kernel.bus.publish(PortAdded(component.name, port.profile))
 
     def _set(self, group: Mapping[str, Port[Any]], ports: Mapping[str, Port[Any]]) -> None:
-        self._component._rt_group = group
+        cell(self._component).port_group = group
         # In place: others look at this very dictionary.
-        live = self._component._rt_host.ports
+        live = cell(self._component).ports
         live.clear()
         live.update(ports)
 
 
-def plan_ports(component: Component, wanted: Mapping[str, Any]) -> PortPlan:
+def plan_ports(component: ComponentSide, wanted: Mapping[str, Any]) -> PortPlan:
     """What to do so that the group is as `wanted`; a port that is to stay is recognised by name and declaration.
 
     Raises:
@@ -103,24 +103,22 @@ def plan_ports(component: Component, wanted: Mapping[str, Any]) -> PortPlan:
     for port_name, declared in wanted.items():
         try:
             check_name(port_name, "port")
-            if not isinstance(declared, InPort | OutPort) or declared._host is not None:
+            if not isinstance(declared, InPort | OutPort) or host_of(declared) is not None:
                 raise ConfigurationError(f"expected a new InPort(...) or OutPort(...), got {declared!r:.80}")
-            if port_name in component._rt_host.ports and port_name not in old:
+            if port_name in cell(component).ports and port_name not in old:
                 raise ConfigurationError("there is a port of that name already")
             standing = old.get(port_name)
             stays = standing is not None and _alike(standing, declared)
-            group[port_name] = (
-                standing if stays and standing is not None else declared.bind(component._rt_host, port_name)
-            )
+            group[port_name] = standing if stays and standing is not None else declared.bind(cell(component), port_name)
         except AiortsError as error:
             raise ConfigurationError(f"{name}.{port_name!s:.80}: the port cannot be made: {error}") from error
     return PortPlan(component, group, wanted)
 
 
-def _standing(component: Component) -> dict[str, Port[Any]]:
-    """The ports of the group that nobody took away otherwise."""
-    ports = component._rt_host.ports
-    return {name: port for name, port in component._rt_group.items() if ports.get(name) is port}
+def _standing(component: ComponentSide) -> dict[str, Port[Any]]:
+    """The ports of the group that were not removed otherwise."""
+    ports = cell(component).ports
+    return {name: port for name, port in cell(component).port_group.items() if ports.get(name) is port}
 
 
 def _alike(one: Port[Any], other: Port[Any]) -> bool:

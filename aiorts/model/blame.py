@@ -1,24 +1,24 @@
 """Who made a cycle late, as values: a blame, counts of missed deadlines by blame, pauses of the garbage collector.
 
-Nothing here finds out anything (`aiorts.kernel.blame` judges, `aiorts.kernel.witness` looks); it names and counts.
+Nothing here finds out anything (`aiorts.diagnostics.blame` judges, `aiorts.diagnostics.stack_sampler` looks); it names
+and counts.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-__all__ = ("OTHERS", "Blame", "GcPauses", "MissedDeadlines", "Overload")
+from aiorts.late import dataclass
 
 OTHERS: Final = "others"
 """What missed deadlines are counted under once there are too many places."""
 _PLACES: Final = 32
-_TELL_EVERY_NS: Final = 5_000_000_000
+_REPORT_EVERY_NS: Final = 5_000_000_000
 """One line of the log for each place in that time."""
-_TELL_FROM_NS: Final = 10_000_000
+_REPORT_FROM_NS: Final = 10_000_000
 """Shorter holds are counted, published and not logged."""
 _OVERLOAD_NS: Final = 1_000_000_000
 _OVERLOAD_TICKS: Final = 10
@@ -40,7 +40,7 @@ class Blame:
     """Empty for a task that the component started."""
     file: str = ""
     line: int = 0
-    """The line that ran; the first line of the hook where nobody could look in time."""
+    """The line that ran; the first line of the hook where no sample was taken in time."""
     function: str = ""
     held_ns: int = 0
     """How long, as far as is known, in nanoseconds."""
@@ -91,7 +91,7 @@ class MissedDeadlines:
     def __init__(self) -> None:
         self.last: Blame | None = None
         self._counts: dict[str, int] = {}
-        self._told: dict[str, tuple[int, int]] = {}
+        self._reported: dict[str, tuple[int, int]] = {}
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -99,19 +99,19 @@ class MissedDeadlines:
         return MappingProxyType(self._counts.copy())
 
     def add(self, blame: Blame, now_ns: int) -> int:
-        """One more. How many of its place have not been told of, when it is time to tell; else 0."""
+        """Count one more. Returns how many of its place were not reported yet, when it is time to report; else 0."""
         self.last = blame
         counts, place = self._counts, blame.place
         if place not in counts and len(counts) >= _PLACES:
             place = OTHERS
         counts[place] = count = counts.get(place, 0) + 1
-        if blame.held_ns < _TELL_FROM_NS:
+        if blame.held_ns < _REPORT_FROM_NS:
             return 0
-        told_ns, told = self._told.get(place, (now_ns - _TELL_EVERY_NS, 0))
-        if now_ns - told_ns < _TELL_EVERY_NS:
+        reported_ns, reported = self._reported.get(place, (now_ns - _REPORT_EVERY_NS, 0))
+        if now_ns - reported_ns < _REPORT_EVERY_NS:
             return 0
-        self._told[place] = (now_ns, count)
-        return count - told
+        self._reported[place] = (now_ns, count)
+        return count - reported
 
 
 class Overload:
@@ -121,14 +121,14 @@ class Overload:
         self._since: tuple[int, int, int] | None = None
         """When, and after how many cycles and ticks, the time began that is looked at."""
         self._late = 0
-        self._told = False
+        self._reported = False
 
     def add(self, now_ns: int, cycles: int, ticks: int) -> tuple[int, int, int] | None:
         """One more overrun, after so many cycles and ticks of the schedule.
 
         Returns overruns, cycles and nanoseconds when it is time to tell, else None.
         """
-        if self._told:
+        if self._reported:
             return None
         if self._since is None:
             self._since = now_ns, cycles, ticks
@@ -141,6 +141,6 @@ class Overload:
         if 2 * late <= ran:
             self._since, self._late = (now_ns, cycles, ticks), 1
         elif late >= _OVERLOAD_CYCLES:
-            self._told = True
+            self._reported = True
             return late, ran, length
         return None

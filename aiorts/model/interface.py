@@ -10,14 +10,12 @@ from __future__ import annotations
 import inspect
 import types
 import typing
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 from aiorts.errors import DeclarationError
+from aiorts.late import dataclass
 from aiorts.model.profile import MethodProfile, ParameterProfile
-
-__all__ = ("Check", "Interface", "Method", "check_of", "differences", "read_interface", "read_method")
 
 Check: TypeAlias = Callable[[Any], bool]
 
@@ -28,7 +26,7 @@ _KEYWORD: Final = inspect.Parameter.KEYWORD_ONLY
 _VAR_POSITION: Final = inspect.Parameter.VAR_POSITIONAL
 _VAR_KEYWORD: Final = inspect.Parameter.VAR_KEYWORD
 _KINDS: Final[dict[Any, str]] = {_EITHER: "either", _POSITION: "position", _KEYWORD: "keyword"}
-_SHALLOW: Final = (list, dict, tuple, set, frozenset)
+_CONTAINERS: Final = (list, dict, tuple, set, frozenset)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +215,7 @@ def _parameters_differ(wanted: Method, given: Method) -> str:
 
 
 def fits(one: Any, other: Any) -> bool:
-    """Whether a value of the first type may stand where the second is asked for, as far as that can be known."""
+    """Whether a value of the first type may stand where the second is required, as far as that can be known."""
     if other in (_EMPTY, Any, object) or one in (_EMPTY, Any) or one == other:
         return True
     parts, others = _alternatives(one), _alternatives(other)
@@ -241,7 +239,10 @@ def _alternatives(hint: Any) -> list[Any]:
 
 
 def check_of(hint: Any) -> Check | None:
-    """Whether a value is of this type; None where that is not checked: Protocols, type variables, names not known."""
+    """Whether a value is of this type, in containers element by element.
+
+    None where that is not checked: Protocols, type variables, names not known.
+    """
     alternatives = _alternatives(hint)
     if len(alternatives) > 1:
         checks = [check_of(alternative) for alternative in alternatives]
@@ -257,10 +258,58 @@ def check_of(hint: Any) -> Check | None:
     if one is int:
         return lambda value: isinstance(value, int) and not isinstance(value, bool)
     origin = typing.get_origin(one)
-    if origin in _SHALLOW:
-        kind: Any = origin
-        return lambda value: isinstance(value, kind)
+    if origin in _CONTAINERS:
+        return _check_of_container(origin, typing.get_args(one))
     if isinstance(one, type) and origin is None and not getattr(one, "_is_protocol", False):
         exact: Any = one
         return lambda value: isinstance(value, exact)
     return None
+
+
+def _check_of_container(kind: Any, hints: tuple[Any, ...]) -> Check:
+    if kind is dict:
+        keys, values = check_of(hints[0]), check_of(hints[1])
+        return lambda value: (
+            isinstance(value, dict)
+            and (keys is None or all(map(keys, value)))
+            and (values is None or all(map(values, value.values())))
+        )
+    if kind is tuple and hints[1:] != (...,):
+        checks = [check_of(hint) for hint in hints]
+        return lambda value: (
+            isinstance(value, tuple)
+            and len(value) == len(checks)
+            and all(check is None or check(element) for check, element in zip(checks, value, strict=True))
+        )
+    each, exact = check_of(hints[0]), {hints[0]}
+    if each is None:
+        return lambda value: isinstance(value, kind)
+    # Of ten thousand numbers of the very type none is looked at by itself.
+    return lambda value: isinstance(value, kind) and (set(map(type, value)) <= exact or all(map(each, value)))
+
+
+def misfit(hint: Any, value: Any) -> tuple[str, Any]:
+    """What of a value is not of the type, the innermost: the way to it ("[3]", "['a'][0]"), and what stands there."""
+    for one in _alternatives(hint):
+        kind = typing.get_origin(one)
+        if kind in _CONTAINERS and isinstance(value, kind):
+            for place, part, element in _elements(kind, typing.get_args(one), value):
+                check = check_of(part)
+                if check is not None and not check(element):
+                    inside, what = misfit(part, element)
+                    return place + inside, what
+    return "", value
+
+
+def _elements(kind: Any, hints: tuple[Any, ...], value: Any) -> Iterator[tuple[str, Any, Any]]:
+    if kind is dict:
+        for key, element in value.items():
+            yield f"[key {key!r:.40}]", hints[0], key
+            yield f"[{key!r:.40}]", hints[1], element
+    elif kind is tuple and hints[1:] != (...,):
+        if len(hints) == len(value):
+            for index, (part, element) in enumerate(zip(hints, value, strict=True)):
+                yield f"[{index}]", part, element
+    else:
+        for index, element in enumerate(value):
+            yield f"[{index}]" if kind in (list, tuple) else "[an element]", hints[0], element

@@ -1,4 +1,4 @@
-"""Everything about which life-cycle state follows which stands in this file; it never runs a hook, waits or logs.
+"""Everything about which lifecycle state follows which stands in this file; it never runs a hook, waits or logs.
 
 The machine exists once for each pair of component and execution context (OMG RTC 1.1, section 5.2.2). `TRANSITIONS`
 is the whole truth: what may be asked for in which state, which hooks run on the way, in which order, and where the pair
@@ -10,23 +10,12 @@ resources).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = (
-    "ADVICE",
-    "HOOKS",
-    "ON_FAILURE",
-    "TRANSITIONS",
-    "Event",
-    "Failure",
-    "LifeCycleState",
-    "Transition",
-    "transition",
-)
+from aiorts.late import dataclass
 
 
-class LifeCycleState(StrEnum):
+class LifecycleState(StrEnum):
     """Where a component is in one execution context."""
 
     INACTIVE = "inactive"
@@ -92,12 +81,12 @@ class Transition:
     """One way out of a state: the hooks to run, in order, and the state that follows."""
 
     hooks: tuple[str, ...]
-    target: LifeCycleState
+    target: LifecycleState
 
 
-_I, _A, _E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR
+_I, _A, _E = LifecycleState.INACTIVE, LifecycleState.ACTIVE, LifecycleState.ERROR
 
-TRANSITIONS: dict[tuple[LifeCycleState, Event], Transition] = {
+TRANSITIONS: dict[tuple[LifecycleState, Event], Transition] = {
     (_I, Event.ACTIVATE): Transition(("on_activated",), _A),
     (_I, Event.FAIL): Transition(("on_aborting",), _E),
     (_A, Event.DEACTIVATE): Transition(("on_deactivated",), _I),
@@ -106,7 +95,7 @@ TRANSITIONS: dict[tuple[LifeCycleState, Event], Transition] = {
     (_E, Event.FAIL): Transition((), _E),
 }
 
-ADVICE: dict[tuple[LifeCycleState, Event], str] = {
+ADVICE: dict[tuple[LifecycleState, Event], str] = {
     (_I, Event.DEACTIVATE): "it is inactive already",
     (_I, Event.RESET): "only a component in error is reset",
     (_A, Event.ACTIVATE): "it is active already",
@@ -116,6 +105,6 @@ ADVICE: dict[tuple[LifeCycleState, Event], str] = {
 }
 
 
-def transition(state: LifeCycleState, event: Event) -> Transition | None:
+def transition(state: LifecycleState, event: Event) -> Transition | None:
     """The way that `event` leads out of `state`, or None where it is refused (`ADVICE` says why)."""
     return TRANSITIONS.get((state, event))

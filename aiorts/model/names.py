@@ -13,11 +13,9 @@ in any of them without quotes. A leading "-" would read as an option on a comman
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 from aiorts.errors import InvalidNameError
-
-__all__ = ("ALLOWED", "MAX_HOST_LENGTH", "MAX_NAME_LENGTH", "Path", "check_host", "check_name")
+from aiorts.late import dataclass
 
 MAX_NAME_LENGTH = 100
 MAX_HOST_LENGTH = 253
@@ -102,15 +100,6 @@ class Path:
             return cls(component, port, kernel, host)
         except InvalidNameError as error:
             raise InvalidNameError(f"path {_shown(text)}: {error}") from None
-
-    @property
-    def parent(self) -> Path:
-        """The path of the component that owns the port; a component's path is its own parent."""
-        return Path(self.component, "", self.kernel, self.host)
-
-    def with_port(self, port: str) -> Path:
-        """The path of a port of the same component."""
-        return Path(self.component, check_name(port, "port"), self.kernel, self.host)
 
     def __str__(self) -> str:
         before = "".join(f"{part}/" for part in (self.host, self.kernel) if part)

@@ -1,4 +1,4 @@
-"""What a new instance is called when nobody says: this file reads the pattern and makes names, it gives none away.
+"""The name of a new instance when none is given: reads the pattern and makes names; it does not reserve them.
 
 A pattern is text with fields: {type} the type's name in lower case, {number} the lowest number that makes a name nobody
 has, {kernel}, {host} and {pid}. Nothing else in it means anything: no environment variable is read.
@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Final
 
 from aiorts.errors import ConfigurationError
+from aiorts.late import dataclass
 from aiorts.model.names import ALLOWED, check_name
-
-__all__ = ("FIELDS", "NamePolicy")
 
 FIELDS: Final = ("type", "number", "kernel", "host", "pid")
 _FIELD: Final = re.compile(r"\{([^{}]*)\}")
@@ -66,7 +64,7 @@ class NamePolicy:
         return (self.pattern, self.scope, self.first) == ("{type}{number}", "kernel", 0)
 
     def lowest(self, values: Mapping[str, object], taken: Callable[[str], bool]) -> str:
-        """The name with the lowest number that nobody has; `values` are those of all fields but {number}.
+        """The name with the lowest number that is free; `values` are those of all fields but {number}.
 
         Raises:
             InvalidNameError: the name would be too long.

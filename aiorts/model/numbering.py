@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from heapq import heappop, heappush
 
-__all__ = ("Numbering",)
-
 
 class _Stem:
     """What is known about the numbers behind one stem."""
@@ -38,7 +36,7 @@ class Numbering:
         self._stems: dict[str, _Stem] = {}
 
     def lowest(self, stem: str, first: int = 0) -> str:
-        """`stem` with the lowest number, from `first` on, that makes a name nobody has."""
+        """`stem` with the lowest number, from `first` on, that makes a free name."""
         numbers = self._stems.get(stem)
         if numbers is None:
             numbers = self._stems[stem] = _Stem(first)

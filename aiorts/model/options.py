@@ -1,13 +1,15 @@
 """From what a user writes at `connect` (or OpenRTM's keys) to the options in force; it connects nothing.
 
 aiorts' own keys are those of `Kernel.connect`. OpenRTM's keys, with or without the prefix `dataport.`, are aliases;
-the side-specific ones win: `inport.buffer.*` is the reader's buffer, `outport.buffer.*` the backlog. A key with a dot
-that is unknown is kept, and `doubts` reports it; one without is a typing mistake and refused.
+the side-specific ones win: `inport.buffer.*` is the reader's buffer, `outport.buffer.*` the backlog, which only has a
+length here. Words stand in any case, with blanks round them. A key with a dot that is unknown is kept, and `doubts`
+reports it; one without is a typing mistake and refused. What OpenRTM says of its transports is kept, and
+`without_effect` finds it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from enum import StrEnum
 from types import MappingProxyType
@@ -18,17 +20,6 @@ from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.names import check_name
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
-
-__all__ = (
-    "DEFAULT_LENGTH",
-    "MAX_LENGTH",
-    "OWN_KEYS",
-    "PORT_KEYS",
-    "SERVICE_KEYS",
-    "connector_profile",
-    "doubts",
-    "is_yes",
-)
 
 DEFAULT_LENGTH: Final = 8
 MAX_LENGTH: Final = 1_000_000
@@ -49,21 +40,24 @@ _EITHER_SIDE: Final[tuple[tuple[str, str], ...]] = (
     ("publisher.skip_count", "skip"),
     ("publisher.push_rate", "push_rate"),
     ("push_rate", "push_rate"),
-    ("buffer.write.full_policy", "full"),
-    ("buffer.write.timeout", "timeout"),
-    ("buffer.read.empty_policy", "empty"),
     ("timestamp_policy", "stamp"),
     ("measurement.exec_count", "measure_exec_count"),
     ("measurement.period_count", "measure_period_count"),
     ("measurement.exec_time", "measure_exec"),
     ("measurement.period_time", "measure_period"),
 )
+_OF_THE_READER: Final[tuple[tuple[str, str], ...]] = (
+    ("buffer.write.full_policy", "full"),
+    ("buffer.write.timeout", "timeout"),
+    ("buffer.read.empty_policy", "empty"),
+)
 _ALIASES: Final[tuple[tuple[str, str], ...]] = (
     *_EITHER_SIDE,
+    *_OF_THE_READER,
     ("buffer.length", "length"),
     ("buffer.length", "out_length"),
     *((f"outport.{alias}", key) for alias, key in _EITHER_SIDE),
-    *((f"inport.{alias}", key) for alias, key in _EITHER_SIDE),
+    *((f"inport.{alias}", key) for alias, key in (*_EITHER_SIDE, *_OF_THE_READER)),
     ("outport.buffer.length", "out_length"),
     ("inport.buffer.length", "length"),
     ("fan_in", "fan_in"),
@@ -79,11 +73,13 @@ _VALUES: Final[dict[str, dict[str, str]]] = {
 """OpenRTM's word for a value where it is not ours. `on_write` and `on_send` are one moment here: nothing lies between
 them."""
 
+_ON_LOSS: Final = ("full", "length", "push")
+
 PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate")
 """Options that are about the ports, not about the connector."""
 
 SERVICE_KEYS: Final = ("mapping", "strict")
-"""Options of service ports; for data ports they mean nothing, and whoever connects those says so."""
+"""Options of service ports; for data ports they mean nothing, and connecting those reports it."""
 
 OWN_KEYS: Final = (
     "dataflow",
@@ -104,9 +100,9 @@ OWN_KEYS: Final = (
 
 
 def connector_profile(
-    where: str, options: Mapping[str, Any], name: str, ports: tuple[str, ...]
+    where: str, options: Mapping[str, Any], name: str, ports: tuple[str, ...], usual_length: int = DEFAULT_LENGTH
 ) -> tuple[ConnectorProfile, dict[str, Any]]:
-    """The options in force, and those of `PORT_KEYS` that were given.
+    """The options in force, and those of `PORT_KEYS` that were given; `usual_length` where they do not say a length.
 
     Raises:
         WiringError: names the option, what is allowed and what was given.
@@ -121,7 +117,7 @@ def connector_profile(
         raise WiringError(f"{where}: subscription periodic needs a push_rate in Hz")
     # Flush hands every sample over as it is written: a push policy is kept and reported, and chooses nothing.
     chooses = Push.ALL if subscription is Subscription.FLUSH else push
-    length = get.integer("length", 1, MAX_LENGTH, 1 if chooses is Push.NEW else DEFAULT_LENGTH)
+    length = get.integer("length", 1, MAX_LENGTH, 1 if chooses is Push.NEW else usual_length)
     profile = ConnectorProfile(
         name=str(own["name"]) if own.get("name") else name,
         ports=ports,
@@ -133,9 +129,9 @@ def connector_profile(
         length=length,
         out_length=get.integer("out_length", 1, MAX_LENGTH, DEFAULT_LENGTH),
         full=get.choice("full", FullPolicy, FullPolicy.OVERWRITE),
-        empty=get.choice("empty", EmptyPolicy, None) if own.get("empty") else None,
+        empty=get.choice("empty", EmptyPolicy, None),
         timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
-        stamp=get.choice("stamp", Stamp, None) if own.get("stamp") else None,
+        stamp=get.choice("stamp", Stamp, None),
         measure=_measured(where, own, get),
         extra=MappingProxyType(extra) if extra else _NO_EXTRA,
     )
@@ -150,16 +146,26 @@ def connector_profile(
     return profile, limits
 
 
+def says_what_is_lost(options: Mapping[str, Any]) -> bool:
+    """Whether the user chose how many samples may wait at a reader, and which are dropped beyond that."""
+    given = {key.removeprefix("dataport.") for key, value in options.items() if value is not None}
+    return any(key in _ON_LOSS and not given.isdisjoint((alias, key)) for alias, key in _ALIASES)
+
+
+def loses_unasked(profile: ConnectorProfile) -> bool:
+    """Whether every sample is to be delivered, and the oldest is dropped when the reader is slow."""
+    every = profile.dataflow is Dataflow.PUSH and profile.subscription is Subscription.FLUSH
+    return every and profile.full is FullPolicy.OVERWRITE
+
+
 def _measured(where: str, own: Mapping[str, Any], get: _Reader) -> int:
     """Sends to time over: our key, else the larger of what OpenRTM's two measurements ask for."""
-    if "measure" in own:
-        return get.integer("measure", 0, MAX_LENGTH, 0)
-    return max(
+    measures = [
         get.integer(f"measure_{what}_count", 1, MAX_LENGTH, MEASURED_SENDS)
-        if is_yes(where, f"measurement.{what}_time", own.get(f"measure_{what}", False))
-        else 0
+        * is_yes(where, f"measurement.{what}_time", own.get(f"measure_{what}", False))
         for what in ("exec", "period")
-    )
+    ]
+    return get.integer("measure", 0, MAX_LENGTH, 0) if "measure" in own else max(measures)
 
 
 def is_yes(where: str, key: str, value: object) -> bool:
@@ -176,11 +182,11 @@ def is_yes(where: str, key: str, value: object) -> bool:
 
 def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]) -> None:
     """Refuse one option in two spellings with two values. What is about one side may differ from what is about both."""
-    said: dict[str, tuple[str, Any]] = {}
+    given_as: dict[str, tuple[str, Any]] = {}
     for given, value in options.items():
         alias = given.removeprefix("dataport.")
-        before = said.setdefault(alias, (given, value))
-        if str(before[1]) != str(value):  # as text: NaN is not equal to itself
+        before = given_as.setdefault(alias, (given, value))
+        if _folded(str(before[1])) != _folded(str(value)):  # as text: NaN is not equal to itself
             raise WiringError(f"{where}: {before[0]} and {given} are one option with two values; take one of them away")
     for alias, key in _ALIASES:
         if alias != key and alias in plain and key in plain and not _same(key, plain[alias], plain[key]):
@@ -191,7 +197,13 @@ def _check_once(where: str, options: Mapping[str, Any], plain: Mapping[str, Any]
 
 def _same(key: str, one: Any, other: Any) -> bool:
     words = _VALUES.get(key, {})
-    return words.get(str(one), str(one)) == words.get(str(other), str(other))
+    one, other = _folded(str(one)), _folded(str(other))
+    return bool(words.get(one, one) == words.get(other, other))
+
+
+def _folded(value: Any) -> Any:
+    """A word as it is looked up; what is no text stays as it is."""
+    return value.strip().lower() if isinstance(value, str) else value
 
 
 def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
@@ -218,9 +230,9 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
             raise WiringError(f"{where}: unknown option {given!r}{hint}")
         extra[given] = str(value)
     for key, words in _VALUES.items():
-        value = own.get(key)
-        if isinstance(value, str):
-            own[key] = words.get(value, value)
+        word = _folded(own.get(key))
+        if isinstance(word, str) and word in words:
+            own[key] = words[word]
     return own, extra
 
 
@@ -239,7 +251,33 @@ _KEPT_BEGINNINGS: Final = (
     "interface_option.",
     "port.",
 )
-"""Of OpenRTM's keys that tell others something: its transports, its tools."""
+"""Of OpenRTM's keys, those for its transports and tools."""
+
+_OF_TRANSPORT: Final = frozenset({"interface_type", "marshaling_type", "sync_readwrite", "empty"}) | {
+    *(alias for alias, key in _OF_THE_READER if key == "empty"),
+    *(f"outport.{alias}" for alias, _ in _OF_THE_READER),
+}
+"""Keys by which OpenRTM chooses how samples travel, or what its backlog does: nothing here is done by them."""
+
+
+def without_effect(options: Mapping[str, Any]) -> list[str]:
+    """The keys among these, as they were given, that are kept for OpenRTM's tools and change nothing here."""
+    found = []
+    for given, value in options.items():
+        key = given.removeprefix("dataport.")
+        bare = key.removeprefix("inport.").removeprefix("outport.")
+        if _folded(value) not in (None, "") and (key in _OF_TRANSPORT or bare in _OF_TRANSPORT):
+            found.append(given)
+    return found
+
+
+def transport_notice(keys: Sequence[str]) -> str:
+    """What is to be said of keys that `without_effect` found."""
+    those, are, them = ("keys", "they are", "them") if len(keys) > 1 else ("a key", "it is", "it")
+    return (
+        f"{', '.join(keys)}: {those} of OpenRTM's transports and backlogs; {are} kept and without effect here: leave "
+        f"{them} for its tools, or take {them} away"
+    )
 
 
 def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -248,7 +286,7 @@ def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for given in options:
         key = given.removeprefix("dataport.")
         bare = key.removeprefix("inport.").removeprefix("outport.")
-        kept = bare in _KNOWN_KEPT or bare.startswith(_KEPT_BEGINNINGS)
+        kept = bare in _KNOWN_KEPT or bare.startswith(_KEPT_BEGINNINGS) or key in _OF_TRANSPORT
         if "." not in given or key in known or key in OWN_KEYS or kept or key.partition(".")[0] in SERVICE_KEYS:
             continue
         near = get_close_matches(key, sorted(known | {*OWN_KEYS}), n=1)
@@ -267,6 +305,50 @@ def doubts(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield "name", f"{error}; choose another, or take it away"
 
 
+_IDLE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], tuple[str, ...]], ...]] = (
+    (
+        "the reader pulls the writer's latest unread sample",
+        lambda profile: profile.dataflow is Dataflow.PULL,
+        ("length", "out_length", "push", "push_rate", "skip", "full"),
+    ),
+    (
+        "a newer sample takes the place of the one that is unread",
+        lambda profile: profile.subscription is Subscription.NEW and profile.push is Push.NEW,
+        ("length", "full"),
+    ),
+)
+"""What connectors do, which of them, and the options by which they choose nothing."""
+_AS_IT_IS: Final[Mapping[str, Any]] = {
+    "length": 1,
+    "out_length": 1,
+    "push": Push.NEW,
+    "push_rate": None,
+    "skip": 0,
+    "full": FullPolicy.OVERWRITE,
+}
+"""The value with which such an option says what is so."""
+_NO_BACKLOG: Final = "there is no backlog: the subscription is not periodic"
+_KEY_OF: Final = {**dict(reversed(_ALIASES)), **{key: key for key in OWN_KEYS}}
+
+
+def idle(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Options that choose nothing beside the others: the key as it was given, and what is to be said of it."""
+    try:
+        profile, _ = connector_profile("", options, "", ())
+    except WiringError:
+        return  # which says what is wrong
+    rows = [(what, keys) for what, applies, keys in _IDLE if applies(profile)]
+    for given in options:
+        bare = given.removeprefix("dataport.")
+        key = _KEY_OF.get(bare, "")
+        what = next((what for what, keys in rows if key in keys), "")
+        # OpenRTM's own key for it stands in the files of its tools, whatever the subscription: nothing is said of that.
+        if not what and bare == "out_length" and profile.subscription is not Subscription.PERIODIC:
+            what = _NO_BACKLOG
+        if what and getattr(profile, key) != _AS_IT_IS[key]:
+            yield given, f"{given} chooses nothing where {what}; take it away"
+
+
 class _Reader:
     """Takes options out of a mapping, checked."""
 
@@ -276,13 +358,14 @@ class _Reader:
 
     def choice(self, key: str, kind: type[E], default: Any) -> Any:
         value = self._own.get(key)
-        if value is None:
+        word = _folded(value)
+        if value is None or (default is None and word in ("", False)):
             return default
         try:
-            return kind(value)
+            return kind(word)
         except ValueError:
             words = [member.value for member in kind]
-            near = get_close_matches(str(value), words, n=1)
+            near = get_close_matches(str(word), words, n=1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
             raise WiringError(f"{self._where}: {key} = {value!r}: expected {', '.join(words)}{hint}") from None
 
@@ -312,5 +395,5 @@ class _Reader:
             if isinstance(value, bool) or (kind is int and isinstance(value, float) and not value.is_integer()):
                 raise ValueError
             return kind(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}") from None

@@ -14,8 +14,6 @@ from types import NoneType, UnionType
 from typing import Any, Final, cast
 from weakref import WeakKeyDictionary
 
-__all__ = ("NUMBER_SCHEMA", "plain", "schema_of")
-
 NUMBER_SCHEMA: Final = {"anyOf": [{"type": "number"}, {"enum": ["NaN", "Infinity", "-Infinity"]}]}
 _SIMPLE: Final[Mapping[Any, dict[str, Any]]] = {
     str: {"type": "string"},

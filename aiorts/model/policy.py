@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from enum import Enum, StrEnum
 
-__all__ = ("Choice", "Dataflow", "Push", "Stamp", "Subscription", "admits", "choose", "default_push")
-
 
 class Dataflow(StrEnum):
     """Who initiates a transfer."""

@@ -1,4 +1,4 @@
-"""Frozen descriptions and counters of what exists: nobody can edit the kernel through a report.
+"""Frozen descriptions and counters of what exists: the kernel cannot be edited through a report.
 
 Every class here is plain data (`dataclasses.asdict` gives something JSON can carry), and says what *is*, never what
 to do.
@@ -7,27 +7,14 @@ to do.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import MappingProxyType
 from typing import Any
 
+from aiorts.late import dataclass
 from aiorts.model.blame import Blame
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
-
-__all__ = (
-    "ComponentProfile",
-    "ConnectorProfile",
-    "ConnectorStatistics",
-    "ContextProfile",
-    "ContextStatistics",
-    "HookStatistics",
-    "InterfaceProfile",
-    "MethodProfile",
-    "ParameterProfile",
-    "LogLine",
-    "PortProfile",
-)
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -100,11 +87,14 @@ class MethodProfile:
     """Whether it is a plain `def`, which never waits."""
 
     def __str__(self) -> str:
-        parts = [
-            f"{parameter.name}{': ' if parameter.type else ''}{parameter.type}"
-            f"{'' if parameter.default is None else ' = ' + parameter.default}"
-            for parameter in self.parameters
-        ]
+        parts: list[str] = []
+        for parameter in self.parameters:
+            if parameter.kind == "keyword" and "*" not in parts:
+                parts.append("*")
+            default = "" if parameter.default is None else f" = {parameter.default}"
+            parts.append(f"{parameter.name}{': ' if parameter.type else ''}{parameter.type}{default}")
+        if by_position := sum(parameter.kind == "position" for parameter in self.parameters):
+            parts.insert(by_position, "/")
         arrow = f" -> {self.returns}" if self.returns else ""
         return f"{'' if self.plain else 'async '}{self.name}({', '.join(parts)}){arrow}"
 
@@ -173,7 +163,9 @@ class ContextStatistics:
     overruns: int = 0
     """Cycles that were not done when the next was due."""
     lateness_max_ns: int = 0
+    """The longest that a tick was due before a cycle began, be it that tick's own or, after a stall, a newer one's."""
     lateness_total_ns: int = 0
+    """Sum over the cycles that were run of how long after its own tick each began."""
     hooks: Mapping[str, HookStatistics] = field(default_factory=lambda: _NOTHING)
     """By "component.hook", where execution times are taken."""
     policy: str = ""

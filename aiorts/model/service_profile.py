@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-__all__ = ("ServiceConnectorProfile", "ServiceStatistics")
+from aiorts.late import dataclass
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +26,9 @@ class ServiceStatistics:
     """Of these: the provider raised, or answered with a wrong type."""
     timeouts: int = 0
     refused: int = 0
-    """Of these: nobody was there, was not active, or would have waited for himself."""
+    """Of these: there was no provider, it was not active, or it would have waited for itself."""
     cancelled: int = 0
-    """Of these: whoever called was cancelled."""
+    """Of these: the caller was cancelled."""
     total_ns: int = 0
     max_ns: int = 0
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass
 from typing import Self
 
-__all__ = ("PublisherTiming", "SendTimes", "Spans")
+from aiorts.late import dataclass
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,31 +16,19 @@ ValueError and TypeError carry a message for the reader of a parameter's error (
 from __future__ import annotations
 
 import enum
-import json
 import operator
+import os
 import types
 import typing
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-__all__ = (
-    "convert_value",
-    "element_types",
-    "infer_type",
-    "is_optional",
-    "leaf_types",
-    "leaves",
-    "parse_type",
-    "shown",
-    "type_text",
-    "value_type",
-)
+    from pathlib import Path
 
 _SHOWN_LENGTH: Final = 80
+_LONGEST_PATH: Final = 4096
 _TRUTH: Final = {
     **dict.fromkeys(("true", "yes", "on", "1"), True),
     **dict.fromkeys(("false", "no", "off", "0"), False),
@@ -48,14 +36,17 @@ _TRUTH: Final = {
 
 
 def shown(value: object) -> str:
-    """The value as it stands in a message: never longer than a line."""
+    """The value as it stands in a message: never longer than a line, but a path is whole."""
+    longest = _SHOWN_LENGTH
     try:
-        text = str(value) if isinstance(value, Path) else repr(value)
+        if issubclass(type(value), cast("type", os.PathLike)):
+            longest = _LONGEST_PATH
+        text = str.__str__(str(value) if issubclass(type(value), cast("type", os.PathLike)) else repr(value))
     except ValueError:  # of a whole number with thousands of digits
         text = f"<{type(value).__name__} too long to be shown>"
-    except Exception:  # noqa: BLE001 - the border of a user's own `__repr__`
+    except BaseException:  # noqa: BLE001 - the border of a user's own `__repr__`
         text = f"<{type(value).__name__} that cannot be shown>"
-    return text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
+    return text if len(text) <= longest else f"{text[:longest]}..."
 
 
 def type_text(kind: Any) -> str:
@@ -75,8 +66,8 @@ def infer_type(default: object) -> Any:
     """The type a default stands for; raises TypeError when it says too little (None, an empty tuple)."""
     if isinstance(default, enum.Enum):
         return type(default)
-    if isinstance(default, Path):
-        return Path
+    if isinstance(default, os.PathLike):
+        return _path()
     for kind in (bool, int, float, str):
         if isinstance(default, kind):
             return kind
@@ -123,6 +114,8 @@ def _parse_type(text: str) -> Any:
         return None if inner is None or is_optional(inner) else inner | None
     if text in _BY_NAME:
         return _BY_NAME[text]
+    if text == "Path":
+        return _path()
     if text.startswith("Mapping[str,") and text.endswith("]"):
         item = _parse_type(text[12:-1].strip())
         return None if item is None else types.GenericAlias(Mapping, (str, item))
@@ -180,7 +173,7 @@ def leaf_types(kind: Any) -> tuple[Any, ...]:
         if not arguments or arguments == (Ellipsis,):
             raise TypeError(f"type {kind!r}: say what the elements are, such as tuple[float, ...]")
         return tuple(leaf for part in arguments if part is not Ellipsis for leaf in leaf_types(part))
-    if kind in _SCALARS or (isinstance(kind, type) and issubclass(kind, enum.Enum)):
+    if kind in _SCALARS or is_path(kind) or (isinstance(kind, type) and issubclass(kind, enum.Enum)):
         return (kind,)
     raise TypeError(
         f"type {type_text(kind)}: a parameter is bool, int, float, str, Path, an Enum, a tuple[...] or "
@@ -202,7 +195,7 @@ def leaves(value: object) -> Iterator[object]:
 
 def convert_value(value: object, kind: Any) -> Any:
     """The value as `kind`; raises ValueError or TypeError with a message that says what it must be."""
-    convert = _SCALARS.get(kind)
+    convert = _to_path if is_path(kind) else _SCALARS.get(kind)
     if convert is not None:
         return convert(_plain(value))
     inner, optional = _without_none(kind)
@@ -284,14 +277,26 @@ def _to_str(value: object) -> str:
     raise TypeError(f"must be text, got {_kind(value)}")
 
 
+def is_path(kind: object) -> bool:
+    """Whether it is `pathlib.Path`, without importing that: it takes 4 ms, and few parameters are paths."""
+    return getattr(kind, "__name__", "") == "Path" and kind is _path()
+
+
+def _path() -> type[Path]:
+    from pathlib import Path
+
+    return Path
+
+
 def _to_path(value: object) -> Path:
-    if isinstance(value, Path):
+    path = _path()
+    if isinstance(value, path):
         return value
     if not isinstance(value, str) and not hasattr(value, "__fspath__"):
         raise TypeError(f"must be a path, got {_kind(value)}")
     if value == "" or "\0" in str(value):
         raise ValueError("must be a path: not empty, without NUL")
-    return Path(typing.cast("str", value))
+    return path(typing.cast("str", value))
 
 
 def _to_enum(value: object, kind: type[enum.Enum]) -> enum.Enum:
@@ -337,9 +342,11 @@ def _to_mapping(value: object, kind: Any) -> Mapping[str, Any]:
 def _pairs(value: object) -> Mapping[str, object]:
     if not isinstance(value, str):
         raise TypeError(f"must be a mapping, got {_kind(value)}")
+    from json import loads
+
     text = value.strip()
     try:
-        found = json.loads(text)
+        found = loads(text)
     except RecursionError:
         raise ValueError("must be a mapping, this one is nested too deeply") from None
     except ValueError:
@@ -368,8 +375,10 @@ def _items(value: object) -> list[object]:
         raise TypeError(f"must be a list or tuple, got {_kind(value)}")
     text = value.strip()
     if text.startswith("["):
+        from json import loads
+
         try:
-            return list(json.loads(text))
+            return list(loads(text))
         except RecursionError:
             raise ValueError("must be a list, this one is nested too deeply") from None
         except ValueError:
@@ -389,7 +398,6 @@ _SCALARS: Final[dict[Any, Callable[[object], Any]]] = {
     int: _to_int,
     float: _to_float,
     str: _to_str,
-    Path: _to_path,
 }
 _BY_NAME: Final = {kind.__name__: kind for kind in _SCALARS}
 _LONGEST_TYPE: Final = 500

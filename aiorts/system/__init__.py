@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from aiorts.kernel.constructing import construct
-from aiorts.system.arguments import option_params, parse_options
-from aiorts.system.build import Blueprint, build, prepare
-from aiorts.system.check import check, check_text
-from aiorts.system.ending import is_source, wait_finished
-from aiorts.system.findings import Finding
-from aiorts.system.frames import FrameInput, FrameOutput
-from aiorts.system.graph import FORMATS as GRAPH_FORMATS
-from aiorts.system.graph import graph
-from aiorts.system.load import load
-from aiorts.system.parse import parse
-from aiorts.system.pipes import StandardInput, StandardOutput
-from aiorts.system.schema import schema
-from aiorts.system.stream import LineStream
-from aiorts.system.values import (
-    ClockEntry,
-    ComponentEntry,
-    CompositeEntry,
-    ConnectionEntry,
-    ContextEntry,
-    Override,
-    SystemFile,
-    WatchEntry,
-)
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import construct
+    from aiorts.system.blueprint import Blueprint, build, prepare
+    from aiorts.system.checks.check import check, check_text
+    from aiorts.system.checks.findings import Finding
+    from aiorts.system.draw.graph import GRAPH_FORMATS, graph
+    from aiorts.system.ending import Ending, ended_in_error, is_source, wait_finished
+    from aiorts.system.file.arguments import option_params, parse_options
+    from aiorts.system.file.load import load
+    from aiorts.system.file.parse import parse
+    from aiorts.system.file.values import (
+        ClockEntry,
+        ComponentEntry,
+        CompositeEntry,
+        ConnectionEntry,
+        ContextEntry,
+        Override,
+        SystemFile,
+    )
+    from aiorts.system.schemas.schema import schema
+    from aiorts.system.stdio.frames import FrameInput, FrameOutput
+    from aiorts.system.stdio.pipes import StandardInput, StandardOutput
+    from aiorts.system.stdio.stream import LineStream
 
 __all__ = (
     "GRAPH_FORMATS",
@@ -35,6 +38,7 @@ __all__ = (
     "CompositeEntry",
     "ConnectionEntry",
     "ContextEntry",
+    "Ending",
     "FrameInput",
     "FrameOutput",
     "Finding",
@@ -43,11 +47,11 @@ __all__ = (
     "StandardInput",
     "StandardOutput",
     "SystemFile",
-    "WatchEntry",
     "build",
     "check",
     "check_text",
     "construct",
+    "ended_in_error",
     "graph",
     "is_source",
     "load",
@@ -57,4 +61,26 @@ __all__ = (
     "prepare",
     "schema",
     "wait_finished",
+)
+
+_late(
+    globals(),
+    {
+        "aiorts.kernel.component": "construct",
+        "aiorts.system.blueprint": "Blueprint build prepare",
+        "aiorts.system.checks.check": "check check_text",
+        "aiorts.system.checks.findings": "Finding",
+        "aiorts.system.draw.graph": "GRAPH_FORMATS graph",
+        "aiorts.system.ending": "Ending ended_in_error is_source wait_finished",
+        "aiorts.system.file.arguments": "option_params parse_options",
+        "aiorts.system.file.load": "load",
+        "aiorts.system.file.parse": "parse",
+        "aiorts.system.file.values": (
+            "ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Override SystemFile"
+        ),
+        "aiorts.system.schemas.schema": "schema",
+        "aiorts.system.stdio.frames": "FrameInput FrameOutput",
+        "aiorts.system.stdio.pipes": "StandardInput StandardOutput",
+        "aiorts.system.stdio.stream": "LineStream",
+    },
 )

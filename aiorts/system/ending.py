@@ -1,6 +1,9 @@
-"""When a system has ended of itself: all its sources have finished, and nothing they sent is still on its way.
+"""When a system has ended of itself: all its sources are done, and nothing they sent is still on its way.
 
-A source is a component that produces of itself: it has an out-port and none of its in-ports is connected.
+A source is a component that produces of itself: it has an out-port and none of its in-ports was ever connected. It is
+done when it has finished, or is in error and supervision does not help it, or was removed, or its contexts have stopped
+or were ended by a fault. One that is merely not active is not: it waits for its start, or somebody has switched it off
+and may switch it on again. Who means that for good removes it, stops its context, or asks for the end.
 """
 
 from __future__ import annotations
@@ -8,65 +11,161 @@ from __future__ import annotations
 import asyncio
 from typing import Final
 
-from aiorts.kernel.bus import ComponentRemoved, StateChanged
+from aiorts.assembly import Kernel
 from aiorts.kernel.component import Component
-from aiorts.kernel.connector import Connector
-from aiorts.kernel.kernel import Kernel
+from aiorts.kernel.execution.cell import as_group, cell
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.loop.bus import ComponentRemoved, ContextStopped, Event, StateChanged
 from aiorts.kernel.ports import InPort, OutPort
-from aiorts.kernel.unfold import is_composite
-from aiorts.model.lifecycle import LifeCycleState
-
-__all__ = ("is_source", "wait_finished")
+from aiorts.kernel.ports.connector import Connector
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.supervision import ComponentRecovered, RestartLimitReached
 
 _LOOK_AGAIN: Final = 0.005
 _PATIENCE: Final = 1.0
 """Seconds without any movement after which unread samples are taken for samples that nobody wants."""
+_NOTED: Final = (StateChanged, ComponentRemoved, ContextStopped, ComponentRecovered, RestartLimitReached)
 
 
 def is_source(component: Component) -> bool:
     """Whether a component produces of itself."""
-    ports = component.ports.values()
-    return any(isinstance(port, OutPort) for port in ports) and not any(
-        isinstance(port, InPort) and port.connectors for port in ports
-    )
+    return any(isinstance(port, OutPort) for port in component.ports.values()) and not _is_fed(component)
+
+
+def ended_in_error(kernel: Kernel) -> dict[str, BaseException | None]:
+    """Who is in error, by name, and for what; of a composite its members. One that was not made anew is, too."""
+    parts = [one for one in kernel.components.values() if as_group(one) is None]
+    gone = [one for name, one in kernel.supervised.items() if name not in kernel.components]
+    failed = {one.name: one.last_error for one in parts if LifecycleState.ERROR in one.states.values()}
+    return failed | {one.name: one.last_error for one in gone}
 
 
 async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
-    """Wait until every source was active and is no more, the queues are empty and no hook runs; or all are in error.
+    """Wait until every source is done, nobody is about to be helped, the queues are empty and no hook runs.
 
-    Without any source it waits for ever. One with in-ports and no connection at all counts as a source only where there
-    is no other. Returns the connectors with samples that their readers left alone: when
-    nothing has moved for a second, it is not waited for them any longer.
+    Where there is no source, every component has to be done. One with in-ports and no connection at all counts as a
+    source only where there is no other. Returns the connectors with samples that their readers left alone: when nothing
+    has moved for a second, it is not waited for them any longer. What nobody can read, since the reader's contexts have
+    stopped, does not count. What was removed or stopped before the call is not known: `Ending` hears of it.
     """
-    changed = asyncio.Event()
-    began = {component.name for component in kernel.components.values() if _active(component)}
-
-    def note(event: StateChanged | ComponentRemoved) -> None:
-        if isinstance(event, StateChanged) and event.new is LifeCycleState.ACTIVE:
-            began.add(event.component)
-        changed.set()
-
-    removers = [kernel.bus.subscribe(StateChanged, note), kernel.bus.subscribe(ComponentRemoved, note)]
+    ending = Ending(kernel)
     try:
-        while not _ended(kernel, began):
-            await changed.wait()
-            changed.clear()
-        return await _settled(kernel)
+        return await ending.wait()
     finally:
-        for remove in removers:
+        ending.close()
+
+
+class Ending:
+    """Hears from now on who is removed and what stops, so that it is known when `wait` is called later."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self._look = _Look(kernel)
+        self._changed = asyncio.Event()
+        self._removers = [kernel.bus.subscribe(kind, self._note) for kind in _NOTED]
+
+    async def wait(self) -> tuple[Connector, ...]:
+        """As `wait_finished`."""
+        while True:
+            while not self._look.ended():
+                await self._changed.wait()
+                self._changed.clear()
+            unread = await _settled(self._kernel, self._look)
+            if self._look.ended():  # nobody was switched on again meanwhile
+                return unread
+
+    def close(self) -> None:
+        """Hear of nothing any more."""
+        for remove in self._removers:
             remove()
 
+    def _note(self, event: Event) -> None:
+        self._look.note(event)
+        self._changed.set()
 
-def _ended(kernel: Kernel, began: set[str]) -> bool:
-    # A composite is its members, and no source beside them.
-    runs = [one for one in kernel.components.values() if one.contexts and not is_composite(one)]
-    sources = [component for component in runs if is_source(component)]
-    # One that was to be fed and that nothing is connected to is not waited for, if there is anybody else.
-    sources = [source for source in sources if source.has_finished or not _left_alone(source)] or sources
-    # Asked of the component, too: it may have finished before anybody looked.
-    if sources and all((s.name in began or s.has_finished) and not _active(s) for s in sources):
-        return True
-    return bool(runs) and all(set(c.states.values()) == {LifeCycleState.ERROR} for c in runs)
+
+class _Look:
+    """What is known of the components of a kernel, from one look to the next."""
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self._fed: set[str] = set()
+        """Who was ever connected to a writer: it produces nothing of itself when that has gone."""
+        self._finished: set[str] = set()
+        """Kept by name: who leaves a context, or gets other code, forgets it."""
+        self._sources: set[str] = set()
+        """Who was a source, also when it is there no more."""
+        self._contexts: dict[str, set[str]] = {}
+        """Of each component that ran, the contexts it was seen in last that have not stopped."""
+
+    def note(self, event: Event) -> None:
+        """Something happened to a component, or to a context and all its members."""
+        if isinstance(event, ContextStopped):
+            for contexts in self._contexts.values():
+                contexts.discard(event.context)
+            return
+        name: str = getattr(event, "component", "")
+        component = self._kernel.components.get(name)
+        if component is not None and component.contexts and as_group(component) is None:
+            self._see(component)
+        if isinstance(event, StateChanged) and event.new is LifecycleState.ACTIVE:
+            self._finished.discard(name)
+        elif component is not None and component.has_finished:
+            self._finished.add(name)
+
+    def ended(self) -> bool:
+        """Whether nobody produces any more, and nobody is about to be helped who might."""
+        kernel = self._kernel
+        # A composite is its members, and no source beside them.
+        runs = [one for one in kernel.components.values() if one.contexts and as_group(one) is None]
+        for one in runs:
+            self._see(one)
+        supervised = kernel.supervised.items()
+        if any(one.helping for _, one in supervised):
+            return False
+        off = {name for name in self._contexts if self.is_off(name)}
+        given_up = [one.component for name, one in supervised if name not in kernel.components]
+        lost = (off & self._sources | {one.name for one in given_up if is_source(one)}) - self._fed
+        sources = [one for one in runs if one.name in self._sources]
+        # One that was to be fed and that nothing is connected to is not waited for, if there is anybody else.
+        sources = [one for one in sources if self._done(one) or not _left_alone(one)] or sources
+        if sources or lost:
+            return all(map(self._done, sources))
+        return all(map(self._done, runs)) if runs else bool(off) and len(off) == len(self._contexts)
+
+    def is_off(self, name: str) -> bool:
+        """Whether it ran and never will again: it was removed, or each context it was in has stopped."""
+        component = self._kernel.components.get(name)
+        return component is None or (not component.contexts and self._contexts.get(name) == set())
+
+    def _see(self, component: Component) -> None:
+        """It is in a context."""
+        name = component.name
+        self._contexts[name] = {context.name for context in component.contexts}
+        if _is_fed(component):
+            self._fed.add(name)
+        if name not in self._fed and is_source(component):
+            self._sources.add(name)
+        else:
+            self._sources.discard(name)
+
+    def _done(self, component: Component) -> bool:
+        """Whether it will not go on; nobody is about to be helped."""
+        states = component.states.values()
+        if LifecycleState.ACTIVE in states:
+            return False
+        if LifecycleState.ERROR in states or component.name in self._finished or component.has_finished:
+            return True
+        # It was stopped with a member of its composite, and comes back when that is helped.
+        return any(self._is_dead(name) for member in cell(component).members for name in member.stopped_for)
+
+    def _is_dead(self, name: str) -> bool:
+        component = self._kernel.components.get(name)
+        return component is None or LifecycleState.ERROR in component.states.values()
+
+
+def _is_fed(component: Component) -> bool:
+    return any(isinstance(port, InPort) and port.connectors for port in component.ports.values())
 
 
 def _left_alone(component: Component) -> bool:
@@ -75,18 +174,15 @@ def _left_alone(component: Component) -> bool:
     return takes and not any(port.connectors for port in ports if isinstance(port, InPort | OutPort))
 
 
-def _active(component: Component) -> bool:
-    return LifeCycleState.ACTIVE in component.states.values()
-
-
-async def _settled(kernel: Kernel) -> tuple[Connector, ...]:
+async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
     # Periods are in the kernel's time, and it is looked again in real time.
     longest = max((2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0)
     patience = _PATIENCE + longest / kernel.clock.speed
     seen, still = -1, 0.0
     while True:
-        waiting = tuple(c for c in kernel.connectors.values() if c.statistics.buffered and c.in_ is not None)
-        busy = any(_in_hook(context) for context in kernel.contexts.values())
+        buffered = [c for c in kernel.connectors.values() if c.statistics.buffered]
+        waiting = tuple(c for c in buffered if c.in_ is not None and not look.is_off(c.in_.path.partition(".")[0]))
+        busy = any(_is_busy(context) for context in kernel.contexts.values())
         if not waiting and not busy:
             return ()
         moved = sum(connector.statistics.delivered for connector in kernel.connectors.values())
@@ -97,6 +193,6 @@ async def _settled(kernel: Kernel) -> tuple[Connector, ...]:
         await asyncio.sleep(_LOOK_AGAIN)
 
 
-def _in_hook(context: object) -> bool:
-    driver = getattr(context, "_driver", None)
-    return driver is not None and driver.current is not None
+def _is_busy(context: Context) -> bool:
+    """Whether a hook runs, or what follows from one is still to be done: a failure, say."""
+    return context.running and (context.runner.current is not None or context.runner.pending)

@@ -5,8 +5,9 @@ Names are imported when they are first used, so that a pytest plugin costs nothi
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.testing import faults
@@ -14,15 +15,17 @@ if TYPE_CHECKING:
     from aiorts.testing.component_checks import COMPONENT_CHECKS, check_component
     from aiorts.testing.conformance import ConformanceError
     from aiorts.testing.context_checks import CONTEXT_CHECKS, check_context
+    from aiorts.testing.decorator import simulated
     from aiorts.testing.rig import Caught, Rig
     from aiorts.testing.samples import difference
-    from aiorts.testing.simulated import simulated
+    from aiorts.testing.service_checks import SERVICE_CHECKS, check_service
     from aiorts.testing.simulation import SimulatedLoop, current_clock, simulate
 
 __all__ = (
     "CODEC_CHECKS",
     "COMPONENT_CHECKS",
     "CONTEXT_CHECKS",
+    "SERVICE_CHECKS",
     "Caught",
     "ConformanceError",
     "Rig",
@@ -30,6 +33,7 @@ __all__ = (
     "check_codec",
     "check_component",
     "check_context",
+    "check_service",
     "current_clock",
     "difference",
     "faults",
@@ -37,25 +41,18 @@ __all__ = (
     "simulated",
 )
 
-_HOMES = {
-    "codec_checks": ("CODEC_CHECKS", "check_codec"),
-    "component_checks": ("COMPONENT_CHECKS", "check_component"),
-    "conformance": ("ConformanceError",),
-    "context_checks": ("CONTEXT_CHECKS", "check_context"),
-    "rig": ("Caught", "Rig"),
-    "samples": ("difference",),
-    "simulated": ("simulated",),
-    "simulation": ("SimulatedLoop", "current_clock", "simulate"),
-}
-_HOME = {name: home for home, names in _HOMES.items() for name in names}
-
-# Hidden from type checkers, which would otherwise believe in every name.
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> object:
-        if name == "faults":
-            return import_module("aiorts.testing.faults")
-        if name not in _HOME:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        found = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-        return found
+_late(
+    globals(),
+    {
+        "aiorts.testing.codec_checks": "CODEC_CHECKS check_codec",
+        "aiorts.testing.component_checks": "COMPONENT_CHECKS check_component",
+        "aiorts.testing.conformance": "ConformanceError",
+        "aiorts.testing.context_checks": "CONTEXT_CHECKS check_context",
+        "aiorts.testing.rig": "Caught Rig",
+        "aiorts.testing.samples": "difference",
+        "aiorts.testing.service_checks": "SERVICE_CHECKS check_service",
+        "aiorts.testing.decorator": "simulated",
+        "aiorts.testing.simulation": "SimulatedLoop current_clock simulate",
+    },
+    modules=("faults",),
+)

@@ -33,13 +33,11 @@ from aiorts.types import (
 if TYPE_CHECKING:
     from aiorts.wire import Codec
 
-__all__ = ("CODEC_CHECKS", "check_codec")
-
 _SUITE: Suite[Codec] = Suite()
 _ROUNDS: Final = 10
 """Random records of each type."""
 _GARBAGE: Final = 500
-"""Frames of random octets, and frames with a few octets changed."""
+"""Frames of random bytes, and frames with a few bytes changed."""
 _DTYPES: Final = ("?", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
 
 
@@ -195,20 +193,20 @@ def refuses_a_part(codec: Codec) -> None:
     """Each beginning of a frame that is not all of it is a WireError."""
     for frame in _frames(codec):
         for length in range(len(frame)):
-            _refused(lambda part=frame[:length]: codec.decode(part), f"the first {length} of {len(frame)} octets")  # type: ignore[misc]
+            _refused(lambda part=frame[:length]: codec.decode(part), f"the first {length} of {len(frame)} bytes")  # type: ignore[misc]
 
 
 @_SUITE.check
 def refuses_more_than_a_frame(codec: Codec) -> None:
-    """Octets after a frame are a WireError, be they another frame."""
+    """Bytes after a frame are a WireError, be they another frame."""
     for frame in _frames(codec):
         for tail in (b"\x00", b"\xc0", b"garbage", frame):
-            _refused(lambda whole=frame + tail: codec.decode(whole), f"{len(tail)} octets after the frame")  # type: ignore[misc]
+            _refused(lambda whole=frame + tail: codec.decode(whole), f"{len(tail)} bytes after the frame")  # type: ignore[misc]
 
 
 @_SUITE.check
 def survives_garbage(codec: Codec) -> None:
-    """Random octets and damaged frames are a WireError, or by chance a record; nothing else is raised."""
+    """Random bytes and damaged frames are a WireError, or by chance a record; nothing else is raised."""
     dice = random.Random(20)  # noqa: S311
     frames = _frames(codec)
     for number in range(_GARBAGE):
@@ -229,8 +227,8 @@ def keeps_to_its_limits(codec: Codec) -> None:
     if limits is None:
         return
     long_text = TimedString(1, "x" * (limits.string + 1))
-    _refused(lambda: codec.encode(long_text), f"a string of {limits.string + 1} octets", LimitError)
-    _refused(lambda: codec.decode(bytes(limits.frame + 1)), f"a frame of {limits.frame + 1} octets", LimitError)
+    _refused(lambda: codec.encode(long_text), f"a string of {limits.string + 1} bytes", LimitError)
+    _refused(lambda: codec.decode(bytes(limits.frame + 1)), f"a frame of {limits.frame + 1} bytes", LimitError)
 
 
 CODEC_CHECKS: Mapping[str, str] = _SUITE.promises

@@ -8,8 +8,8 @@ from __future__ import annotations
 import asyncio
 import functools
 import threading
-import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -17,10 +17,10 @@ from aiorts.clock import SystemClock
 from aiorts.contexts import ExternalContext
 from aiorts.errors import HookAbandoned, HookTimeout
 from aiorts.kernel import Component, InPort, OutPort
-from aiorts.kernel.bus import HookAfter, HookFailed
-from aiorts.kernel.hooks import HookKind, hook_kinds
-from aiorts.kernel.tasks import owner_of
-from aiorts.model.lifecycle import HOOKS, LifeCycleState
+from aiorts.kernel.execution.hooks import HookKind, hook_kinds
+from aiorts.kernel.loop.bus import HookAfter, HookFailed
+from aiorts.kernel.loop.tasks import owner_of
+from aiorts.model.lifecycle import HOOKS, LifecycleState
 from aiorts.testing.conformance import Suite, expect
 from aiorts.testing.rig import Rig
 from aiorts.testing.samples import difference
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from aiorts.clock import SimulatedClock
     from aiorts.kernel import Context
-
-__all__ = ("COMPONENT_CHECKS", "check_component")
 
 T = TypeVar("T")
 
@@ -135,7 +133,7 @@ def can_be_activated_again(case: _Case) -> None:
                 await case.run(rig)
                 expect_no_failure(rig.failures)
                 # A source that has said finish() is inactive by itself.
-                if rig.context.state(component) is LifeCycleState.ACTIVE:
+                if rig.context.state(component) is LifecycleState.ACTIVE:
                     await rig.context.deactivate(component)
                 expect_no_failure(rig.failures)
                 await rig.context.activate(component)
@@ -211,20 +209,29 @@ def _longest_step(case: _Case) -> tuple[float, str]:
 
     async def main(clock: SimulatedClock) -> None:
         component = case.make()
-        component.__class__ = _measured(type(component), longest)
-        async with case.rig(component) as rig:
-            await case.run(rig)
+        with _measured(type(component), longest):
+            async with case.rig(component) as rig:
+                await case.run(rig)
 
     simulate(main)
     return max(longest)
 
 
-def _measured(cls: type[Component], steps: list[tuple[float, str]]) -> type[Component]:
-    """The same class with hooks that note how long each of their steps takes."""
+@contextmanager
+def _measured(cls: type[Component], steps: list[tuple[float, str]]) -> Iterator[None]:
+    """Meanwhile the hooks of this class note how long each of their steps takes."""
     kinds = hook_kinds(cls, Component)
-    hooks = {hook: _measured_hook(getattr(cls, hook), kinds[hook], hook, steps) for hook in HOOKS if kinds[hook]}
-    names: dict[str, Any] = {"__module__": cls.__module__, "__qualname__": cls.__qualname__, **hooks}
-    return types.new_class(cls.__name__, (cls,), {}, lambda namespace: namespace.update(names))
+    own = {hook: vars(cls).get(hook) for hook in HOOKS if kinds[hook]}
+    for hook in own:
+        setattr(cls, hook, _measured_hook(getattr(cls, hook), kinds[hook], hook, steps))
+    try:
+        yield
+    finally:
+        for hook, function in own.items():
+            if function is None:
+                delattr(cls, hook)
+            else:
+                setattr(cls, hook, function)
 
 
 def _measured_hook(

@@ -6,12 +6,10 @@ A suite is a table of checks, run in order; the first that fails ends it. A chec
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType, TracebackType
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from types import MappingProxyType
+from typing import Any, ClassVar, Generic, TypeVar
 
 from aiorts.errors import AiortsError
-
-__all__ = ("ConformanceError", "Suite", "expect")
 
 S = TypeVar("S")
 
@@ -48,25 +46,6 @@ def expect(met: bool, expected: str, got: object) -> None:
         raise _Unmet(expected, got)
 
 
-class _Trial:
-    """Makes a ConformanceError of whatever ends a check."""
-
-    def __init__(self, subject: str, check: str, promise: str) -> None:
-        self._subject, self._check, self._promise = subject, check, promise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if isinstance(error, _Unmet):
-            raise ConformanceError(self._subject, self._check, error.expected, error.got) from None
-        if isinstance(error, Exception):
-            got = f"{type(error).__name__}: {error}"
-            raise ConformanceError(self._subject, self._check, self._promise, got) from error
-
-
 class Suite(Generic[S]):
     """Checks by name; each is a function of what is checked, and the first line of its docstring is the promise."""
 
@@ -95,8 +74,13 @@ class Suite(Generic[S]):
             raise ValueError(f"no such check: {', '.join(sorted(unknown))}; there are {', '.join(self._checks)}")
         for name, function in self._checks.items():
             if name not in left_out and (chosen is None or name in chosen):
-                with _Trial(subject, name, _promise(function)):
+                try:
                     function(what)
+                except _Unmet as error:
+                    raise ConformanceError(subject, name, error.expected, error.got) from None
+                except Exception as error:
+                    got = f"{type(error).__name__}: {error}"
+                    raise ConformanceError(subject, name, _promise(function), got) from error
 
 
 def _promise(function: Callable[..., Any]) -> str:

@@ -9,9 +9,9 @@ import asyncio
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.assembly import Kernel
 from aiorts.errors import StateError
-from aiorts.kernel import Kernel
-from aiorts.model.lifecycle import LifeCycleState
+from aiorts.model.lifecycle import LifecycleState
 from aiorts.testing.conformance import Suite, expect
 from aiorts.testing.driving import is_ticked, period_ns
 from aiorts.testing.simulation import simulate
@@ -20,8 +20,6 @@ from aiorts.testing.stage import AskedInside, Asking, Inside, Recorder, Stage, W
 if TYPE_CHECKING:
     from aiorts.clock import SimulatedClock
     from aiorts.kernel import Context
-
-__all__ = ("CONTEXT_CHECKS", "check_context")
 
 MakeContext = Callable[[], "Context"]
 
@@ -67,7 +65,7 @@ async def starts_without_activating(stage: Stage) -> None:
     await stage.clock.advance(0.01)
     wanted = ["a.on_startup", "b.on_startup"]
     expect(stage.calls == wanted, f"{wanted} and no more", stage.calls)
-    expect(stage.context.state(stage.a) is LifeCycleState.INACTIVE, "an inactive member", stage.context.state(stage.a))
+    expect(stage.context.state(stage.a) is LifecycleState.INACTIVE, "an inactive member", stage.context.state(stage.a))
 
 
 @_staged
@@ -117,7 +115,7 @@ async def obeys_at_once_between_cycles(stage: Stage) -> None:
     await stage.start(activate=False)
     now_ns, ticks = stage.clock.monotonic_ns(), stage.context.ticks
     await stage.context.activate(stage.a)
-    expect(stage.context.state(stage.a) is LifeCycleState.ACTIVE, "a active", stage.context.state(stage.a))
+    expect(stage.context.state(stage.a) is LifecycleState.ACTIVE, "a active", stage.context.state(stage.a))
     await stage.context.deactivate(stage.a)
     ran = [call for call in stage.calls if not call.endswith("on_startup")]
     expect(ran == ["a.on_activated", "a.on_deactivated"], "on_activated, then on_deactivated", ran)
@@ -168,7 +166,7 @@ async def leaves_neighbours_alone(stage: Stage) -> None:
     ran = await stage.cycle()
     expect(ran.count("b.on_execute") == 1, "b.on_execute in the same cycle", ran)
     expect("a.on_aborting" in ran, "a.on_aborting after the cycle", ran)
-    expect(stage.context.state(stage.a) is LifeCycleState.ERROR, "a in error", stage.context.state(stage.a))
+    expect(stage.context.state(stage.a) is LifecycleState.ERROR, "a in error", stage.context.state(stage.a))
     expect(isinstance(stage.a.last_error, ZeroDivisionError), "its cause in last_error", stage.a.last_error)
     for _ in range(3):
         ran = await stage.cycle()
@@ -188,7 +186,7 @@ async def comes_back_after_reset(stage: Stage) -> None:
     await stage.cycle()
     stage.a.during = lambda: None
     await stage.context.reset(stage.a)
-    expect(stage.context.state(stage.a) is LifeCycleState.INACTIVE, "a inactive", stage.context.state(stage.a))
+    expect(stage.context.state(stage.a) is LifecycleState.INACTIVE, "a inactive", stage.context.state(stage.a))
     await stage.context.activate(stage.a)
     ran = await stage.cycle()
     expect(ran == FULL_CYCLE, f"{FULL_CYCLE}", ran)

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from aiorts.clock import SimulatedClock
     from aiorts.kernel import Context
 
-__all__ = ("is_ticked", "one_cycle", "period_ns", "while_time_passes")
-
 T = TypeVar("T")
 
 _LONGEST_NS: Final = 3600 * 10**9

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-__all__ = ("Aliasing", "Blocking", "Failing", "Flooding", "Hanging", "Leaking", "Returning", "Slow")
-
 
 def _plain(hook: str) -> Callable[..., Any]:
     def run(self: _Faulty, *error: BaseException) -> Any:

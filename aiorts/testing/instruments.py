@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.kernel import Component, InPort, OutPort, Provided, Required
+from aiorts.kernel import Component, InPort, OutPort
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.services import Provided, Required
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from aiorts.kernel.ports import ServiceEnd
-
-__all__ = ("Instruments", "Tap", "at_once")
+    from aiorts.services import ServiceEnd
 
 _LENGTH: Final = 1_000_000
 """Samples that may be fed at once; a tap needs as many only where the writer is in another thread."""
@@ -35,14 +35,14 @@ class Tap:
         self._now_ns = now_ns
         self._note = note
 
-    def take(self, port: InPort[Any]) -> None:
+    def take(self, port: InPort[Any]) -> bool:
         """Take what has arrived; called by the port itself."""
         for sample in port.drain():
             self.samples.append(sample)
             self.times.append(self._now_ns())
             if self._note is not None:
                 self.notes.append(self._note(sample))
-        port._arm()
+        return True
 
     def clear(self) -> None:
         """Forget what was taken."""
@@ -69,8 +69,7 @@ class Instruments(Component):
         port = self.add_port(self._name("tap"), InPort(out.type, unit=out.unit, shape=out.shape))
         at_once(self.kernel.connect(out, port, length=_LENGTH))
         tap = self.taps[out] = Tap(out, self.clock.monotonic_ns, self._note)
-        port._wakes += (tap.take,)
-        port._arm()
+        receiver_of(port).add_callback(tap.take)
 
     def make_room(self, out: OutPort[Any]) -> None:
         """Give up the tap of an out-port that has no connector left for anybody else."""

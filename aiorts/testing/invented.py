@@ -11,14 +11,24 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import RecordError
 from aiorts.types import all_types, fields_of
 from aiorts.types.arrays import ArrayKind, NDArrayKind
-from aiorts.types.kinds import BoolKind, BytesKind, EnumKind, FloatKind, IntKind, Kind, StampKind, TextKind
+from aiorts.types.kinds import (
+    BoolKind,
+    BytesKind,
+    DateTimeKind,
+    EnumKind,
+    FloatKind,
+    IntKind,
+    Kind,
+    LiteralKind,
+    OptionalKind,
+    StampKind,
+    TextKind,
+)
 from aiorts.types.nested import RecordKind
 from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-__all__ = ("HARD_FLOATS", "invent", "record_types")
 
 HARD_FLOATS: Final = (
     -0.0,
@@ -59,10 +69,6 @@ def _value(kind: Kind, dice: random.Random) -> Any:
     raise TypeError(f"no values are known for a field of kind {kind!r}")
 
 
-def _integer(kind: Any, dice: random.Random) -> int:
-    return dice.choice((kind.low, kind.high, 0, dice.randint(kind.low, kind.high)))
-
-
 def _float(kind: Any, dice: random.Random) -> float:
     value = dice.choice((*HARD_FLOATS, dice.uniform(-1e6, 1e6)))
     # A float32 field refuses what it cannot hold; its NaNs are shorter.
@@ -80,16 +86,12 @@ def _array(element: str, shape: tuple[int, ...], dice: random.Random) -> Any:
 
     dtype = np.dtype(element)
     count = math.prod(shape)
-    octets = dice.randbytes(count * dtype.itemsize)
-    array = np.frombuffer(octets, dtype) if dtype.kind != "b" else np.frombuffer(octets, "u1") & 1 == 1
+    data = dice.randbytes(count * dtype.itemsize)
+    array = np.frombuffer(data, dtype) if dtype.kind != "b" else np.frombuffer(data, "u1") & 1 == 1
     return array.reshape(shape).copy()
 
 
 _DTYPES: Final = {"bool": "?", **{f"{sign}{bits}": f"{sign}{bits // 8}" for sign in "iuf" for bits in (8, 16, 32, 64)}}
-
-
-def _sequence(kind: Any, dice: random.Random) -> Any:
-    return _array(_DTYPES[kind.element], (dice.choice((0, 1, 7, 300)),), dice)
 
 
 def _ndarray(kind: Any, dice: random.Random) -> Any:
@@ -99,27 +101,27 @@ def _ndarray(kind: Any, dice: random.Random) -> Any:
 
 def _map(kind: Any, dice: random.Random) -> dict[str, Any]:
     entries = {"bool": True, "int": -5, "float": -0.0, "text": "ä", "bytes": b"\x00", "array": _array("f8", (4,), dice)}
+    entries["map"] = {"inner": dict(entries), "float": 0.5, "map": {}}
     return {key: entries[key] for key in dice.sample(sorted(entries), dice.randint(0, len(entries)))}
-
-
-def _records(kind: Any, dice: random.Random) -> list[Any]:
-    return [invent(kind.cls, dice) for _ in range(dice.choice((0, 1, 3)))]
 
 
 _MAKERS: Final[tuple[tuple[type, Any], ...]] = (
     (StampKind, lambda _, dice: dice.choice((0, 1, 1_700_000_000_123_456_789, 2**32 * 10**9 - 1))),
-    (IntKind, _integer),
+    (IntKind, lambda kind, dice: dice.choice((kind.low, kind.high, 0, dice.randint(kind.low, kind.high)))),
     (FloatKind, _float),
     (BoolKind, lambda _, dice: dice.random() < 0.5),
     (TextKind, _text),
     (BytesKind, lambda _, dice: dice.randbytes(dice.choice((0, 1, 300)))),
     (EnumKind, lambda kind, dice: dice.choice(list(kind.enumeration))),
+    (OptionalKind, lambda kind, dice: _value(kind.inner, dice) if dice.random() < 0.7 else None),
+    (LiteralKind, lambda kind, dice: dice.choice(kind.choices)),
+    (DateTimeKind, lambda _, dice: dice.choice((0, -1000, 2**63 // 1000 * 1000, 1_700_000_000_123_456_000))),
     (RecordKind, lambda kind, dice: invent(kind.cls, dice)),
     (MapKind, _map),
-    (RowsKind, _records),
+    (RowsKind, lambda kind, dice: [invent(kind.cls, dice) for _ in range(dice.choice((0, 1, 3)))]),
     (FixedTupleKind, lambda kind, dice: tuple(_value(item, dice) for item in kind.items)),
     (TupleKind, lambda kind, dice: [_value(kind.item, dice) for _ in range(dice.choice((0, 1, 3)))]),
     (NDArrayKind, _ndarray),
-    (ArrayKind, _sequence),
+    (ArrayKind, lambda kind, dice: _array(_DTYPES[kind.element], (dice.choice((0, 1, 7, 300)),), dice)),
 )
 """Sort of field -> how a value is invented; the first that fits, so derived sorts come first."""

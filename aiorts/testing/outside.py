@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import logging
 import socket
 import sys
 from typing import TYPE_CHECKING, Any
+
+from aiorts.kernel.loop.guarded import KernelLog
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Mapping
 
-__all__ = ("AnyioThreads", "listens")
-
-_log = logging.getLogger(__name__)
+_log = KernelLog(__name__)
 
 
 def listens(fd: int) -> bool:

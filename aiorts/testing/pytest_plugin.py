@@ -14,11 +14,9 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator
 
+    from aiorts.assembly import Kernel
     from aiorts.clock import SimulatedClock
-    from aiorts.kernel import Kernel
     from aiorts.testing.rig import Rig
-
-__all__ = ("aiorts_kernel", "rig_factory", "simulated_clock")
 
 
 @pytest.fixture
@@ -49,7 +47,7 @@ def rig_factory() -> Iterator[Callable[..., Rig]]:
 @pytest.fixture
 async def aiorts_kernel(simulated_clock: SimulatedClock) -> AsyncIterator[Kernel]:
     """An open kernel on the simulated clock; closed after the test."""
-    from aiorts.kernel import Kernel
+    from aiorts.assembly import Kernel
 
     async with Kernel(clock=simulated_clock, debug=True) as kernel:
         yield kernel

@@ -12,11 +12,13 @@ from contextlib import contextmanager
 from inspect import iscoroutine
 from typing import TYPE_CHECKING, Any, Self
 
+from aiorts.assembly import Kernel
 from aiorts.clock import SimulatedClock, current_clock, to_ns
 from aiorts.contexts import ExternalContext
 from aiorts.errors import ClosedError, ComponentError, StateError, WiringError
-from aiorts.kernel import Component, InPort, Kernel, OutPort, ServicePort
-from aiorts.kernel.bus import HookFailed, PortAdded
+from aiorts.kernel import Component, InPort, OutPort
+from aiorts.kernel.loop.bus import HookFailed, PortAdded
+from aiorts.services import ServicePort
 from aiorts.testing.driving import is_ticked, one_cycle, while_time_passes
 from aiorts.testing.instruments import Instruments, Tap, at_once
 from aiorts.testing.samples import difference, sample_of, value_of
@@ -24,12 +26,10 @@ from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
-    from types import TracebackType
 
     from aiorts.kernel import Connector, Context
-    from aiorts.kernel.ports import Port, ServiceEnd
-
-__all__ = ("Caught", "Rig")
+    from aiorts.kernel.ports import Port
+    from aiorts.services import ServiceEnd
 
 
 class Caught:
@@ -112,9 +112,7 @@ class Rig:
         if self._activate:
             await self.activate()
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         self._is_open = False
         kernel = self.kernel
         try:
@@ -291,7 +289,7 @@ class Rig:
             )
         return tap
 
-    # -- time and life cycle ---------------------------------------------------------------------------------------
+    # -- time and lifecycle ---------------------------------------------------------------------------------------
 
     async def tick(self, count: int = 1) -> None:
         """Let `count` cycles happen, each with the time it takes; of a context without a rate, whatever has a cause.
@@ -301,7 +299,10 @@ class Rig:
         """
         for _ in range(count):
             if self._rate is not None:
-                await self._to_next_period(self._rate)
+                due_ns = self._due_ns(self._rate)
+                self._ticks += 1
+                if due_ns > self.clock.monotonic_ns():
+                    await self.clock.advance_to(due_ns)
             await one_cycle(self.context, self.clock)
             self._raise_failure()
 
@@ -341,12 +342,6 @@ class Rig:
     def _due_ns(self, rate: float) -> int:
         numerator, denominator = float(rate).as_integer_ratio()
         return self._start_ns - (-(self._ticks + 1) * denominator * 1_000_000_000 // numerator)
-
-    async def _to_next_period(self, rate: float) -> None:
-        due_ns = self._due_ns(rate)
-        self._ticks += 1
-        if due_ns > self.clock.monotonic_ns():
-            await self.clock.advance_to(due_ns)
 
     # -- failures --------------------------------------------------------------------------------------------------
 

@@ -13,8 +13,6 @@ from aiorts.types.samples import PLAIN_TYPES, original
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ("difference", "sample_of", "value_of")
-
 
 def sample_of(cls: type, value: Any, tm: int) -> Any:
     """A sample of `cls`: `value` itself if it is one, else a new one stamped `tm` (ns) with `value` as its data.
@@ -56,7 +54,7 @@ def _data_field(cls: type) -> str:
 
 def _takes_mapping(cls: type) -> bool:
     name = _find_data_field(cls)
-    return name is not None and any(f.name == name and f.kind.spelling == "map" for f in fields_of(cls))
+    return name is not None and any(f.name == name and f.kind.base == "map" for f in fields_of(cls))
 
 
 def difference(left: Any, right: Any, where: str = "") -> str | None:
@@ -107,7 +105,7 @@ def _array_parts(left: Any, right: Any, where: str) -> Iterator[tuple[Any, Any, 
 
 def _item(array: Any, index: int) -> str:
     value = array.reshape(-1)[index]
-    return f"{value} (octets {value.tobytes().hex()})"
+    return f"{value} (bytes {value.tobytes().hex()})"
 
 
 def _float(value: float) -> str:

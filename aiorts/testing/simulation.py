@@ -10,6 +10,9 @@ nothing is left that could ever happen, StateError says who is waiting for what,
         return clock.time()
 
     assert simulate(main) == 3600.0
+
+With a seed, tasks that are ready at one instant run in another order, always the same one (`order.py` says what stays):
+code that fails under some seed relies on an order that nobody promised.
 """
 
 from __future__ import annotations
@@ -17,14 +20,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import heapq
-import logging
 import math
 import selectors
 from collections.abc import Coroutine
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple, Unpack
 
 from aiorts.clock import Hold, SimulatedClock, current_clock, to_ns
 from aiorts.errors import BusyError, StateError
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.testing.order import Shuffle
 from aiorts.testing.outside import AnyioThreads, listens
 
 if TYPE_CHECKING:
@@ -38,7 +43,7 @@ __all__ = ("SimulatedLoop", "current_clock", "simulate")
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 
-_log = logging.getLogger(__name__)
+_log = KernelLog(__name__)
 
 _SAY_SO_AFTER_S = 5.0
 """Real seconds of standing still after which the log says what time is waiting for."""
@@ -51,12 +56,16 @@ _POLL_EVERY = 256
 
 
 def simulate(
-    main: Callable[[SimulatedClock], Awaitable[T]] | Coroutine[Any, Any, T], *, clock: SimulatedClock | None = None
+    main: Callable[[SimulatedClock], Awaitable[T]] | Coroutine[Any, Any, T],
+    *,
+    clock: SimulatedClock | None = None,
+    seed: int | None = None,
 ) -> T:
     """Runs `main` to its end on a new `SimulatedLoop` and returns its result; `asyncio.run` in virtual time.
 
     `main` is a coroutine, or a function that is given the clock and returns something to await. Tasks left over are
     cancelled, asynchronous generators and the default executor shut down, the event loop policy is never touched.
+    `seed` shuffles what is ready at one instant (see `SimulatedLoop`); what fails then says the seed.
     Raises StateError when called from a running loop, or when nothing will ever happen again.
     """
     clock = SimulatedClock() if clock is None else clock
@@ -64,8 +73,13 @@ def simulate(
     if _inside_a_loop():
         coroutine.close()
         raise StateError("simulate(): a loop is running in this thread; await the code, or call simulate from outside")
-    with asyncio.Runner(loop_factory=lambda: SimulatedLoop(clock)) as runner:
-        return runner.run(coroutine)
+    try:
+        with asyncio.Runner(loop_factory=lambda: SimulatedLoop(clock, seed=seed)) as runner:
+            return runner.run(coroutine)
+    except BaseException as error:
+        if seed is not None:
+            error.add_note(f"simulate(..., seed={seed}) runs what is ready at one instant in this order again")
+        raise
 
 
 def _inside_a_loop() -> bool:
@@ -93,6 +107,11 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
     Delays are rounded once to whole nanoseconds and kept as integers, so that sums of them are exact. Threads started
     by `run_in_executor`, `asyncio.to_thread` and `anyio.to_thread` and child processes stop time while they run; a
     thread of your own does with `clock.hold()`. So does every registered reader or writer, listening sockets excepted.
+
+    Args:
+        clock: the clock to move; a new one by default.
+        seed: shuffle the tasks that are ready at one instant, reproducibly, within what asyncio promises
+            (`aiorts.testing.order`); None leaves them in the order in which they became ready.
     """
 
     if TYPE_CHECKING:
@@ -100,13 +119,17 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
 
         def _check_closed(self) -> None: ...
 
-    def __init__(self, clock: SimulatedClock | None = None) -> None:
+        _process_events: Callable[[list[Any]], None]
+
+    def __init__(self, clock: SimulatedClock | None = None, *, seed: int | None = None) -> None:
         self.aiorts_clock = SimulatedClock() if clock is None else clock
         self._timers: list[tuple[int, int, _OwnTimer]] = []
         self._timers_made = 0
         self._timers_cancelled = 0
         self._anyio = AnyioThreads(self)
         super().__init__(_JumpingSelector(self))
+        if seed is not None:
+            self._process_events = partial(_shuffled, self, self._process_events, Shuffle(seed))
         try:
             self._detach = self.aiorts_clock.attach(self._sleep_until)
         except BusyError:
@@ -123,14 +146,14 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
     # -- time -----------------------------------------------------------------------------------------------------
 
     def time(self) -> float:
-        return self.aiorts_clock._now / 1e9
+        return self.aiorts_clock.now_ns / 1e9
 
     def call_later(
         self, delay: float, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
     ) -> asyncio.TimerHandle:
         if delay >= _NEVER_S:
             return self._call_at_ns(None, callback, args, context)
-        return self._call_at_ns(self.aiorts_clock._now + to_ns(delay, "delay"), callback, args, context)
+        return self._call_at_ns(self.aiorts_clock.now_ns + to_ns(delay, "delay"), callback, args, context)
 
     def call_at(
         self, when: float, callback: Callable[[Unpack[Ts]], object], *args: *Ts, context: Context | None = None
@@ -194,11 +217,11 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         """To the next moment at which something happens; False when there is none."""
         clock = self.aiorts_clock
         kernel, own = clock.next_deadline(), self._next_own()
-        if kernel is not None and (own is None or kernel <= max(own, clock._now)):
+        if kernel is not None and (own is None or kernel <= max(own, clock.now_ns)):
             clock.fire(self)
         elif own is not None:
             clock.move_to(own)
-            self._fire_own(clock._now)
+            self._fire_own(clock.now_ns)
         else:
             return False
         return True
@@ -256,6 +279,14 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
             f" and these tasks still wait: {'; '.join(waiting[:8]) or 'none'}{more}. A thread of your own that is to"
             " wake the loop must hold the clock: with clock.hold(): ..."
         )
+
+
+def _shuffled(
+    loop: SimulatedLoop, process_events: Callable[[list[Any]], None], shuffle: Shuffle, event_list: list[Any]
+) -> None:
+    """What a loop with a seed does last before it runs what is ready."""
+    process_events(event_list)
+    shuffle(loop._ready)
 
 
 def _until_exit(protocol_factory: Callable[[], Any], hold: Hold) -> Callable[[], Any]:

@@ -6,7 +6,9 @@ import asyncio
 import threading
 from typing import TYPE_CHECKING
 
-from aiorts.kernel import Component, Kernel
+from aiorts.assembly import Kernel
+from aiorts.kernel import Component
+from aiorts.model.lifecycle import HOOKS
 from aiorts.testing.driving import one_cycle
 
 if TYPE_CHECKING:
@@ -15,7 +17,12 @@ if TYPE_CHECKING:
     from aiorts.clock import SimulatedClock
     from aiorts.kernel import Context
 
-__all__ = ("AskedInside", "Asking", "Inside", "Recorder", "Stage", "Waiting")
+
+def _recording(hook: str) -> Callable[..., None]:
+    def run(self: Recorder, *error: BaseException) -> None:
+        self._record(hook)
+
+    return run
 
 
 class Recorder(Component):
@@ -29,36 +36,11 @@ class Recorder(Component):
     def _record(self, hook: str) -> None:
         self.calls.append(f"{self.name}.{hook}")
 
-    def on_startup(self) -> None:
-        self._record("on_startup")
-
-    def on_shutdown(self) -> None:
-        self._record("on_shutdown")
-
-    def on_activated(self) -> None:
-        self._record("on_activated")
-
-    def on_deactivated(self) -> None:
-        self._record("on_deactivated")
+    locals().update({hook: _recording(hook) for hook in HOOKS if hook not in ("on_initialize", "on_finalize")})
 
     def on_execute(self) -> None:
         self._record("on_execute")
         self.during()
-
-    def on_state_update(self) -> None:
-        self._record("on_state_update")
-
-    def on_rate_changed(self) -> None:
-        self._record("on_rate_changed")
-
-    def on_aborting(self, error: BaseException) -> None:
-        self._record("on_aborting")
-
-    def on_error(self, error: BaseException) -> None:
-        self._record("on_error")
-
-    def on_reset(self) -> None:
-        self._record("on_reset")
 
 
 class Stage:

@@ -20,17 +20,6 @@ if TYPE_CHECKING:
 
     AnyArray = npt.NDArray[np.generic]
 
-__all__ = (
-    "DTYPES",
-    "MAX_DIMENSIONS",
-    "ArrayKind",
-    "NDArrayKind",
-    "element_dtype",
-    "element_name",
-    "freeze",
-    "inexact_as_float",
-)
-
 MAX_DIMENSIONS = 8
 
 # element name -> numpy's type code without byte order; also the allow-list of what may travel

@@ -189,7 +189,7 @@ class TimedBooleanSeq(Stamped):
 
 @record
 class TimedOctet(Stamped):
-    """One octet, 0..255."""
+    """One byte, 0..255."""
 
     tm: int = 0
     data: u8 = 0
@@ -197,7 +197,7 @@ class TimedOctet(Stamped):
 
 @record
 class TimedOctetSeq(Stamped):
-    """A read-only numpy array of octets; `bytes` are taken without a copy."""
+    """A read-only numpy array of bytes; `bytes` are taken without a copy."""
 
     tm: int = 0
     data: Array[u8] = EMPTY

@@ -14,8 +14,6 @@ from typing import Any, NamedTuple
 
 from aiorts.types.kinds import STAMP_LIMIT, IntKind, Kind
 
-__all__ = ("Parameter", "make_init")
-
 MISSING = inspect.Parameter.empty
 Init = Callable[..., None]
 

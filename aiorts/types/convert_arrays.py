@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     AnyArray = npt.NDArray[Any]
 
-__all__ = ("convert_array",)
-
 _TO_INTEGER = {"round": np.rint, "truncate": np.trunc, "floor": np.floor}
 
 

@@ -191,7 +191,7 @@ class BumperArrayGeometry:
 
 @record
 class CameraImage(Stamped):
-    """An image as octets, row by row or encoded as `format` names.
+    """An image as bytes, row by row or encoded as `format` names.
 
     Bpp = bits per pixel; a whole-number pixel divided by fDiv is the real value.
     """

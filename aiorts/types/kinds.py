@@ -13,20 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from aiorts.errors import RecordError, RecordTypeError
 
 if TYPE_CHECKING:
+    from datetime import datetime
     from enum import Enum
-
-__all__ = (
-    "BoolKind",
-    "BytesKind",
-    "EnumKind",
-    "FloatKind",
-    "IntKind",
-    "Kind",
-    "StampKind",
-    "TextKind",
-    "SCALARS",
-    "shown",
-)
 
 NS_PER_SEC = 1_000_000_000
 STAMP_LIMIT = 2**32 * NS_PER_SEC
@@ -83,6 +71,11 @@ class Kind:
     exact: type = Unchecked
     mutable: ClassVar[bool] = False
     element: str | None = None
+
+    @property
+    def base(self) -> str:
+        """The spelling of the kind that a single value is converted to before `check`: "f64" for "optional[f64]"."""
+        return self.spelling
 
     def check(self, value: Any, where: str) -> Any:
         """The value to keep; RecordError naming `where`, expected and got if it does not fit."""
@@ -174,9 +167,10 @@ class FloatKind(Kind):
     @staticmethod
     def _nearest(value: float, where: str) -> float:
         try:
-            return _float32.unpack(_float32.pack(value))[0]  # type: ignore[no-any-return]
+            nearest: float = _float32.unpack(_float32.pack(value))[0]
         except OverflowError:
             raise wrong_value(where, "a number that fits a 32-bit float (up to 3.4028235e38)", value) from None
+        return value if nearest == value else nearest
 
     def zero(self) -> float:
         return 0.0
@@ -237,7 +231,7 @@ class TextKind(Kind):
 
 
 class BytesKind(Kind):
-    """Octets as `bytes`; what can change (bytearray, memoryview) is copied."""
+    """Bytes as `bytes`; what can change (bytearray, memoryview) is copied."""
 
     spelling = "bytes"
     exact = bytes
@@ -302,6 +296,54 @@ class EnumKind(Kind):
         return next(iter(self.enumeration))
 
 
+class OptionalKind(Kind):
+    """A value of another kind, or None."""
+
+    def __init__(self, inner: Kind) -> None:
+        self.inner = inner
+        self.spelling = f"optional[{inner.spelling}]"
+        self.mutable = inner.mutable  # type: ignore[misc]
+
+    @property
+    def base(self) -> str:
+        return self.inner.base
+
+    def check(self, value: Any, where: str) -> Any:
+        return None if value is None else self.inner.check(value, where)
+
+    def zero(self) -> None:
+        return None
+
+    def same(self, left: Any, right: Any) -> bool:
+        return left is right if left is None or right is None else self.inner.same(left, right)
+
+    def hashed(self, value: Any) -> Any:
+        return None if value is None else self.inner.hashed(value)
+
+
+class LiteralKind(Kind):
+    """One of the values that the annotation lists: all of them texts, all integers, or all truth values."""
+
+    def __init__(self, choices: tuple[Any, ...], kind: Kind) -> None:
+        self.choices = choices
+        self.spelling = " | ".join(map(repr, choices))
+        self.expected = self.spelling if len(self.spelling) <= STRING_LIMIT else f"{self.spelling[:STRING_LIMIT]}..."
+        self._kind = kind
+
+    @property
+    def base(self) -> str:
+        return self._kind.spelling
+
+    def check(self, value: Any, where: str) -> Any:
+        kept = self._kind.check(value, where)
+        if kept not in self.choices:
+            raise wrong_value(where, self.expected, value)
+        return kept
+
+    def zero(self) -> Any:
+        return self.choices[0]
+
+
 def _integers() -> dict[str, Kind]:
     kinds: dict[str, Kind] = {}
     for bits in (8, 16, 32, 64):
@@ -321,3 +363,51 @@ SCALARS: dict[str, Kind] = {
     "bytes": BytesKind(),
     "stamp": StampKind(),
 }
+
+
+# -- moments -----------------------------------------------------------------------------------------------------------
+
+_OF_64_BITS = IntKind("i64", -(2**63), 2**63 - 1)
+
+
+class DateTimeKind(Kind):
+    """A `datetime`, kept in UTC; it travels as its nanoseconds since the epoch, which are taken for it, too.
+
+    A datetime counts whole microseconds: nanoseconds between two of them are refused, and nothing is rounded. 64 bits
+    of nanoseconds reach from 1677 to 2262.
+    """
+
+    spelling = "datetime"
+    expected = "a datetime with a time zone, from 1677-09-22 to 2262-04-11, or its nanoseconds since the epoch"
+
+    @property
+    def base(self) -> str:
+        return "i64"
+
+    def check(self, value: Any, where: str) -> datetime:
+        from datetime import UTC, datetime, timedelta
+
+        if isinstance(value, datetime):
+            if value.utcoffset() is None:
+                raise RecordError(f"{where}: expected {self.expected}, got {shown(value)} without one; add tzinfo=UTC")
+            ns = datetime_ns(value) + getattr(value, "nanosecond", 0)  # which pandas adds to it
+            if type(value) is datetime and value.tzinfo is UTC and -(2**63) <= ns < 2**63:
+                return value
+        elif isinstance(value, float) or not hasattr(value, "__index__"):
+            raise wrong_type(where, self.expected, value)
+        else:
+            ns = _OF_64_BITS.check(value, where)
+        if ns % 1000 or not -(2**63) <= ns < 2**63:
+            raise wrong_value(where, f"{self.expected} (whole microseconds)", value)
+        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=ns // 1000)
+
+    def zero(self) -> datetime:
+        return self.check(0, "datetime")
+
+
+def datetime_ns(moment: datetime) -> int:
+    """Nanoseconds from the epoch to a moment with a time zone, exactly."""
+    from datetime import UTC, datetime
+
+    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return (since.days * 86_400 + since.seconds) * NS_PER_SEC + since.microseconds * 1000

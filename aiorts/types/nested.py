@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from aiorts.types.kinds import Kind, wrong_type
+from aiorts.types.registry import full_name
 from aiorts.types.rows import RowsKind
 from aiorts.types.structure import NUMBERS, Structure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-__all__ = ("RecordKind", "rows_kind")
 
 
 class RecordKind(Kind):
@@ -20,7 +19,8 @@ class RecordKind(Kind):
     def __init__(self, structure: Structure) -> None:
         self.structure = structure
         self.cls = structure.cls
-        self.spelling = structure.cls.__name__
+        name = full_name(structure.cls)
+        self.spelling = name if "/" in name else structure.cls.__name__
         self.mutable = structure.mutable  # type: ignore[misc]
         if structure.checked:
             self.exact = structure.cls

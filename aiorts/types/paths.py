@@ -7,15 +7,16 @@ import re
 from typing import Any
 
 from aiorts.errors import InvalidNameError, RecordError
-from aiorts.types.kinds import Kind
+from aiorts.types.kinds import Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
 from aiorts.types.samples import PLAIN_TYPES, original
 from aiorts.types.structure import Structure, describe
 
-__all__ = ("parse_path", "path_type", "read_path")
-
 _STEP = re.compile(r"(?:\.?(?P<name>[^\W\d]\w*)|\[(?P<index>-?\d{1,9})\]|\[(?P<quote>['\"])(?P<key>.*?)(?P=quote)\])")
+
+_STAMPS = {"sec": "u32", "nsec": "u32", "tm": "stamp"}
+"""What records with a time stamp have beside their fields: parts of it, or, where a header holds it, all of it."""
 
 Step = str | int
 
@@ -60,7 +61,7 @@ def _field(value: Any, name: str, reached: str) -> Any:
     structure = _structure(type(value))
     if structure is None:
         raise RecordError(f"{reached} is {_article(value)} and has no field {name!r}")
-    if structure.field(name) is None and not (name in ("sec", "nsec") and structure.has_tm):
+    if structure.field(name) is None and not (name in _STAMPS and structure.has_tm):
         raise _no_field(structure, name, reached)
     return getattr(value, name)
 
@@ -85,11 +86,14 @@ def _item(value: Any, index: Step, reached: str) -> Any:
 def path_type(cls: type, path: str) -> Kind | type:
     """What stands at `path` in records of `cls`: a record type for nested records, a kind for all else.
 
-    RecordError names the step that does not exist. Indices are not compared with a length, which only a sample has.
+    RecordError names the step that does not exist. A path leads through what may be absent, and indices are not
+    compared with a length: both only a sample has.
     """
     current: Any = cls
     reached = cls.__qualname__
     for is_name, step in parse_path(path):
+        if isinstance(current, OptionalKind):
+            current = current.inner.cls if isinstance(current.inner, RecordKind) else current.inner
         current = _type_of_field(current, str(step), reached) if is_name else _type_of_item(current, reached)
         reached += f".{step}" if is_name else f"[{step!r}]"
         if isinstance(current, RecordKind):
@@ -105,8 +109,8 @@ def _type_of_field(current: Any, name: str, reached: str) -> Kind:
     if structure is None:
         raise RecordError(f"{reached} is {current!r} and has no field {name!r}")
     field = structure.field(name)
-    if field is None and name in ("sec", "nsec") and structure.has_tm:
-        return SCALARS["u32"]
+    if field is None and name in _STAMPS and structure.has_tm:
+        return SCALARS[_STAMPS[name]]
     if field is None:
         raise _no_field(structure, name, reached)
     return field.kind

@@ -1,8 +1,8 @@
 """Records to and from plain data that JSON can carry, without losing a bit of value.
 
-Non-finite floats are "NaN", "Infinity", "-Infinity"; octets base64 text; enumerations their member's name; `tm` an
-integer; arrays lists. An array of any shape and a map's values carry their type, because the record does not declare
-it.
+Non-finite floats are "NaN", "Infinity", "-Infinity"; bytes base64 text; enumerations their member's name; `tm` and a
+datetime an integer (nanoseconds); arrays lists; what is absent null. An array of any shape and a map's values carry
+their type, because the record does not declare it.
 """
 
 from __future__ import annotations
@@ -14,9 +14,21 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from aiorts.errors import RecordError
 from aiorts.types.arrays import DTYPES, ArrayKind, NDArrayKind, element_name
-from aiorts.types.kinds import SCALARS, BytesKind, EnumKind, FloatKind, Kind, shown, wrong_type, wrong_value
+from aiorts.types.kinds import (
+    SCALARS,
+    BytesKind,
+    DateTimeKind,
+    EnumKind,
+    FloatKind,
+    Kind,
+    OptionalKind,
+    datetime_ns,
+    shown,
+    wrong_type,
+    wrong_value,
+)
 from aiorts.types.nested import RecordKind
-from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
+from aiorts.types.rows import MAP_LEVELS, FixedTupleKind, MapKind, RowsKind, TupleKind, as_dict
 from aiorts.types.samples import PLAIN_TYPES, original
 from aiorts.types.structure import describe, kind_of
 
@@ -26,8 +38,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Plain = Any
-
-__all__ = ("from_plain", "to_plain")
 
 _NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
@@ -69,10 +79,12 @@ def build(cls: type, values: dict[str, Any]) -> Any:
     structure = describe(cls)
     if not structure.checked:
         for field in structure.fields:
-            if isinstance(field.kind, TupleKind) and field.kind.restore is list:
-                values[field.name] = list(values[field.name])
-            if isinstance(field.kind, MapKind):
-                values[field.name] = dict(values[field.name])
+            kind, value = field.kind, values[field.name]
+            kind = kind.inner if isinstance(kind, OptionalKind) else kind
+            if isinstance(kind, TupleKind) and kind.restore is list and value is not None:
+                values[field.name] = list(value)
+            if isinstance(kind, MapKind) and value is not None:
+                values[field.name] = as_dict(value)
     init = {field.name for field in _init_fields(cls)}
     instance = cls(**{name: value for name, value in values.items() if name in init})
     for name, value in values.items():
@@ -158,7 +170,7 @@ def _take_array(kind: Kind, plain: Plain, where: str) -> Any:
 
 
 def _put_ndarray(kind: Kind, value: Any) -> Plain:
-    """Type, shape and octets (little-endian), because nested lists forget the first two and NaN payloads."""
+    """Type, shape and bytes (little-endian), because nested lists forget the first two and NaN payloads."""
     little = value.astype(value.dtype.newbyteorder("<"), copy=False)
     return {
         "dtype": element_name(value.dtype),
@@ -193,9 +205,9 @@ def array_of(element: Any, shape: Any, data: bytes, where: str) -> Any:
         raise RecordError(f"{where}: expected a shape of lengths that are not negative, got {list(shape)}")
     expected = math.prod(shape) * int(code[1:])
     if expected != len(data) or (not expected and any(length > 2**32 for length in shape)):
-        raise RecordError(f"{where}: expected {expected} octets for {element} of shape {list(shape)}, got {len(data)}")
+        raise RecordError(f"{where}: expected {expected} bytes for {element} of shape {list(shape)}, got {len(data)}")
     if code == "b1" and data.translate(None, b"\x00\x01"):
-        raise RecordError(f"{where}: expected truth values as octets 0 and 1, got others")
+        raise RecordError(f"{where}: expected truth values as bytes 0 and 1, got others")
     if not data:
         return np.empty(shape, dtype=code)
     return np.frombuffer(data, dtype=f"<{code}").reshape(shape)
@@ -238,6 +250,8 @@ def _put_map(kind: Kind, value: Any) -> Plain:
 
 def _put_entry(entry: Any) -> Plain:
     """Scalars JSON tells apart stay as they are; all else says what it is."""
+    if hasattr(entry, "keys"):
+        return {"map": {name: _put_entry(inner) for name, inner in entry.items()}}
     if type(entry) is bytes:
         return {"bytes": _put_bytes(SCALARS["bytes"], entry)}
     if type(entry) is float and not math.isfinite(entry):
@@ -248,12 +262,20 @@ def _put_entry(entry: Any) -> Plain:
 def _take_map(kind: Kind, plain: Plain, where: str) -> Any:
     if not isinstance(plain, dict):
         raise wrong_type(where, "a mapping", plain)
-    return kind.check({name: _take_entry(entry, f"{where}[{shown(name)}]") for name, entry in plain.items()}, where)
+    return kind.check(_take_entries(plain, where, MAP_LEVELS), where)
 
 
-def _take_entry(entry: Plain, where: str) -> Any:
+def _take_entries(plain: Plain, where: str, levels: int) -> Any:
+    return {name: _take_entry(entry, f"{where}[{shown(name)}]", levels) for name, entry in plain.items()}
+
+
+def _take_entry(entry: Plain, where: str, levels: int) -> Any:
     if not isinstance(entry, dict):
         return entry
+    if set(entry) == {"map"} and isinstance(entry["map"], dict):
+        if levels == 1:
+            raise RecordError(f"{where}: expected at most {MAP_LEVELS} maps within each other, got more")
+        return _take_entries(entry["map"], where, levels - 1)
     if set(entry) == {"bytes"}:
         return _take_bytes(SCALARS["bytes"], entry["bytes"], where)
     if set(entry) == {"float"}:
@@ -263,6 +285,14 @@ def _take_entry(entry: Plain, where: str) -> Any:
 
 def _take_nested(kind: Any, plain: Plain, where: str) -> Any:
     return _take_record(kind.cls, plain, where)
+
+
+def _put_optional(kind: Any, value: Any) -> Plain:
+    return None if value is None else _put(kind.inner, value)
+
+
+def _take_optional(kind: Any, plain: Plain, where: str) -> Any:
+    return None if plain is None else _take(kind.inner, plain, where)
 
 
 _PUT: tuple[tuple[type, Callable[[Any, Any], Plain]], ...] = (
@@ -276,6 +306,8 @@ _PUT: tuple[tuple[type, Callable[[Any, Any], Plain]], ...] = (
     (TupleKind, _put_tuple),
     (FixedTupleKind, _put_fixed),
     (MapKind, _put_map),
+    (OptionalKind, _put_optional),
+    (DateTimeKind, lambda kind, value: datetime_ns(value)),
 )
 _TAKE: tuple[tuple[type, Callable[[Any, Plain, str], Any]], ...] = (
     (RecordKind, _take_nested),
@@ -288,4 +320,5 @@ _TAKE: tuple[tuple[type, Callable[[Any, Plain, str], Any]], ...] = (
     (TupleKind, _take_tuple),
     (FixedTupleKind, _take_fixed),
     (MapKind, _take_map),
+    (OptionalKind, _take_optional),
 )

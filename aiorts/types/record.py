@@ -17,16 +17,14 @@ from typing import Any, NoReturn, TypeVar, cast, dataclass_transform
 from aiorts.errors import DeclarationError, RecordError
 from aiorts.types.arrays import ArrayKind
 from aiorts.types.constructors import MISSING, Parameter, make_init
-from aiorts.types.kinds import NS_PER_SEC, Kind
+from aiorts.types.kinds import NS_PER_SEC, Kind, OptionalKind
 from aiorts.types.nested import RecordKind
 from aiorts.types.registry import register
-from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind
-from aiorts.types.structure import STRUCTURE, Field, Structure, assemble, is_class_variable, kind_of, resolve
+from aiorts.types.rows import FixedTupleKind, MapKind, RowsKind, TupleKind, as_dict
+from aiorts.types.structure import STRUCTURE, Field, Structure, assemble, is_class_variable, kind_of, resolve_own
 
 T = TypeVar("T")
 Check = Callable[[Any, str], Any]
-
-__all__ = ("Stamped", "record", "setters_of", "zero")
 
 
 class Lazy:
@@ -67,7 +65,8 @@ def record(cls: type[T]) -> type[T]:
     """Make a record type of a class with annotated fields. DeclarationError if a field cannot travel.
 
     Fields are checked when the record is built; `__post_init__` may check more. A field `tm: int` is the record's time
-    stamp: nanoseconds since the epoch, 0 <= tm < 2**32 s, also given as a Time; `sec` and `nsec` read it.
+    stamp: nanoseconds since the epoch, 0 <= tm < 2**32 s, also given as a Time; `sec` and `nsec` read it. A record that
+    has it elsewhere has a property `tm` and a method `with_tm(ns)`, which gives a copy with another one.
     """
     if "__init__" in cls.__dict__ or "__slots__" in cls.__dict__:
         raise DeclarationError(
@@ -98,7 +97,7 @@ def _inherited(cls: type) -> list[Field]:
 
 
 def _declared(cls: type) -> list[Field]:
-    hints = resolve(cls)
+    hints = resolve_own(cls)
     fields = []
     for name in inspect.get_annotations(cls):
         if is_class_variable(hints[name]):
@@ -222,6 +221,7 @@ def _methods(cls: type, fields: tuple[Field, ...]) -> dict[str, Any]:
 
 
 def _hashable(kind: Kind) -> bool:
+    kind = kind.inner if isinstance(kind, OptionalKind) else kind
     if isinstance(kind, (ArrayKind, RowsKind, MapKind)):
         return False
     if isinstance(kind, FixedTupleKind):
@@ -252,7 +252,7 @@ def _short(value: Any) -> str:
         first: Any = value[:8]
         head = [repr(item) for item in (first.tolist() if hasattr(value, "dtype") else first)]
         return f"[{', '.join(head)}{f', ... {len(value)} in all' if len(value) > 8 else ''}]"
-    text = repr(dict(value)) if type(value).__name__ == "mappingproxy" else repr(value)
+    text = repr(as_dict(value)) if type(value).__name__ == "mappingproxy" else repr(value)
     return text if len(text) <= 2000 else text[:2000] + "..."
 
 

@@ -1,27 +1,27 @@
 """Names of record types: found by short name, or by `module.Name` when two modules define the same one.
 
 A record enters when it is defined, a user's dataclass when it is first described. A name that somebody typed and
-nobody knows is looked for where plugins offer types; for a name that came in a frame nothing is imported.
+nobody knows is looked for where plugins offer types. A name that came in a frame or a file imports nothing but a class
+that a plugin declares under exactly that name, and our own records of ROS. These have no short name:
+`sensor_msgs/Imu` is the only one of its record.
 """
 
 from __future__ import annotations
 
 import difflib
-from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeVar
 
 from aiorts.errors import UnknownTypeError
-from aiorts.model.elsewhere import finder
+from aiorts.late import finder
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 T = TypeVar("T", bound=type)
 
-__all__ = ("all_types", "find_type", "full_name", "is_known", "register", "type_name", "wire_name", "wire_type")
-
 _BUILTIN = "aiorts.types."
+_ROS = f"{_BUILTIN}ros."
 _by_full_name: dict[str, type] = {}
 _by_short_name: dict[str, dict[str, type]] = {}
 _plain: dict[str, type] = {cls.__name__: cls for cls in (bool, int, float, str, bytes)}
@@ -30,10 +30,13 @@ _plain: dict[str, type] = {cls.__name__: cls for cls in (bool, int, float, str, 
 def full_name(cls: type) -> str:
     """`module.Name`.
 
-    The records that come with aiorts are all `aiorts.types.Name`. A class of a function: `module.function.Name`.
+    The records that come with aiorts are all `aiorts.types.Name`, those of ROS `package/Name`. A class of a function:
+    `module.function.Name`.
     """
     if cls in _plain.values():
         return cls.__name__
+    if cls.__module__.startswith(_ROS):
+        return f"{cls.__module__.removeprefix(_ROS)}/{cls.__qualname__}"
     qualname = cls.__qualname__.replace("<locals>.", "")
     return _BUILTIN + qualname if cls.__module__.startswith(_BUILTIN) else f"{cls.__module__}.{qualname}"
 
@@ -46,15 +49,17 @@ def register(cls: T) -> T:
     name = full_name(cls)
     if _by_full_name.get(name) is not cls:
         _by_full_name[name] = cls
-        _by_short_name.setdefault(cls.__name__, {})[name] = cls
+        if "/" not in name:
+            _by_short_name.setdefault(cls.__name__, {})[name] = cls
     return cls
 
 
 def find_type(name: str) -> type:
     """The record type (or enumeration, or bool, int, float, str, bytes) of that name.
 
-    `name` is `Name` or `module.Name`. One that no loaded module defines is loaded from the plugin that offers it.
-    UnknownTypeError with near names if there is none, with the full names if there are several.
+    `name` is `Name` or `module.Name`, or of ROS `package/Name` or `package/msg/Name`. One that no loaded module defines
+    is loaded from the plugin that offers it. UnknownTypeError with near names if there is none, with the full names if
+    there are several.
     """
     found = _known(name)
     if found is not None:
@@ -73,11 +78,18 @@ def _known(name: str) -> type | None:
         return _plain[name]
     if name in _by_full_name:
         return _by_full_name[name]
+    if isinstance(name, str) and "/" in name:
+        return _of_ros(name.replace("/msg/", "/"))
     found = _by_short_name.get(name, {})
     if len(found) > 1:
         names = " and ".join(sorted(found))
         raise UnknownTypeError(f"type {name!r} is defined more than once: {names}; write the full name")
     return next(iter(found.values()), None)
+
+
+def _of_ros(name: str) -> type | None:
+    """The record of ROS's type `package/Name`, loaded now if none was before."""
+    return _by_full_name.get(name) if name in finder("ros")(name) else None
 
 
 def is_known(name: str) -> bool:
@@ -88,17 +100,18 @@ def is_known(name: str) -> bool:
 def _hint(name: str, offered: Iterable[str]) -> str:
     if not isinstance(name, str):
         return "; a type name is text"
+    of_ros = [known for known in finder("ros")(name) if known.lower().endswith(f"/{name.lower()}")]
     lowered = {known.lower(): known for known in (*offered, *_by_short_name, *_by_full_name, *_plain)}
-    near = difflib.get_close_matches(name[:200].lower(), lowered, n=3, cutoff=0.7)
-    if near:
-        return f"; did you mean {' or '.join(lowered[match] for match in near)}?"
+    near = [lowered[match] for match in difflib.get_close_matches(name[:200].lower(), lowered, n=3, cutoff=0.7)]
+    if of_ros or near:
+        return f"; did you mean {' or '.join([*of_ros, *near][:3])}?"
     return "; import the module that defines it, or see aiorts.types.all_types()"
 
 
 def type_name(cls: type) -> str:
     """The shortest name by which `find_type` finds `cls` at present."""
     full = full_name(cls)
-    return cls.__name__ if len(_by_short_name.get(cls.__name__, ())) <= 1 else full
+    return cls.__name__ if "/" not in full and len(_by_short_name.get(cls.__name__, ())) <= 1 else full
 
 
 def all_types() -> Mapping[str, type]:
@@ -114,10 +127,23 @@ def wire_name(cls: type) -> str:
     return full_name(cls).removeprefix(_BUILTIN)
 
 
-def wire_type(name: str) -> type | None:
-    """The type a frame names, or None; what is not registered does not exist."""
-    return _plain.get(name) or _by_full_name.get(_BUILTIN + name) or _by_full_name.get(name)
+def wire_type(name: str, *, bare: bool = False) -> type | None:
+    """The type that a frame or a recording names; None if it is neither registered nor declared by a plugin.
+
+    Args:
+        bare: as lines of JSON name it: a user's type by its class name alone, too.
+
+    Raises:
+        UnknownTypeError: the plugin that declares it is broken, or a bare name is that of several types.
+    """
+    found = _named(name, bare)
+    if found is None and "/" in name:
+        return _of_ros(name)
+    if found is None and (bare or "." in name) and finder("declared types")(name):
+        found = _named(name, bare)
+    return found
 
 
-def is_enum(cls: object) -> bool:
-    return isinstance(cls, type) and issubclass(cls, Enum)
+def _named(name: str, bare: bool) -> type | None:
+    found = _plain.get(name) or _by_full_name.get(_BUILTIN + name) or _by_full_name.get(name)
+    return _known(name) if found is None and bare else found

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import is_
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 T = TypeVar("T")
-
-__all__ = ("FixedTupleKind", "MapKind", "RecordArray", "RowsKind", "TupleKind")
 
 
 class RecordArray(Sequence[T], Generic[T]):
@@ -171,9 +170,10 @@ class TupleKind(Kind):
         if text_for_text or isinstance(value, (dict, set, frozenset)) or not isinstance(value, Iterable):
             raise wrong_type(where, f"a sequence of {item.spelling}", value)
         exact, check = item.exact, item.check
-        return tuple(
+        kept = tuple(
             entry if type(entry) is exact else check(entry, f"{where}[{index}]") for index, entry in enumerate(value)
         )
+        return _same_or(value, kept)
 
     def zero(self) -> tuple[Any, ...]:
         return ()
@@ -184,6 +184,11 @@ class TupleKind(Kind):
 
     def hashed(self, value: Any) -> Any:
         return tuple(map(self.item.hashed, value))
+
+
+def _same_or(value: Any, kept: tuple[Any, ...]) -> tuple[Any, ...]:
+    """The value itself if it is a tuple of what is to be kept: then nothing need be copied."""
+    return value if type(value) is tuple and all(map(is_, value, kept)) else kept
 
 
 class FixedTupleKind(Kind):
@@ -200,7 +205,7 @@ class FixedTupleKind(Kind):
         if len(value) != len(self.items):
             raise RecordError(f"{where}: expected {len(self.items)} items, got {len(value)}")
         pairs = zip(self.items, value, strict=True)
-        return tuple(kind.check(item, f"{where}[{index}]") for index, (kind, item) in enumerate(pairs))
+        return _same_or(value, tuple(kind.check(item, f"{where}[{index}]") for index, (kind, item) in enumerate(pairs)))
 
     def zero(self) -> tuple[Any, ...]:
         return tuple(item.zero() for item in self.items)
@@ -212,25 +217,38 @@ class FixedTupleKind(Kind):
         return tuple(kind.hashed(item) for kind, item in zip(self.items, value, strict=True))
 
 
+MAP_LEVELS = 16
+"""Maps within each other, at most: far more than anybody writes, and no frame can nest without end."""
+
+
 class MapKind(Kind):
-    """Text to bool, int (64 bits), float, text, bytes or array; kept as a read-only mapping of its own."""
+    """Text to bool, int (64 bits), float, text, bytes, array or such a map; kept as read-only mappings of its own."""
 
     spelling = "map"
 
     def check(self, value: Any, where: str) -> Any:
+        return self._check(value, where, MAP_LEVELS)
+
+    def _check(self, value: Any, where: str, levels: int) -> Any:
+        if not levels:
+            raise RecordError(f"{where}: expected at most {MAP_LEVELS} maps within each other, got more")
         if not hasattr(value, "keys") or not hasattr(value, "__getitem__"):
             raise wrong_type(where, "a mapping of text to scalars or arrays", value)
         kept: dict[str, Any] = {}
         for key in value:
             name = SCALARS["str"].check(key, f"{where} key")
-            kept[name] = _entry_kind(value[key]).check(value[key], f"{where}[{shown(key)}]")
+            entry, place = value[key], f"{where}[{shown(key)}]"
+            if isinstance(entry, Mapping):
+                kept[name] = self._check(entry, place, levels - 1)
+            else:
+                kept[name] = _entry_kind(entry).check(entry, place)
         return MappingProxyType(kept)
 
     def zero(self) -> Any:
         return {}
 
     def same(self, left: Any, right: Any) -> bool:
-        return left.keys() == right.keys() and all(_same_value(left[key], right[key]) for key in left)
+        return _same_value(left, right)
 
     def hashed(self, value: Any) -> Any:
         raise TypeError("a record that holds a map cannot be hashed")
@@ -247,7 +265,15 @@ def _entry_kind(value: Any) -> Kind:
     return NDArrayKind()
 
 
+def as_dict(entries: Any) -> dict[str, Any]:
+    """A map as dictionaries that its reader may change."""
+    return {key: as_dict(entry) if isinstance(entry, Mapping) else entry for key, entry in entries.items()}
+
+
 def _same_value(left: Any, right: Any) -> bool:
+    if isinstance(left, Mapping):
+        same_keys = isinstance(right, Mapping) and left.keys() == right.keys()
+        return same_keys and all(_same_value(left[key], right[key]) for key in left)
     if type(left) is not type(right):
         return False
     if hasattr(left, "dtype"):

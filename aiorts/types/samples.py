@@ -1,34 +1,25 @@
 """What ports ask about samples: may this type travel, can this sample change, the same sample at another time.
 
-A mutable dataclass travels as a snapshot: an instance of a hidden subclass that refuses assignment and compares equal
-to the original, so that all readers can share it.
+A record was checked when it was built. Any other dataclass is looked at when it is written: a mutable one travels as an
+instance of a hidden subclass that refuses assignment and compares equal to the original, so that all readers can share
+it; a frozen one travels itself, or as a copy where a field held something that can change or had to be converted.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from types import MemberDescriptorType
+from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
+from types import MappingProxyType, MemberDescriptorType
 from typing import Any, NoReturn, TypeVar
 
 from aiorts.errors import DeclarationError, RecordError, RecordTypeError
 from aiorts.types.arrays import ArrayKind
-from aiorts.types.kinds import SCALARS, STAMP_LIMIT
-from aiorts.types.rows import RowsKind, TupleKind
-from aiorts.types.structure import Field, Structure, describe
+from aiorts.types.kinds import SCALARS, STAMP_LIMIT, IntKind, Kind, StampKind
+from aiorts.types.rows import RecordArray, RowsKind, TupleKind
+from aiorts.types.structure import STRUCTURE, Field, Structure, describe, kind_of
 
 T = TypeVar("T")
-
-__all__ = (
-    "PLAIN_TYPES",
-    "check_port_type",
-    "check_shape",
-    "frozen_class",
-    "has_tm",
-    "is_mutable",
-    "snapshot",
-    "with_tm",
-)
 
 PLAIN_TYPES: tuple[type, ...] = (bool, int, float, str, bytes)
 FROZEN_OF = "__aiorts_frozen_of__"
@@ -43,8 +34,12 @@ def check_port_type(cls: object) -> None:
     if cls in PLAIN_TYPES:
         return
     if not isinstance(cls, type) or not dataclasses.is_dataclass(cls):
+        if isinstance(cls, str):
+            raise DeclarationError(
+                f"{cls!r:.60} is text and cannot be the type of a port; give the class itself, without quotes"
+            )
         raise DeclarationError(
-            f"{getattr(cls, '__qualname__', cls)!s} cannot be the type of a port; "
+            f"{getattr(cls, '__qualname__', cls)!s:.200} cannot be the type of a port; "
             "use a record of aiorts.types, a class decorated with @record or @dataclass, or bool, int, float, str, "
             "bytes"
         )
@@ -70,28 +65,84 @@ def has_tm(cls: type) -> bool:
 
 
 def snapshot(sample: T) -> T:
-    """A deeply immutable copy of a sample of a mutable dataclass, checked as it is made; any other sample itself."""
+    """The sample as it may travel: each field is what it says, and nothing in it can change.
+
+    That is the sample itself where it is so already, else a copy of it. RecordError names the field that is not what
+    it says.
+    """
     cls = type(sample)
-    if not is_mutable(cls):
-        return sample
-    structure = describe(cls)
-    target = frozen_class(cls) if not _is_frozen(cls) else cls
-    copied: Any = object.__new__(target)
-    for field in structure.fields:
+    if cls not in _looks:
+        _looks[cls] = look_at(cls)
+    look = _looks[cls]
+    return sample if look is None else look(sample)
+
+
+_looks: dict[type, Callable[[Any], Any] | None] = {}
+
+
+def look_at(cls: type) -> Callable[[Any], Any] | None:
+    """What `snapshot` does with samples of one class; None for records and what else is as it says, and stays so.
+
+    It compares the class of each field's value, and calls the check of those fields only that are ranged or mutable.
+    """
+    if cls in PLAIN_TYPES:
+        kind, name = kind_of(cls, cls.__name__), cls.__name__
+        exact, low, high = _bounds(kind)
+        if exact is cls and low is None:
+            return None
+        return lambda sample: sample if low is not None and low <= sample <= high else kind.check(sample, name)
+    if FROZEN_OF in cls.__dict__ or describe(cls).checked:
+        return None
+    fields = describe(cls).fields
+    names = [field.name for field in fields]
+    steps = [(*_bounds(one.kind), (one.name, one.kind.check, f"{cls.__qualname__}.{one.name}")) for one in fields]
+    values_of = _values_of(names)
+    frozen = cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    target, new, store = cls if frozen else frozen_class(cls), object.__new__, object.__setattr__
+
+    def look(sample: Any) -> Any:
+        changed = {}
         try:
-            value = getattr(sample, field.name)
+            values = values_of(sample)
         except AttributeError:
+            _say_missing(sample)
+            raise
+        for value, (exact, low, high, doubtful) in zip(values, steps, strict=True):
+            if type(value) is not exact or (low is not None and not low <= value <= high):
+                name, check, where = doubtful
+                kept = check(value, where)
+                if kept is not value:
+                    changed[name] = kept
+        if frozen and not changed:
+            return sample
+        copied: Any = new(target)
+        for name, value in zip(names, values, strict=True):
+            store(copied, name, changed.get(name, value))
+        return copied
+
+    return look
+
+
+def _bounds(kind: Kind) -> tuple[type, Any, Any]:
+    """The class, and the range where there is one, of values that need no check."""
+    if isinstance(kind, IntKind):
+        return int, kind.low, kind.high
+    return (int, 0, STAMP_LIMIT - 1) if isinstance(kind, StampKind) else (kind.exact, None, None)
+
+
+def _values_of(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
+    if len(names) > 1:
+        return attrgetter(*names)
+    return lambda sample: tuple(getattr(sample, name) for name in names)
+
+
+def _say_missing(sample: Any) -> None:
+    """RecordError if a field was never set."""
+    for field in describe(type(sample)).fields:
+        if not hasattr(sample, field.name):
             raise RecordError(
-                f"{cls.__qualname__}.{field.name}: expected {field.spelling}, got nothing; set it first"
+                f"{type(sample).__qualname__}.{field.name}: expected {field.spelling}, got nothing; set it first"
             ) from None
-        if type(value) is not field.kind.exact:
-            value = field.kind.check(value, f"{cls.__qualname__}.{field.name}")
-        object.__setattr__(copied, field.name, value)
-    return copied  # type: ignore[no-any-return]
-
-
-def _is_frozen(cls: type) -> bool:
-    return bool(cls.__dataclass_params__.frozen)  # type: ignore[attr-defined]
 
 
 def frozen_class(cls: type) -> type:
@@ -109,6 +160,9 @@ def frozen_class(cls: type) -> type:
             "__setattr__": _refuse,
             "__delattr__": _refuse,
             FROZEN_OF: cls,
+            STRUCTURE: describe(
+                cls
+            ),  # described for itself it would take the place of the user's class among the types
             "__hash__": None,
             "__eq__": _equality(cls, names),
         }
@@ -160,9 +214,12 @@ def _restamper(cls: type) -> Callable[[Any, Any], Any]:
     """The copying of one class, its fields looked up once."""
     structure = describe(original(cls))
     stamp = structure.field("tm")
-    if not structure.has_tm or stamp is None:
+    if not structure.has_tm:
         raise RecordTypeError(f"{cls.__qualname__} has no time stamp; expected a type with a field tm")
-    check, where, as_time = SCALARS["stamp"].check, f"{cls.__qualname__}.tm", stamp.record
+    check, where = SCALARS["stamp"].check, f"{cls.__qualname__}.tm"
+    if stamp is None:
+        return lambda sample, tm: sample.with_tm(check(tm, where))
+    as_time = stamp.record
     store_tm = _setter(cls, "tm")
     others = tuple((field.name, _setter(cls, field.name)) for field in structure.fields if field.name != "tm")
     new = object.__new__
@@ -210,3 +267,33 @@ def _array_field(structure: Structure) -> Field:
             f"{structure.cls.__qualname__}: expected a field data or one array to check a shape on, found {found}"
         )
     return chosen[0]
+
+
+def detached(sample: T) -> T:
+    """A copy of `sample`, a record or another dataclass, that shares no array with anything its writer may have kept.
+
+    `copy.deepcopy` of a record is the record itself: right as long as its arrays are owned. Whoever looks for a writer
+    that kept a view of its own array, as the debug mode of ports does, needs a copy that really is one.
+    """
+    cls = type(sample)
+    if cls in PLAIN_TYPES:
+        return sample
+    copied: Any = object.__new__(cls)
+    for field in describe(original(cls)).fields:
+        object.__setattr__(copied, field.name, _detached_value(getattr(sample, field.name)))
+    return copied  # type: ignore[no-any-return]
+
+
+def _detached_value(value: Any) -> Any:
+    if isinstance(value, RecordArray):
+        return RecordArray(value._kind, _detached_value(value.array))  # type: ignore[attr-defined]
+    if isinstance(value, (tuple, list)):
+        return type(value)(_detached_value(item) for item in value)
+    if isinstance(value, Mapping):
+        copied = {key: _detached_value(item) for key, item in value.items()}
+        return MappingProxyType(copied) if isinstance(value, MappingProxyType) else type(value)(copied)  # type: ignore[call-arg]
+    if hasattr(value, "__array_interface__") and hasattr(value, "setflags"):
+        array = value.copy()
+        array.setflags(write=False)
+        return array
+    return detached(value) if hasattr(type(value), "__dataclass_fields__") else value

@@ -10,20 +10,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeAlias, TypeVar, overload
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence  # noqa: F401 - in the texts below
     from typing import Self
 
-    import numpy as np
+    import numpy as np  # noqa: F401
     import numpy.typing as npt
 
-    from aiorts.types.rows import RecordArray
+    from aiorts.types.rows import RecordArray  # noqa: F401
 
 T = TypeVar("T")
-
-__all__ = (
-    "Array", "Map", "MapValue", "NDArray", "Rows", "Seq", "EMPTY",
-    "char", "f32", "f64", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "wchar", "wstr",
-)  # fmt: skip
+Given = TypeVar("Given")
+Taken = TypeVar("Taken")
 
 
 class Tag(str):
@@ -46,76 +43,45 @@ char: TypeAlias = Annotated[str, Tag("char")]
 wchar: TypeAlias = Annotated[str, Tag("wchar")]
 wstr: TypeAlias = Annotated[str, Tag("str")]
 
-MapValue: TypeAlias = "bool | int | float | str | bytes | npt.ArrayLike"
+MapValue: TypeAlias = "bool | int | float | str | bytes | npt.ArrayLike | Mapping[str, MapValue]"
 
 # The default of every sequence field. Typed Any because a descriptor-typed field has no spelling for "empty" of its
 # own.
 EMPTY: Any = ()
 
 
-class Array(Generic[T]):
+class Spelled(Generic[Given, Taken]):
+    """What a field gives and takes where these differ; type checkers alone see it as a descriptor."""
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __get__(self, instance: None, owner: Any = None) -> Self: ...
+        @overload
+        def __get__(self, instance: object, owner: Any = None) -> Given: ...
+        def __get__(self, instance: object, owner: Any = None) -> Any: ...
+        def __set__(self, instance: object, value: Taken) -> None: ...
+
+
+class Array(Spelled["npt.NDArray[Any]", "npt.ArrayLike"], Generic[T]):
     """A one-dimensional number sequence.
 
-    Takes what numpy can read, gives a read-only array of exactly this element type.
+    Takes what numpy can read, gives a read-only array of exactly this element type. One that may be absent is
+    `npt.NDArray[np.float64] | None` to type checkers, which know such descriptors alone and not in a union.
     """
 
-    if TYPE_CHECKING:
 
-        @overload
-        def __get__(self, instance: None, owner: Any = None) -> Self: ...
-        @overload
-        def __get__(self, instance: object, owner: Any = None) -> npt.NDArray[Any]: ...
-        def __get__(self, instance: object, owner: Any = None) -> Any: ...
-        def __set__(self, instance: object, value: npt.ArrayLike) -> None: ...
-
-
-class NDArray:
+class NDArray(Spelled["npt.NDArray[Any]", "npt.ArrayLike"]):
     """An array of up to 8 dimensions and any allowed element type: takes an array, gives it read-only."""
 
-    if TYPE_CHECKING:
 
-        @overload
-        def __get__(self, instance: None, owner: Any = None) -> Self: ...
-        @overload
-        def __get__(self, instance: object, owner: Any = None) -> npt.NDArray[Any]: ...
-        def __get__(self, instance: object, owner: Any = None) -> Any: ...
-        def __set__(self, instance: object, value: npt.ArrayLike) -> None: ...
-
-
-class Seq(Generic[T]):
+class Seq(Spelled["Sequence[T]", "Iterable[T]"], Generic[T]):
     """A sequence of text, characters, enumeration members or records: takes any iterable, gives a tuple."""
 
-    if TYPE_CHECKING:
 
-        @overload
-        def __get__(self, instance: None, owner: Any = None) -> Self: ...
-        @overload
-        def __get__(self, instance: object, owner: Any = None) -> Sequence[T]: ...
-        def __get__(self, instance: object, owner: Any = None) -> Any: ...
-        def __set__(self, instance: object, value: Iterable[T]) -> None: ...
-
-
-class Rows(Generic[T]):
+class Rows(Spelled["RecordArray[T]", "Iterable[T] | npt.NDArray[np.generic]"], Generic[T]):
     """A sequence of records whose leaves all have one element type: takes records or an (n, k) array, gives both."""
 
-    if TYPE_CHECKING:
 
-        @overload
-        def __get__(self, instance: None, owner: Any = None) -> Self: ...
-        @overload
-        def __get__(self, instance: object, owner: Any = None) -> RecordArray[T]: ...
-        def __get__(self, instance: object, owner: Any = None) -> Any: ...
-        def __set__(self, instance: object, value: Iterable[T] | npt.NDArray[np.generic]) -> None: ...
-
-
-class Map:
-    """Text to scalar or array: takes a mapping, gives a read-only one of its own."""
-
-    if TYPE_CHECKING:
-
-        @overload
-        def __get__(self, instance: None, owner: Any = None) -> Self: ...
-        @overload
-        def __get__(self, instance: object, owner: Any = None) -> Mapping[str, Any]: ...
-        def __get__(self, instance: object, owner: Any = None) -> Any: ...
-        def __set__(self, instance: object, value: Mapping[str, MapValue]) -> None: ...
+class Map(Spelled["Mapping[str, Any]", "Mapping[str, MapValue]"]):
+    """Text to scalar, array or such a map: takes a mapping, gives a read-only one of its own."""

@@ -13,8 +13,6 @@ from aiorts.types.kinds import NS_PER_SEC, SCALARS
 from aiorts.types.record import record
 from aiorts.types.spelling import u32
 
-__all__ = ("Time",)
-
 
 @record
 class Time:

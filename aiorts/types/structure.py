@@ -6,7 +6,9 @@ is a DeclarationError that names the field and the annotation.
 
 from __future__ import annotations
 
+import builtins
 import dataclasses
+import inspect
 import sys
 import types
 import typing
@@ -15,23 +17,22 @@ from enum import Enum
 from typing import Annotated, Any, ClassVar, get_args, get_origin
 
 import aiorts.types.spelling as spelled
-from aiorts.errors import DeclarationError
+from aiorts.errors import DeclarationError, RecordError
+from aiorts.late import dataclass
 from aiorts.types.arrays import ArrayKind, NDArrayKind
-from aiorts.types.kinds import SCALARS, EnumKind, Kind
+from aiorts.types.kinds import SCALARS, DateTimeKind, EnumKind, Kind, LiteralKind, OptionalKind
 from aiorts.types.registry import register
 from aiorts.types.rows import FixedTupleKind, MapKind, TupleKind
 
 if typing.TYPE_CHECKING:
     from aiorts.types.nested import RecordKind
 
-__all__ = ("Field", "Structure", "describe", "fields_of", "is_record_type", "kind_of", "sequence_kind")
-
 MISSING: Any = dataclasses.MISSING
 NUMBERS = frozenset({*(f"{sign}{bits}" for sign in "iu" for bits in (8, 16, 32, 64)), "f32", "f64", "bool"})
 STRUCTURE = "__aiorts_structure__"
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Field:
     """One field of a record type."""
 
@@ -57,7 +58,7 @@ class Field:
         return getattr(kind, "cls", None)
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True)
 class Structure:
     """The fields of one record type, in order."""
 
@@ -70,11 +71,6 @@ class Structure:
     def field(self, name: str) -> Field | None:
         """The field of that name, or None."""
         return next((field for field in self.fields if field.name == name), None)
-
-
-def is_record_type(cls: object) -> bool:
-    """Whether `cls` is a record type or a dataclass (not whether its fields can travel)."""
-    return isinstance(cls, type) and (STRUCTURE in cls.__dict__ or "__dataclass_fields__" in dir(cls))
 
 
 _being_described: list[type] = []
@@ -122,12 +118,14 @@ def _of_dataclass(cls: type) -> Structure:
 
 def assemble(cls: type, fields: tuple[Field, ...], *, checked: bool, frozen: bool) -> Structure:
     stamped = any(field.name == "tm" and field.kind.spelling in ("stamp", "Time") for field in fields)
+    stamped = stamped or (isinstance(getattr(cls, "tm", None), property) and hasattr(cls, "with_tm"))
     mutable = not frozen or (not checked and any(holds_mutable(field.kind) for field in fields))
     return Structure(cls, fields, checked, mutable, stamped)
 
 
 def holds_mutable(kind: Kind) -> bool:
     """Whether an unchecked field of this kind may hold something that can change after the write."""
+    kind = kind.inner if isinstance(kind, OptionalKind) else kind
     if isinstance(kind, (ArrayKind, MapKind)):
         return True
     return kind.mutable
@@ -142,6 +140,16 @@ def resolve(cls: type) -> dict[str, Any]:
             f"{cls.__qualname__}: the name {error.name!r} in its annotations cannot be found; "
             "import it at run time (not under TYPE_CHECKING) and define it before this class"
         ) from None
+
+
+def resolve_own(cls: type) -> dict[str, Any]:
+    """The same of what `cls` itself annotates, and maybe more."""
+    own = inspect.get_annotations(cls)
+    known = vars(builtins) | vars(sys.modules.get(cls.__module__, builtins))
+    # Nearly always names of the module: looking them up halves the time that 101 records of ours take at the import.
+    found = {name: known.get(text) for name, text in own.items() if isinstance(text, str)}
+    plain = all(isinstance(kind, type) or get_origin(kind) is Annotated for kind in found.values())
+    return found if plain and len(found) == len(own) and "<locals>" not in cls.__qualname__ else resolve(cls)
 
 
 def _locals_of(cls: type) -> dict[str, Any] | None:
@@ -163,6 +171,7 @@ def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
     if get_origin(annotation) is Annotated:
         base, *metadata = get_args(annotation)
         tag = next((str(entry) for entry in metadata if isinstance(entry, spelled.Tag)), None)
+        _check_metadata(metadata, where, owner)
         return SCALARS[tag] if tag else kind_of(base, where, owner)
     if isinstance(annotation, typing.NewType):
         return kind_of(annotation.__supertype__, where, owner)
@@ -172,6 +181,8 @@ def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
         return SCALARS[_PLAIN[annotation]]
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         return EnumKind(register(annotation))
+    if isinstance(annotation, type) and (annotation.__module__, annotation.__name__) == ("datetime", "datetime"):
+        return _no_stamp(DateTimeKind(), where)
     if annotation in (spelled.NDArray, spelled.Map):
         return NDArrayKind() if annotation is spelled.NDArray else MapKind()
     if isinstance(annotation, type) and get_origin(annotation) is None and dataclasses.is_dataclass(annotation):
@@ -182,12 +193,36 @@ def kind_of(annotation: Any, where: str, owner: type | None = None) -> Kind:
     return generic
 
 
+def _check_metadata(metadata: list[Any], where: str, owner: type | None) -> None:
+    """DeclarationError for what `Annotated` asks for and nobody would do: not for a text, which is a note.
+
+    What other libraries put into a dataclass of the user's is theirs; a plain value such as a length is nobody's.
+    """
+    own = owner is not None and "__dataclass_fields__" not in owner.__dict__  # a record is none before it is made
+    for entry in metadata:
+        plain = type(entry).__module__ == "builtins"
+        if not isinstance(entry, str) and (own or plain):
+            shown = f"{entry!r:.60}" if plain else f"{type(entry).__qualname__}(...)"
+            raise DeclarationError(
+                f"{where}: Annotated[..., {shown}]: aiorts does not know what {shown} asks for; check a length "
+                "or a range in __post_init__, write tuple[float, float, float] for three numbers, and give a unit or a "
+                "shape to the port: InPort(..., shape=(3,))"
+            )
+
+
+_ENTRIES = {*NUMBERS, "str", "char", "wchar", "bytes"}
+
 # int is 64 bits wide because that is what travels; a bigger one is refused where the record is built
 _PLAIN: dict[Any, str] = {int: "i64", float: "f64", str: "str", bool: "bool", bytes: "bytes", bytearray: "bytes"}
 
 
 def _generic(annotation: Any, where: str, owner: type | None) -> Kind | None:
     origin, args = get_origin(annotation), get_args(annotation)
+    if origin is typing.Literal:
+        return _literal(args, where)
+    if origin in (typing.Union, types.UnionType) and len(args) == 2 and types.NoneType in args:
+        given = args[0] if args[1] is types.NoneType else args[1]
+        return _no_stamp(OptionalKind(kind_of(given, where, owner)), where)
     if origin in (spelled.Array, spelled.Seq, spelled.Rows) and args:
         kind = sequence_kind(args[0], where, owner)
         if origin is spelled.Array and not isinstance(kind, ArrayKind):
@@ -198,8 +233,49 @@ def _generic(annotation: Any, where: str, owner: type | None) -> Kind | None:
     if origin in (tuple, list, Sequence, MutableSequence) and args:
         return TupleKind(kind_of(args[0], where, owner), restore=list if origin in (list, MutableSequence) else tuple)
     if origin in (dict, Mapping, MutableMapping) and args and args[0] is str:
+        _check_entries(args[1], where, owner)
         return MapKind()
     return _numpy_array(annotation, origin, args)
+
+
+def _no_stamp(kind: Kind, where: str) -> Kind:
+    """The kind, which a field called `tm` cannot have: every tool takes that for the record's time stamp."""
+    if where.rpartition(".")[2] == "tm":
+        raise DeclarationError(
+            f"{where}: a time stamp is an int (nanoseconds) and never absent, not {kind.spelling}; annotate it int, or "
+            "call the field otherwise"
+        )
+    return kind
+
+
+def _literal(values: tuple[Any, ...], where: str) -> Kind:
+    """One kind for all values of a Literal; None among them makes it optional."""
+    choices = tuple(value for value in values if value is not None)
+    sorts = {type(value) for value in choices}
+    if len(sorts) != 1 or not sorts <= {str, int, bool}:
+        raise DeclarationError(
+            f"{where}: Literal[{', '.join(map(repr, values))}]: its values are all text, all integers or all truth "
+            "values; for others take an Enum, or two fields"
+        )
+    plain = SCALARS[_PLAIN[sorts.pop()]]
+    try:
+        kind: Kind = LiteralKind(tuple(plain.check(value, where) for value in choices), plain)
+    except RecordError as error:
+        raise DeclarationError(str(error)) from None
+    return kind if len(choices) == len(values) else OptionalKind(kind)
+
+
+def _check_entries(annotation: Any, where: str, owner: type | None) -> None:
+    """DeclarationError if a map of these values cannot travel: it has scalars, arrays and maps, told by the value."""
+    if annotation in (Any, object) or get_origin(annotation) in (typing.Union, types.UnionType):
+        return
+    kind = kind_of(annotation, where, owner)
+    item = kind.item.spelling if isinstance(kind, TupleKind) else ""
+    if not (kind.spelling in _ENTRIES or item in NUMBERS or isinstance(kind, (ArrayKind, MapKind))):
+        raise DeclarationError(
+            f"{where}: a map has bool, int, float, str, bytes, arrays and maps as its values, not {_label(annotation)};"
+            " write a record for it"
+        )
 
 
 def _numpy_array(annotation: Any, origin: Any, args: tuple[Any, ...]) -> Kind | None:
@@ -240,12 +316,13 @@ def _nested(cls: type, where: str, owner: type | None) -> RecordKind:
 def _cannot_travel(annotation: Any, where: str) -> DeclarationError:
     if get_origin(annotation) in (typing.Union, types.UnionType):
         return DeclarationError(
-            f"{where}: {_label(annotation)} has more than one type; every field travels, "
-            "so give it one type and a default"
+            f"{where}: {_label(annotation)} has more than one type; a field has one, or that and None; "
+            "for several take a field each, with None where there is nothing"
         )
     return DeclarationError(
         f"{where}: a value of type {_label(annotation)} cannot travel; use bool, int, float, str, bytes, the types of "
-        "aiorts.types (f32, u16, Array[f64], Seq[str], ...), an Enum, or another record or dataclass"
+        "aiorts.types (f32, u16, Array[f64], Seq[str], ...), an Enum, a Literal, a datetime, another record or "
+        "dataclass, or one of these and None"
     )
 
 

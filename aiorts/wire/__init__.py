@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
-from aiorts.wire.codecs import find_codec
-from aiorts.wire.limits import CONTROL, DATA, Limits
-from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
+    from aiorts.wire.codecs import find_codec
+    from aiorts.wire.limits import CONTROL, DATA, Limits
+    from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
 
 __all__ = (
     "CONTROL",
@@ -20,4 +25,14 @@ __all__ = (
     "json_text",
     "line_of",
     "split_sample",
+)
+
+_late(
+    globals(),
+    {
+        "aiorts.wire.codec": "FORMAT Codec MsgpackCodec",
+        "aiorts.wire.codecs": "find_codec",
+        "aiorts.wire.limits": "CONTROL DATA Limits",
+        "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
+    },
 )

@@ -1,7 +1,7 @@
-"""An array as one binary value: element type, number of dimensions and shape in front of its octets.
+"""An array as one binary value: element type, number of dimensions and shape in front of its bytes.
 
-Layout, little-endian: element code (1 octet), dimensions (1), six zeros, one u64 for each length, then the elements in
-C order. The head is a multiple of eight octets so that the elements are aligned in the `bytes` the parser hands over,
+Layout, little-endian: element code (1 byte), dimensions (1), six zeros, one u64 for each length, then the elements in
+C order. The head is a multiple of eight bytes so that the elements are aligned in the `bytes` the parser hands over,
 which the decoded array then uses as they are.
 """
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-__all__ = ("pack_array", "unpack_array")
 
 # Codes are part of the format: append, never renumber.
 _ELEMENTS = ("bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f16", "f32", "f64", "c64", "c128")
@@ -29,7 +28,7 @@ _LONGEST = 2**62
 
 
 def pack_array(array: npt.NDArray[np.generic]) -> bytes:
-    """The octets of a checked array (contiguous, an element type that may travel)."""
+    """The bytes of a checked array (contiguous, an element type that may travel)."""
     code = _CODES[element_name(array.dtype) or ""]
     head = _HEADS[array.ndim].pack(code, array.ndim, *array.shape)
     little = array if array.dtype.isnative and _LITTLE else array.astype(array.dtype.newbyteorder("<"))
@@ -44,7 +43,7 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
     if type(data) is not bytes:
         raise WireError(f"{where}: expected an array as binary, got {shown(data)}")
     if len(data) < 8:
-        raise WireError(f"{where}: expected the head of an array, 8 octets or more, got {len(data)}")
+        raise WireError(f"{where}: expected the head of an array, 8 bytes or more, got {len(data)}")
     code, dimensions = data[0], data[1]
     if not 1 <= code <= len(_ELEMENTS) or dimensions > MAX_DIMENSIONS or data[2:8] != b"\0\0\0\0\0\0":
         raise WireError(
@@ -53,15 +52,13 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
         )
     head = _HEADS[dimensions]
     if len(data) < head.size:
-        raise WireError(f"{where}: expected {dimensions} lengths, got {len(data) - 8} octets of them")
+        raise WireError(f"{where}: expected {dimensions} lengths, got {len(data) - 8} bytes of them")
     shape = head.unpack_from(data)[2:]
     element = _ELEMENTS[code - 1]
     dtype = DTYPES[element]
-    octets = math.prod(shape) * int(dtype[1:])
-    if octets != len(data) - head.size or any(length > _LONGEST for length in shape):
-        raise WireError(
-            f"{where}: expected {octets} octets for {element} of shape {shape}, got {len(data) - head.size}"
-        )
+    size = math.prod(shape) * int(dtype[1:])
+    if size != len(data) - head.size or any(length > _LONGEST for length in shape):
+        raise WireError(f"{where}: expected {size} bytes for {element} of shape {shape}, got {len(data) - head.size}")
     return _view(data, dtype, head.size, shape, where)
 
 
@@ -74,7 +71,7 @@ def _view(data: bytes, dtype: str, offset: int, shape: tuple[int, ...], where: s
             raise WireError(f"{where}: expected a shape that an array can have, got {shape}")
         return np.empty(shape, dtype=dtype)
     if dtype == "b1" and int(np.frombuffer(data, dtype="u1", offset=offset).max()) > 1:
-        raise WireError(f"{where}: expected truth values as octets 0 and 1, got others")
+        raise WireError(f"{where}: expected truth values as bytes 0 and 1, got others")
     return np.frombuffer(data, dtype=f"<{dtype}", offset=offset).reshape(shape)
 
 

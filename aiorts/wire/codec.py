@@ -1,7 +1,8 @@
 """Records to bytes and back: one msgpack list `[1, type name, fields]` for each record, within limits on both sides.
 
-A type name is looked up, never imported. Bytes are untrusted: whatever they are, `decode` returns a checked record or
-raises WireError, and it allocates nothing that the frame has no octets for.
+A type name is looked up, and imports nothing but the class that a plugin declares under it. Bytes are untrusted:
+whatever they are, `decode` returns a checked record or raises WireError, and it allocates nothing that the frame has no
+bytes for.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.errors import LimitError, RecordError, WireError
+from aiorts.errors import LimitError, RecordError, UnknownTypeError, WireError
 from aiorts.types.kinds import shown
 from aiorts.types.registry import wire_name, wire_type
 from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
@@ -21,8 +22,6 @@ from aiorts.wire.scan import count_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-__all__ = ("FORMAT", "Codec", "MsgpackCodec")
 
 FORMAT = 1
 
@@ -53,7 +52,7 @@ class MsgpackCodec:
 
     def __init__(self, limits: Limits = DATA) -> None:
         self.limits = limits
-        # A frame of no more octets than this cannot break any limit.
+        # A frame of no more bytes than this cannot break any limit.
         self._unchecked = min(limits.string, limits.length, limits.values, limits.frame)
         self._uncounted = min(_SHORT, limits.values)
         self._options: dict[str, Any] = {
@@ -106,14 +105,14 @@ class MsgpackCodec:
 
     def _check_size(self, frame: bytes, name: str) -> None:
         if len(frame) > self.limits.frame:
-            raise LimitError(f"{name}: a frame of {len(frame)} octets; at most {self.limits.frame} are allowed")
+            raise LimitError(f"{name}: a frame of {len(frame)} bytes; at most {self.limits.frame} are allowed")
         try:
             count_values(frame, self.limits)
         except LimitError as error:
             raise LimitError(f"{name}: {error}") from None
 
     def decode(self, data: bytes, expected: type | None = None) -> Any:
-        """The record in a frame; arrays in it use the parsed octets without another copy.
+        """The record in a frame; arrays in it use the parsed bytes without another copy.
 
         WireError if the frame is damaged, of another version, of an unknown type, or not of `expected` (or a subclass);
         LimitError, which is one, if it is larger than allowed.
@@ -132,7 +131,7 @@ class MsgpackCodec:
     def _parse(self, data: bytes) -> Any:
         limits, size = self.limits, len(data)
         if size > limits.frame:
-            raise LimitError(f"a frame of {size} octets; at most {limits.frame} are allowed")
+            raise LimitError(f"a frame of {size} bytes; at most {limits.frame} are allowed")
         if size > self._uncounted:
             count_values(data, limits)
         longest = min(limits.length, size)
@@ -148,7 +147,10 @@ class MsgpackCodec:
 
     @staticmethod
     def _form(name: str, expected: type | None) -> tuple[str, Form]:
-        cls = wire_type(name)
+        try:
+            cls = wire_type(name)
+        except UnknownTypeError as error:
+            raise WireError(str(error)) from error
         if cls is None or not (cls in PLAIN_TYPES or hasattr(cls, "__dataclass_fields__")):
             raise WireError(f"unknown type {name[:200]!r}; import the module that defines it, if it is a record")
         if expected is not None and not issubclass(cls, original(expected)):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import PluginError
-from aiorts.model.elsewhere import finder
-from aiorts.wire.codec import Codec, MsgpackCodec
+from aiorts.late import finder
 
-__all__ = ("codec_of", "find_codec")
+if TYPE_CHECKING:
+    from aiorts.wire.codec import Codec
 
 _OWN: Final = "msgpack"
 
@@ -20,6 +20,8 @@ def find_codec(name: str) -> Codec:
         PluginError: nobody offers it (near names are given), several do, it cannot be loaded, or is no codec.
     """
     if name == _OWN:
+        from aiorts.wire.codec import MsgpackCodec
+
         return MsgpackCodec()
     return codec_of(name, finder("codecs")(name))
 

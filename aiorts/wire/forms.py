@@ -1,7 +1,8 @@
 """How each kind of field lies in a frame: a pair of functions, made once for each type.
 
 Records are maps from field name to value, so that a frame says what is missing or unknown; number sequences and
-sequences of records with one element type are one binary each; enumerations are their integer, or their member's name.
+sequences of records with one element type are one binary each; enumerations are their integer, or their member's name;
+what is absent is nil, and a datetime its nanoseconds since the epoch.
 """
 
 from __future__ import annotations
@@ -13,14 +14,12 @@ from typing import Any, NamedTuple
 
 from aiorts.errors import RecordError, WireError
 from aiorts.types.arrays import ArrayKind, NDArrayKind, element_dtype
-from aiorts.types.kinds import EnumKind, Kind, shown
+from aiorts.types.kinds import DateTimeKind, EnumKind, Kind, OptionalKind, datetime_ns, shown
 from aiorts.types.nested import RecordKind
 from aiorts.types.plain import build
-from aiorts.types.rows import FixedTupleKind, MapKind, RecordArray, RowsKind, TupleKind
+from aiorts.types.rows import MAP_LEVELS, FixedTupleKind, MapKind, RecordArray, RowsKind, TupleKind
 from aiorts.types.structure import Structure, describe
 from aiorts.wire.arrays import pack_array, unpack_array
-
-__all__ = ("Form", "form_of")
 
 Put = Callable[[Any], Any]
 Take = Callable[[Any, str], Any]
@@ -204,7 +203,7 @@ def _fixed_pair(kind: FixedTupleKind) -> _Pair:
 
 
 def _map_pair(kind: MapKind) -> _Pair:
-    """Entries have no declared kind: a binary is an array, and octets are a list with the one binary in it."""
+    """Entries have no declared kind: a binary is an array, bytes are a list with the one binary in it, a map is one."""
 
     def put(entries: Any) -> Any:
         return {name: _put_entry(entry) for name, entry in entries.items()}
@@ -212,27 +211,45 @@ def _map_pair(kind: MapKind) -> _Pair:
     def take(entries: Any, where: str) -> Any:
         if type(entries) is not dict:
             raise WireError(f"{where}: expected a map, got {shown(entries)}")
-        return {name: _take_entry(entry, f"{where}[{shown(name)}]") for name, entry in entries.items()}
+        return _take_entries(entries, where, MAP_LEVELS)
 
     return put, take
+
+
+def _take_entries(entries: Any, where: str, levels: int) -> Any:
+    return {name: _take_entry(entry, f"{where}[{shown(name)}]", levels) for name, entry in entries.items()}
 
 
 def _put_entry(entry: Any) -> Any:
     if type(entry) is bytes:
         return [entry]
+    if hasattr(entry, "keys"):
+        return {name: _put_entry(inner) for name, inner in entry.items()}
     return pack_array(entry) if hasattr(entry, "dtype") else entry
 
 
-def _take_entry(entry: Any, where: str) -> Any:
+def _take_entry(entry: Any, where: str, levels: int) -> Any:
+    if type(entry) is dict:
+        if levels == 1:
+            raise WireError(f"{where}: expected at most {MAP_LEVELS} maps within each other, got more")
+        return _take_entries(entry, where, levels - 1)
     if type(entry) is bytes:
         return unpack_array(entry, where)
     if type(entry) is list:
         if len(entry) != 1 or type(entry[0]) is not bytes:
-            raise WireError(f"{where}: expected octets, got {shown(entry)}")
+            raise WireError(f"{where}: expected bytes, got {shown(entry)}")
         return entry[0]
     if type(entry) not in (bool, int, float, str):
         raise RecordError(f"{where}: expected a scalar or an array, got {shown(entry)}")
     return entry
+
+
+def _optional_pair(kind: OptionalKind) -> _Pair:
+    put, take = _pair(kind.inner)
+    return (
+        None if put is None else lambda value: None if value is None else put(value),
+        None if take is None else lambda value, where: None if value is None else take(value, where),
+    )
 
 
 _PAIRS: tuple[tuple[type, Callable[[Any], _Pair]], ...] = (
@@ -243,4 +260,6 @@ _PAIRS: tuple[tuple[type, Callable[[Any], _Pair]], ...] = (
     (TupleKind, _tuple_pair),
     (FixedTupleKind, _fixed_pair),
     (MapKind, _map_pair),
+    (OptionalKind, _optional_pair),
+    (DateTimeKind, lambda _: (datetime_ns, None)),
 )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-__all__ = ("CONTROL", "DATA", "Limits")
+from aiorts.late import dataclass
 
 KIB = 1024
 MIB = 1024 * KIB
@@ -12,7 +10,7 @@ MIB = 1024 * KIB
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Upper limits of one frame, checked by the sender too: `frame` and `string` in octets, the others in number."""
+    """Upper limits of one frame, checked by the sender too: `frame` and `string` in bytes, the others in number."""
 
     frame: int = 64 * MIB
     string: int = 1 * MIB
@@ -24,7 +22,7 @@ class Limits:
     def __post_init__(self) -> None:
         for name in ("frame", "string", "values", "length"):
             limit = getattr(self, name)
-            # Text of up to 31 octets is not measured one by one: nobody can do harm with it.
+            # Text of up to 31 bytes is not measured one by one: nobody can do harm with it.
             least = 32 if name == "string" else 1
             if type(limit) is not int or not least <= limit < 2**31:
                 raise ValueError(f"Limits.{name}: expected an integer {least}..2147483647, got {limit!r}")

@@ -1,8 +1,9 @@
 """Samples as lines of strict JSON, and back: what components read and write as Unix filters. It opens no stream.
 
 A line out: `{"port": "output0", "type": "TimedLong", "tm": 1700000000000000000, "data": 6200}`. A record whose fields
-besides `tm` are not `data` alone has an object of them as its `data`. A line in may leave out all but `data`; an
-object with the key `data` is a line, any other value is the data itself.
+besides `tm` are not `data` alone has an object of them as its `data`; where a header holds the time, both tell it, and
+a line in is believed at its `tm`. A line in may leave out all but `data`; an object with the key `data` is a line, any
+other value is the data itself.
 """
 
 from __future__ import annotations
@@ -15,10 +16,8 @@ from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 
 from aiorts.errors import RecordError
-from aiorts.types import describe, fields_of, from_plain, has_tm, to_plain, type_name
+from aiorts.types import describe, fields_of, from_plain, full_name, has_tm, to_plain, type_name, wire_type, with_tm
 from aiorts.types.samples import original
-
-__all__ = ("LineReader", "LineWriter", "json_text", "line_of", "split_sample")
 
 _KEYS: Final = ("port", "type", "tm", "data")
 _LONGEST: Final = 60
@@ -48,7 +47,9 @@ def split_sample(sample: Any) -> tuple[int | None, Any]:
     plain = to_plain(sample)
     if not isinstance(plain, dict) or not hasattr(type(sample), "__dataclass_fields__"):
         return None, plain
-    tm = plain.pop("tm") if has_tm(type(sample)) else None
+    tm = None
+    if has_tm(type(sample)):
+        tm = plain.pop("tm") if "tm" in plain else sample.tm
     return tm, plain["data"] if list(plain) == ["data"] else plain
 
 
@@ -144,7 +145,10 @@ class LineReader:
         port = plain.get("port", "")
         form = self._form(port)
         form.check_type(plain.get("type"))
-        return self._port(port), form.sample(plain["data"], plain.get("tm", now_ns))
+        sample = form.sample(plain["data"], plain.get("tm", now_ns))
+        if form.is_headed and "tm" in plain and sample.tm != plain["tm"]:
+            sample = with_tm(sample, plain["tm"])
+        return self._port(port), sample
 
     def _port(self, name: Any) -> str:
         return self._only or self._partners.get(str(name), str(name))
@@ -165,15 +169,17 @@ class _Form:
     def __init__(self, cls: type) -> None:
         self._cls = cls
         self._name = type_name(cls)
+        self._names = {self._name, full_name(cls), *([cls.__name__] if wire_type(cls.__name__) in (None, cls) else [])}
         self._bare = not hasattr(cls, "__dataclass_fields__")
         fields = [] if self._bare else [field.name for field in fields_of(cls)]
         self._timed = "tm" in fields and has_tm(cls)
+        self.is_headed = "tm" not in fields and has_tm(cls)
         self._whole = [name for name in fields if name != "tm" or not self._timed] != ["data"]
         self._number = _number_of(cls) is not None
 
     def check_type(self, name: Any) -> None:
         """RecordError when the line says it is of another type."""
-        if name is not None and name != self._name:
+        if name is not None and (type(name) is not str or name not in self._names):
             raise RecordError(f"a {_shown(name)} for a port of {self._name}; put a flexifilter between them")
 
     def sample(self, data: Any, tm: Any) -> Any:

@@ -1,7 +1,7 @@
 """Walk a msgpack frame without building anything: how many values it claims to have, and whether they can be there.
 
-A header of three octets may claim 65,535 items, and a parser that believes it allocates for them. So every claim is
-counted, and compared with the octets that are left, before the parser sees the frame. No recursion: the walk needs the
+A header of three bytes may claim 65,535 items, and a parser that believes it allocates for them. So every claim is
+counted, and compared with the bytes that are left, before the parser sees the frame. No recursion: the walk needs the
 number of values still to come, and for each open container the number at which it ends.
 """
 
@@ -14,12 +14,11 @@ from aiorts.errors import LimitError, WireError
 if TYPE_CHECKING:
     from aiorts.wire.limits import Limits
 
-__all__ = ("count_values",)
 
 # Records inside records go three or four deep; a frame that goes deeper than this is no record of anybody.
 MAX_DEPTH = 64
 
-# First octet -> octets of the whole value, for values whose size it tells; 0 for the others.
+# First byte -> bytes of the whole value, for values whose size it tells; 0 for the others.
 _FIXED = bytearray(256)
 _FIXED[0x00:0x80] = b"\x01" * 128
 _FIXED[0xE0:0x100] = b"\x01" * 32
@@ -31,10 +30,10 @@ for _first, _size in {
     _FIXED[_first] = _size
 _SIZES = bytes(_FIXED)
 
-# First octet -> values in a list or map so short that no length follows; they are most of all containers there are.
+# First byte -> values in a list or map so short that no length follows; they are most of all containers there are.
 _SMALL = bytes(128) + bytes(range(0, 32, 2)) + bytes(range(16)) + bytes(96)
 
-# First octet -> octets of the length that follows, values that each unit of the length stands for, whether it is text
+# First byte -> bytes of the length that follows, values that each unit of the length stands for, whether it is text
 _MEASURED = {
     0xC4: (1, 0, False), 0xC5: (2, 0, False), 0xC6: (4, 0, False),
     0xD9: (1, 0, True), 0xDA: (2, 0, True), 0xDB: (4, 0, True),
@@ -82,15 +81,15 @@ def count_values(frame: bytes, limits: Limits) -> int:
     except IndexError:
         pass
     if to_come:
-        raise WireError(f"the frame ends at octet {end} with {to_come} values still to come")
+        raise WireError(f"the frame ends at byte {end} with {to_come} values still to come")
     if position != end:
-        problem = "ends too early" if position > end else f"has {end - position} octets after its value"
-        raise WireError(f"the frame of {end} octets {problem}")
+        problem = "ends too early" if position > end else f"has {end - position} bytes after its value"
+        raise WireError(f"the frame of {end} bytes {problem}")
     return claimed
 
 
 def _header(frame: bytes, position: int, limits: Limits) -> tuple[int, int]:
-    """Octets to skip and values to come, for a value whose first octet does not tell its size."""
+    """Bytes to skip and values to come, for a value whose first byte does not tell its size."""
     first = frame[position]
     if 0x80 <= first < 0xA0:
         length = (first - 0x80) if first < 0x90 else first - 0x90
@@ -101,11 +100,11 @@ def _header(frame: bytes, position: int, limits: Limits) -> tuple[int, int]:
         longest = limits.length if values else limits.string if text else limits.frame
     else:
         raise WireError(
-            f"octet {position}: 0x{first:02x} begins no value that frames may have (extension types are not used)"
+            f"byte {position}: 0x{first:02x} begins no value that frames may have (extension types are not used)"
         )
     if length > longest:
-        raise LimitError(f"octet {position}: a length of {length}; at most {longest} is allowed")
+        raise LimitError(f"byte {position}: a length of {length}; at most {longest} is allowed")
     skipped = 1 + width + (0 if values else length)
     if position + skipped > len(frame):
-        raise WireError(f"octet {position}: a value of {skipped} octets does not fit into the frame of {len(frame)}")
+        raise WireError(f"byte {position}: a value of {skipped} bytes does not fit into the frame of {len(frame)}")
     return skipped, length * values

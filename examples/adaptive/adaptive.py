@@ -1,7 +1,7 @@
 """A component that opens a port when its state asks for it, and a tool that sees it at once.
 
 A gripper watches its force. As long as it holds nothing it has a force port alone; when it feels something it opens
-`slip`, and closes it again when it lets go. The tool knows nothing of grippers: it follows `kernel.watch()`, connects
+`slip`, and closes it again when it lets go. The tool knows nothing of grippers: it follows `kernel.changes()`, connects
 a display to every out-port that appears, and prints each change. Exits with 1 unless it was told of all of it.
 
 Run: python examples/adaptive/adaptive.py
@@ -51,7 +51,7 @@ class Display(Component):
 async def follow(kernel: Kernel, told: list[str]) -> None:
     """The tool: print each port that comes or goes, and show what comes."""
     displays = 0
-    async with kernel.watch() as watch:
+    async with kernel.changes() as watch:
         async for change in watch:
             if not isinstance(change, Change) or not isinstance(change.event, PortAdded | PortRemoved):
                 continue

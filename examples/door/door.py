@@ -72,7 +72,7 @@ async def main(clock: SimulatedClock) -> None:
 
 
 def show(clock: SimulatedClock, change: MachineChanged) -> None:
-    print(f"{clock.monotonic_ns() / 1e9:5.1f} s  {change.event or '(life cycle)':16} {'/'.join(change.new) or '-'}")
+    print(f"{clock.monotonic_ns() / 1e9:5.1f} s  {change.event or '(lifecycle)':16} {'/'.join(change.new) or '-'}")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""FlexiAdd: the sum of its in-ports, member by member: motor schemas, biases, fused forces.
+"""FlexiAdd: adds the samples of its in-ports, member by member: motor schemas, biases, fused forces.
 
     [components.steer]
     type = "FlexiAdd"
     params.port = "TimedVelocity2D:2"     # input0 + input1 -> output
 
-With `wait = "last"` each sample that arrives makes a sum with the last known ones of the other inputs; an input that
-has sent nothing since the activation adds nothing. With `wait = "all"` a sum takes one new sample of each input, and
-what has no partner yet waits in its connector, by that connector's own length and full policy.
+With `wait = "last"` each sample that arrives makes a sum with the last known ones of the other inputs; an input without
+a sample since the activation counts as zero. With `wait = "all"` a sum takes one new sample of each input; samples
+without a partner wait in their connectors, within each connector's length and full policy.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ from typing import Any, ClassVar
 
 from aiorts import InPort, OutPort, Param
 from aiorts.types import has_tm
-from aiorts_flexi.base import FlexiComponent
-from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
-from aiorts_flexi.ports import parse_counted
+from aiorts_flexi.common.base import FlexiComponent
+from aiorts_flexi.common.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.common.ports import parse_counted
 from aiorts_flexi.summing import Summation
-
-__all__ = ("FlexiAdd",)
 
 
 class FlexiAdd(FlexiComponent):

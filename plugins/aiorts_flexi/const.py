@@ -1,4 +1,4 @@
-"""FlexiConst: constants at a rate of its own, every so many seconds, or as fast as the readers take them.
+"""FlexiConst: sends constants at a rate of its own, every so many seconds, or as fast as the readers take them.
 
     [components.speed]
     type = "FlexiConst"
@@ -6,9 +6,9 @@
     params.constants = ['{"vx": 0.3}']
     params.rate = 20.0
 
-The rate is the component's, not its context's: samples leave in a task of its own at t0 + n / rate of the kernel's
-clock, whatever runs the component, and t0 is the activation. A moment that has passed while a reader held up the last
-sample is skipped, and how many were is said at the end.
+The rate is the component's, not its context's: samples are sent by a task of its own at t0 + n / rate of the kernel's
+clock, in any context; t0 is the activation. A moment that passes while a reader holds up the last sample is skipped,
+and the number of these is logged at the end.
 """
 
 from __future__ import annotations
@@ -21,25 +21,23 @@ from typing import Any, ClassVar, Final
 from aiorts import OutPort, Param
 from aiorts.errors import ConfigurationError, WiringError
 from aiorts.types import has_tm
-from aiorts_flexi.base import FlexiComponent
-from aiorts_flexi.constant import sample_of
-from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
-from aiorts_flexi.ports import parse_port, parse_type
-from aiorts_flexi.sending import Parcel, Sender
-
-__all__ = ("FlexiConst",)
+from aiorts_flexi.common.base import FlexiComponent
+from aiorts_flexi.common.constant import sample_of
+from aiorts_flexi.common.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.common.ports import parse_port, parse_type
+from aiorts_flexi.common.sending import Parcel, Sender
 
 _LONGEST_SLEEP_NS: Final = 1_000_000_000
-"""A change of parameters takes effect within this."""
+"""A change of parameters takes effect within this time."""
 _AT_ONCE: Final = 8
-"""Continuous samples between two turns of the loop: what a connector's buffer holds unless its user says otherwise."""
+"""Continuous samples between two turns of the loop: the default length of a connector's buffer."""
 _UNHINDERED: Final = 1024
-"""Continuous samples that nobody held up, after which a pause keeps time and everybody else moving."""
+"""Continuous samples without waiting after which a pause lets time and other components go on."""
 _PAUSE: Final = 0.001
 
 
 class Orders:
-    """What is to be sent, and how often; another object since somebody changed it."""
+    """What to send, and how often; replaced by a new object when parameters change."""
 
     __slots__ = ("parcels", "period")
 
@@ -48,13 +46,13 @@ class Orders:
         self.period = period
         """Nanoseconds from one sample to the next; None is as soon as there is room."""
 
-    def say(self, parcels: list[Parcel], period: Fraction | None) -> bool:
-        """Whether these are the same orders; samples are compared as they print, since arrays do not say."""
+    def equal(self, parcels: list[Parcel], period: Fraction | None) -> bool:
+        """Whether these are the same orders; samples are compared by `repr`, since arrays have no truth value."""
         return self.period == period and repr(self.parcels) == repr(parcels)
 
 
 class FlexiConst(FlexiComponent):
-    """Sends a constant from each of its out-ports, stamped by the kernel's clock; literals only, nothing is run.
+    """Sends a constant, given as a literal, from each of its out-ports, stamped by the kernel's clock.
 
     Constants, rate and ports may change while it runs. After `count` samples of each port it finishes.
     """
@@ -106,7 +104,7 @@ class FlexiConst(FlexiComponent):
 
     def _use(self, names: list[str], samples: list[Any], period: Fraction | None) -> None:
         parcels: list[Parcel] = [(self.out_port(name), sample) for name, sample in zip(names, samples, strict=True)]
-        if self._orders is None or not self._orders.say(parcels, period):
+        if self._orders is None or not self._orders.equal(parcels, period):
             self._orders = Orders(parcels, period)
 
     def on_initialize(self) -> None:
@@ -136,7 +134,7 @@ class FlexiConst(FlexiComponent):
     # -- what is sent ----------------------------------------------------------------------------------------------
 
     def _named(self, values: Mapping[str, Any]) -> dict[str, tuple[type, int]]:
-        """Type, and how many items its sequence has, of each port by its name."""
+        """Type and sequence length of each port by its name."""
         outputs, given = values["outputs"], values["names"]
         if not outputs:
             raise ConfigurationError(f"{self.name}.outputs: expected the type of at least one out-port")
@@ -166,7 +164,7 @@ class FlexiConst(FlexiComponent):
         ]
 
     def _period_ns(self, values: Mapping[str, Any]) -> Fraction | None:
-        """Nanoseconds from one sample to the next, exactly; None is as soon as there is room."""
+        """Nanoseconds from one sample to the next, exactly; None sends whenever there is room."""
         rate, seconds, continuous = values["rate"], values["seconds"], values["continuous"]
         if (rate is not None) + (seconds != 0.0) + continuous > 1:
             raise ConfigurationError(f"{self.name}: rate, seconds and continuous exclude each other; give one of them")
@@ -227,7 +225,7 @@ class FlexiConst(FlexiComponent):
 
 
 def _type(text: str, name: str) -> tuple[type, int]:
-    """The type of a port, and how many items its sequence must have; 0 is any number."""
+    """The type of a port, and the length its sequence must have; 0 is any."""
     if ":" not in text:
         return parse_type(text, name), 0
     spec = parse_port(text, name)

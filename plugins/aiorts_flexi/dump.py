@@ -5,7 +5,7 @@
     params.inputs = ["TimedPose2D"]
     params.names = ["pose"]
 
-Every sample is taken; with `rate_limit` some are not shown, and how many is said at the end.
+Every sample is read; with `rate_limit` some are not printed, and their number is logged at the end.
 """
 
 from __future__ import annotations
@@ -17,19 +17,17 @@ from aiorts import InPort, Param
 from aiorts.errors import ConfigurationError, InvalidNameError, RecordError
 from aiorts.system import LineStream
 from aiorts.types import has_tm, path_type, type_name
-from aiorts_flexi.base import FlexiComponent
-from aiorts_flexi.options import TYPE_MODULES, Option
-from aiorts_flexi.ports import named_types
-from aiorts_flexi.text import FORMATS, full_path, line_of, news_of
-
-__all__ = ("FlexiDump",)
+from aiorts_flexi.common.base import FlexiComponent
+from aiorts_flexi.common.options import TYPE_MODULES, Option
+from aiorts_flexi.common.ports import named_types
+from aiorts_flexi.common.text import FORMATS, full_path, line_of, news_of
 
 
 class FlexiDump(FlexiComponent):
     """Prints the samples of its in-ports, `input0..` or named by `names`, to standard output.
 
-    Where standard output takes no more it waits, and with it the other members of its context, nobody else; when who
-    reads it has gone, it goes to error with BrokenPipeError.
+    While standard output takes no more, it waits, and with it the other members of its context, but no other context;
+    when the reader of standard output has gone, it goes to error with BrokenPipeError.
     """
 
     inputs: tuple[str, ...] = Param((), type=tuple[str, ...], doc="types of the in-ports")
@@ -61,7 +59,7 @@ class FlexiDump(FlexiComponent):
     def __init__(self, name: str = "") -> None:
         super().__init__(name)
         self._stream = LineStream()
-        self._shown_last: dict[str, int] = {}
+        self._printed_last: dict[str, int] = {}
         self._hidden = 0
 
     def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any]]:
@@ -77,7 +75,7 @@ class FlexiDump(FlexiComponent):
         return InPort(cls)
 
     def on_activated(self) -> None:
-        self._shown_last.clear()
+        self._printed_last.clear()
         self._hidden = 0
 
     async def on_execute(self) -> None:
@@ -105,10 +103,10 @@ class FlexiDump(FlexiComponent):
             return True
         by_sample = self.rate_clock == "tm" and has_tm(type(sample))
         now = int(sample.tm) if by_sample else self.clock.monotonic_ns()
-        last = self._shown_last.get(port)
+        last = self._printed_last.get(port)
         # A time that jumps back begins anew: a recording may be played twice.
         if last is not None and 0 <= now - last < 1e9 / self.rate_limit:
             self._hidden += 1
             return False
-        self._shown_last[port] = now
+        self._printed_last[port] = now
         return True

@@ -1,10 +1,10 @@
-"""FlexiDupe: every sample of an in-port to each of its out-ports, as it is.
+"""FlexiDupe: copies every sample of an in-port to each of its out-ports, unchanged.
 
     [components.twice]
     type = "FlexiDupe"
     params.inputs = ["TimedDouble:2", "TimedPose2D:3"]    # input0 to output0_0 and output0_1, input1 to ...
 
-An out-port can have many connectors, so a component that only copies is for those who want ports to connect by name.
+An out-port can have many connectors; this component is for systems that connect ports by their names.
 """
 
 from __future__ import annotations
@@ -15,19 +15,17 @@ from typing import Any, ClassVar
 
 from aiorts import InPort, OutPort, Param
 from aiorts.errors import ConfigurationError
-from aiorts_flexi.base import FlexiComponent
-from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
-from aiorts_flexi.ports import parse_counted
-from aiorts_flexi.sending import Parcel, Sender
-
-__all__ = ("FlexiDupe",)
+from aiorts_flexi.common.base import FlexiComponent
+from aiorts_flexi.common.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.common.ports import parse_counted
+from aiorts_flexi.common.sending import Parcel, Sender
 
 
 class FlexiDupe(FlexiComponent):
     """Copies each sample of `input0` to `output0_0`, `output0_1`, ..., of `input1` to `output1_0`, ...
 
-    A reader with full = block holds up the others no longer than a write to it lasts: all get a sample at once that
-    have room, the others are waited for together.
+    A reader with full = block delays the others no longer than one write to it lasts: readers with room get a sample at
+    once, the others are waited for together.
     """
 
     inputs: tuple[str, ...] = Param(

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Final
 
 from aiorts_flexi.add import FlexiAdd
-from aiorts_flexi.base import FlexiComponent
+from aiorts_flexi.common.base import FlexiComponent
 from aiorts_flexi.const import FlexiConst
 from aiorts_flexi.dump import FlexiDump
 from aiorts_flexi.dupe import FlexiDupe
-from aiorts_flexi.filter import FlexiFilter
-from aiorts_flexi.logger import FlexiLogger
+from aiorts_flexi.mapping.filter import FlexiFilter
+from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_flexi.select import FlexiSelect
-
-__all__ = ("COMPONENTS", "TARGET", "render")
 
 COMPONENTS: Final[tuple[type[FlexiComponent], ...]] = (
     FlexiConst,
@@ -39,7 +37,8 @@ As Unix filters they read and write lines that name a port. A line for a filter 
 whatever port it names; else a line of `output1` is for `input1` where there is no in-port `output1`, so that
 filters with several ports stand in a pipe without being told their names. Any other name is refused.
 A line that is no sample of its port, or that FlexiFilter cannot convert, is reported with its number and left out, and
-the status is 1 at the end. What another component cannot use (a sum out of range, say) puts it into error and ends it.
+the status is 1 at the end. What another component cannot use (a sum out of range, say) puts it into error and ends it,
+with status 3.
 
 | Component | In short | Ports |
 |---|---|---|

@@ -1,14 +1,14 @@
-"""FlexiSelect: one of several in-ports goes on, and another in-port says which.
+"""FlexiSelect: passes on one of several in-ports, which another in-port selects.
 
     [components.switch]
     type = "FlexiSelect"
     params.port = "TimedVelocity2D:2"        # input0, input1 -> output
     params.selection_type = "TimedBoolean"   # the type of `selection`: any integer or truth value
 
-Which selection is in force for a sample: with `order = "cycle"` every selection that has arrived is applied before any
-sample of the same cycle is looked at, so the last one decides for all of them. With `order = "tm"` the samples and
-selections of a cycle are taken in the order of their time stamps, a selection before the samples of its own moment.
-Samples of inputs that are not selected are taken and dropped in every cycle, so nothing old is left to come out later.
+With `order = "cycle"` every selection that has arrived is applied before any sample of the same cycle, so the last one
+decides for all of them. With `order = "tm"` the samples and selections of a cycle are taken in the order of their time
+stamps, a selection before the samples of its own moment. Samples of inputs that are not selected are read and dropped
+in every cycle, so that no old sample is sent later.
 """
 
 from __future__ import annotations
@@ -19,11 +19,9 @@ from typing import Any, ClassVar
 from aiorts import InPort, OutPort, Param
 from aiorts.errors import AiortsError, ConfigurationError, ConversionError
 from aiorts.types import convert, has_tm, type_name
-from aiorts_flexi.base import FlexiComponent
-from aiorts_flexi.options import TYPE_MODULES, VERBOSITY, Option
-from aiorts_flexi.ports import PortSpec, parse_counted, parse_port
-
-__all__ = ("FlexiSelect", "SelectionError")
+from aiorts_flexi.common.base import FlexiComponent
+from aiorts_flexi.common.options import TYPE_MODULES, VERBOSITY, Option
+from aiorts_flexi.common.ports import PortSpec, parse_counted, parse_port
 
 _SELECTING = ("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "bool")
 _NONE = -1
@@ -38,8 +36,8 @@ class SelectionError(AiortsError, LookupError):
 class FlexiSelect(FlexiComponent):
     """Sends the samples of the selected one of `input0`, ... from `output`, unchanged.
 
-    The selection lasts: after a reset or a new activation the last valid one is in force. Inputs may come and go while
-    it runs; when the selected one goes, `initial` is selected.
+    The selection lasts: after a reset or a new activation the last valid one is in force. Inputs may be added and
+    removed while it runs; when the selected one is removed, `initial` is selected.
     """
 
     port = Param("", doc="TYPE:N, the type and how many in-ports to select from")
@@ -93,7 +91,7 @@ class FlexiSelect(FlexiComponent):
         cls, count = parse_counted(values["port"], "port")
         text, initial = values["selection_type"], values["initial"]
         spec = parse_port(text, "selection_type")
-        if spec.form != "scalar" or spec.element not in _SELECTING:
+        if spec.shape != "scalar" or spec.element not in _SELECTING:
             raise ConfigurationError(
                 f"{self.name}.selection_type = {text!r}: expected an integer or a truth value "
                 "such as TimedShort, TimedBoolean or int"
@@ -114,7 +112,7 @@ class FlexiSelect(FlexiComponent):
             self._chosen = self.initial
 
     async def on_activated(self) -> None:
-        await self._tell()
+        await self._report()
 
     async def on_execute(self) -> None:
         refused: SelectionError | None = None
@@ -126,14 +124,14 @@ class FlexiSelect(FlexiComponent):
                     refused = refused or error  # good samples are sent first: they were taken, and would be lost
                     continue
                 if changed:
-                    await self._tell()
+                    await self._report()
             elif number == self._chosen:
                 await self._output.write(sample)
         if refused is not None:
             raise refused
 
     def _arrivals(self) -> Iterator[tuple[int, Any]]:
-        """What has come in this cycle, selections as number -1, in the order in which it counts."""
+        """The samples of this cycle in the order that counts, selections as number -1."""
         found = [(_NONE, sample) for sample in self._selecting.drain()]
         for number, port in enumerate(self._inputs):
             found += [(number, sample) for sample in port.drain()]
@@ -142,7 +140,7 @@ class FlexiSelect(FlexiComponent):
         return iter(found)
 
     def _select(self, value: int) -> bool:
-        """Put a selection in force, or refuse it and leave the old one; whether anything changed."""
+        """Apply a selection, or refuse it and keep the old one; returns whether anything changed."""
         number, before = int(value), self._chosen
         if 0 <= number < len(self._inputs):
             self._chosen, self._initial = number, False
@@ -159,7 +157,7 @@ class FlexiSelect(FlexiComponent):
             self.log.warning("selection %d is not in 0..%d; the last one is held", number, len(self._inputs) - 1)
         return self._chosen != before
 
-    async def _tell(self) -> None:
+    async def _report(self) -> None:
         port = self._selected
         if port is None or self._chosen < 0:
             return

@@ -1,8 +1,8 @@
-"""The sum of samples of one type, member by member; made once for a type, it never waits and keeps no samples.
+"""Adds samples of one type, member by member; made once for a type, it never waits and keeps no samples.
 
-Integers are added exactly and only then compared with what their field holds, floats in the order of the inputs. Two
-sequences are added item by item and must be of one length. What has no sum (text, truth values, characters,
-enumerations, maps, arrays of any shape) is refused when the type becomes known, not when a sample arrives.
+Integers are added exactly and then compared with the limits of their field, floats in the order of the inputs. Two
+sequences are added item by item and must have one length. Members without a sum (text, truth values, characters,
+enumerations, maps, arrays of any shape) are refused when the type becomes known, not when a sample arrives.
 """
 
 from __future__ import annotations
@@ -14,20 +14,18 @@ from typing import Any, Final, TypeAlias
 from aiorts.errors import ConfigurationError, ConversionError
 from aiorts.types import Field, convert, describe, has_tm
 
-__all__ = ("Summation",)
-
 _LARGEST: Final = math.nextafter(math.inf, 0.0)
 _INTEGERS: Final = ("i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64")
 _FLOATS: Final = ("f32", "f64")
 _WIDE: Final = ("i64", "u64")
-"""Integers whose sum may not fit the widest that an array can hold."""
+"""Integers whose sum may exceed the widest integer of an array."""
 _PLAIN: Final[dict[type, str]] = {int: "i64", float: "f64"}
 _REASONS: Final = {
     "bool": "truth values have no sum; convert them to integers with a FlexiFilter",
     "str": "texts have no sum",
     "char": "characters have no sum",
     "wchar": "characters have no sum",
-    "bytes": "octets of no fixed meaning have no sum",
+    "bytes": "bytes of no fixed meaning have no sum",
     "map": "the entries of a map have no fixed type",
     "ndarray": "an array of any shape and type has no fixed sum",
     "stamp": "times have no sum",
@@ -38,9 +36,9 @@ Adder: TypeAlias = Callable[[Sequence[Any], Sequence[str], str], Any]
 
 
 class Summation:
-    """Sums of samples of `cls` under an overflow policy: "error", "saturate" or "wrap".
+    """Adds samples of `cls` under an overflow policy: "error", "saturate" or "wrap".
 
-    Raises ConfigurationError, naming the field, for a type with a member that has no sum.
+    Raises ConfigurationError, with the field, for a type with a member that has no sum.
     """
 
     def __init__(self, cls: type[Any], overflow: str) -> None:
@@ -61,7 +59,7 @@ class Summation:
         """The sum of these samples, of the inputs with these names, stamped `tm` where the type has a time.
 
         Raises:
-            ConversionError: two sequences differ in length, or the sum is more than the field holds; names the field.
+            ConversionError: two sequences differ in length, or the field cannot hold the sum; the field is named.
         """
         if self._add is not None:
             return self._add(samples, names, self._cls.__name__)

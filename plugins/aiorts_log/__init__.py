@@ -1,22 +1,47 @@
-"""Recordings: ports written into an MCAP file by a thread of their own, read back in order, salvaged when damaged."""
+"""Recordings: ports written into an MCAP file by a thread of their own, read in order, replayed, salvaged when damaged.
+
+`mcap/` reads and writes the file format, `text/` the text formats; `recorder/` writes while a system runs, `playing/`
+replays; `analysis/` converts, compares and draws; `foreign/` imports recordings of other systems; `commands/` is
+`aiorts log`.
+"""
 
 from __future__ import annotations
 
-from aiorts_log.errors import DamagedError, RecordingError
-from aiorts_log.info import RecordingInfo, info_of
-from aiorts_log.opening import Recording, open_recording
-from aiorts_log.options import RecordingOptions, RecordingStatistics
-from aiorts_log.reader import RecordedPort, RecordedSample, RecordingReader
-from aiorts_log.salvage import SalvageReport, salvage
-from aiorts_log.source import Limits
-from aiorts_log.survey import Gap
-from aiorts_log.text_form import TextReader, TextWriter
-from aiorts_log.writer import RecordingWriter
+from typing import TYPE_CHECKING
+
+from aiorts.late import late
+
+if TYPE_CHECKING:
+    from aiorts_log.analysis.info import RecordingInfo, info_of
+    from aiorts_log.commands.moment import moment_ns
+    from aiorts_log.errors import DamagedError, RecordingError
+    from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, RecordingReader
+    from aiorts_log.mcap.salvage import SalvageReport, salvage
+    from aiorts_log.mcap.source import Limits
+    from aiorts_log.mcap.survey import MISSED, Gap
+    from aiorts_log.playing.player import Player, Playing
+    from aiorts_log.playing.read_ahead import Reading
+    from aiorts_log.playing.schedule import Pace
+    from aiorts_log.recorder.about import about_system
+    from aiorts_log.recorder.control import BackgroundRecording, MakeWriter, Notice
+    from aiorts_log.recorder.options import RecordingOptions, RecordingStatistics
+    from aiorts_log.recorder.target import check_parts, check_target
+    from aiorts_log.recorder.writer import RecordingWriter
+    from aiorts_log.text.opening import open_recording
+    from aiorts_log.text.text_format import TextReader, TextWriter
 
 __all__ = (
+    "BackgroundRecording",
     "DamagedError",
     "Gap",
     "Limits",
+    "MISSED",
+    "MakeWriter",
+    "Notice",
+    "Pace",
+    "Player",
+    "Playing",
+    "Reading",
     "RecordedPort",
     "RecordedSample",
     "Recording",
@@ -29,7 +54,34 @@ __all__ = (
     "SalvageReport",
     "TextReader",
     "TextWriter",
+    "about_system",
+    "check_parts",
+    "check_target",
     "info_of",
+    "moment_ns",
     "open_recording",
     "salvage",
+)
+
+late(
+    globals(),
+    {
+        "aiorts_log.analysis.info": "RecordingInfo info_of",
+        "aiorts_log.commands.moment": "moment_ns",
+        "aiorts_log.errors": "DamagedError RecordingError",
+        "aiorts_log.mcap.reader": "RecordedPort RecordedSample Recording RecordingReader",
+        "aiorts_log.mcap.salvage": "SalvageReport salvage",
+        "aiorts_log.mcap.source": "Limits",
+        "aiorts_log.mcap.survey": "Gap MISSED",
+        "aiorts_log.playing.player": "Player Playing",
+        "aiorts_log.playing.read_ahead": "Reading",
+        "aiorts_log.playing.schedule": "Pace",
+        "aiorts_log.recorder.about": "about_system",
+        "aiorts_log.recorder.control": "BackgroundRecording MakeWriter Notice",
+        "aiorts_log.recorder.options": "RecordingOptions RecordingStatistics",
+        "aiorts_log.recorder.target": "check_parts check_target",
+        "aiorts_log.recorder.writer": "RecordingWriter",
+        "aiorts_log.text.opening": "open_recording",
+        "aiorts_log.text.text_format": "TextReader TextWriter",
+    },
 )

@@ -1,27 +1,25 @@
-"""What can be wrong with a recording: it cannot be had, or what stands in it is damaged."""
+"""The errors of recordings."""
 
 from __future__ import annotations
 
 from aiorts.errors import AiortsError
 
-__all__ = ("DamagedError", "RecordingError", "UnwrittenError")
-
 
 class RecordingError(AiortsError, ValueError):
-    """A recording cannot be read, made or continued: names the file, says why and what to do."""
+    """A recording cannot be read, made or continued. The message names the file, the reason and what to do."""
 
     code = "E-RECORDING"
 
 
 class UnwrittenError(RecordingError):
-    """What was to be written could not be, and is not there: the disk is full, or it failed."""
+    """Output could not be written and is not there: the disk is full, or it failed."""
 
 
 class DamagedError(RecordingError):
-    """Octets of a recording are not what was written.
+    """Bytes of a recording are not those that were written.
 
     Attributes:
-        offset: where in the file, in octets.
+        offset: where in the file, in bytes.
     """
 
     code = "E-DAMAGED"

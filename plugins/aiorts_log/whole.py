@@ -1,6 +1,6 @@
-"""Files that are made whole or not at all: written under another name beside the target, renamed when they are done.
+"""Writes files whole or not at all: under another name beside the target, renamed when they are complete.
 
-Whatever ends the work before, Ctrl-C among it, leaves neither a half file nor a changed one.
+An interruption, such as Ctrl-C, leaves neither half a file nor a changed one.
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ from pathlib import Path
 
 from aiorts_log.errors import RecordingError, UnwrittenError
 
-__all__ = ("check_target", "whole_file", "whole_folder")
-
 
 def check_target(target: Path, sources: Iterable[Path], overwrite: bool) -> None:
-    """Refuse a target before any work is done.
+    """Refuse a target that cannot be written, before any work is done.
 
     Raises:
         RecordingError: it is one of the sources, is there and not to be replaced, is no file, or its folder is not.
@@ -28,7 +26,7 @@ def check_target(target: Path, sources: Iterable[Path], overwrite: bool) -> None
                 raise RecordingError(f"{target}: is the recording that is read; name another file")
     if target.is_symlink() or target.exists():
         if not overwrite:
-            raise RecordingError(f"{target}: is there already; --overwrite replaces it, or name another file")
+            raise RecordingError(f"{target}: exists already; --overwrite replaces it, or name another file")
         if not target.is_file():
             raise RecordingError(f"{target}: is no regular file and is not replaced; name another file")
     if not target.absolute().parent.is_dir():
@@ -37,7 +35,7 @@ def check_target(target: Path, sources: Iterable[Path], overwrite: bool) -> None
 
 @contextlib.contextmanager
 def whole_file(target: Path, sources: Iterable[Path] = (), overwrite: bool = False) -> Iterator[Path]:
-    """The name under which to write what is to become `target` when the block ends well.
+    """Give the name to write to, and rename that file to `target` when the block ends without an error.
 
     Raises:
         RecordingError: as `check_target`; or it could not be written.
@@ -60,7 +58,9 @@ def whole_file(target: Path, sources: Iterable[Path] = (), overwrite: bool = Fal
 
 @contextlib.contextmanager
 def whole_folder(target: Path, sources: Iterable[Path] = ()) -> Iterator[Path]:
-    """The same for a folder, which is never replaced."""
+    """Do the same for a folder, which is never replaced."""
+    if target.is_symlink() or target.exists():
+        raise RecordingError(f"{target}: exists already, and a folder is not replaced; name another one")
     check_target(target, sources, overwrite=False)
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
@@ -86,8 +86,8 @@ def _rename(part: Path, target: Path, overwrite: bool) -> None:
         part.replace(target)
         return
     try:
-        os.link(part, target)  # refused when something is there by now, which a rename would replace
+        os.link(part, target)  # refused when something exists by now, which a rename would replace
     except FileExistsError:
-        raise RecordingError(f"{target}: is there by now; --overwrite replaces it, or name another file") from None
+        raise RecordingError(f"{target}: exists by now; --overwrite replaces it, or name another file") from None
     except OSError:
         part.rename(target)  # a file system without links

@@ -16,48 +16,73 @@ TESTS = Path(__file__).parents[1]
 
 GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
-        "aiorts.kernel.life",
+        "aiorts.kernel.execution.cycle",
         "",
         "One cycle has three passes",
-        ("kernel/test_failing_hooks.py::test_all_twelve_hooks_run_in_their_order_and_are_announced_before_and_after",),
+        (
+            "execution/test_failing_hooks.py::test_all_twelve_hooks_run_in_their_order_and_are_announced_before_and_after",
+        ),
     ),
     (
-        "aiorts.kernel.life",
+        "aiorts.kernel.execution.cycle",
         "",
         "Requests and failures are actions; they run between cycles, in the order they came.",
-        ("kernel/test_reentrant_requests.py::test_request_from_a_hook_is_queued_and_done_within_a_period",),
+        ("execution/test_reentrant_requests.py::test_request_from_a_hook_is_queued_and_done_within_a_period",),
     ),
     (
-        "aiorts.kernel.bulkhead",
+        "aiorts.kernel.execution.task_driver",
         "",
         "one that ignores them all is left behind with its task, and the context goes on",
         (
-            "kernel/test_stuck_hooks.py::"
+            "execution/test_hook_timeout.py::"
             "test_hook_over_its_deadline_is_cancelled_each_half_second_then_abandoned_and_the_neighbour_runs_on",
         ),
     ),
     (
-        "aiorts.kernel.kernel",
-        "Kernel.aclose",
-        "each in reverse order, within 5 s; idempotent",
+        "aiorts.kernel.execution.task_driver",
+        "",
+        "One that blocks is judged when it returns.",
         (
-            "kernel/test_stuck_hooks.py::test_kernel_with_many_stuck_components_in_several_contexts_closes_within_five_seconds",
+            "supervision/test_blocking_hooks.py::"
+            "test_a_hook_that_blocks_longer_than_its_deadline_is_an_error_when_it_returns",
         ),
     ),
     (
-        "aiorts.kernel.kernel",
-        "Kernel.aclose",
+        "aiorts.kernel.execution.context",
+        "Context",
+        "On a simulated clock code that blocks takes no time.",
+        ("supervision/test_blocking_hooks.py::test_code_that_blocks_takes_no_time_of_a_simulated_clock",),
+    ),
+    (
+        "aiorts.kernel.microkernel",
+        "Microkernel.start",
+        "a hook did not return within `timeout` seconds; the context runs all the same",
+        ("supervision/test_blocking_hooks.py::test_a_start_is_bounded_where_an_activation_hangs",),
+    ),
+    (
+        "aiorts.kernel.microkernel",
+        "Microkernel.aclose",
+        "each in reverse order, within 5 s; idempotent",
+        (
+            "execution/test_hook_timeout.py::test_kernel_with_many_stuck_components_in_several_contexts_closes_within_five_seconds",
+        ),
+    ),
+    (
+        "aiorts.kernel.microkernel",
+        "Microkernel.aclose",
         "A caller that is cancelled is cancelled when all is closed.",
         (
-            "kernel/test_reentrant_requests.py::"
+            "execution/test_reentrant_requests.py::"
             "test_host_cancelled_in_the_body_closes_the_kernel_properly_however_often_it_is_cancelled",
         ),
     ),
     (
-        "aiorts.kernel.kernel",
-        "Kernel.start",
+        "aiorts.kernel.microkernel",
+        "Microkernel.start",
         "A caller that is cancelled leaves no context behind.",
-        ("kernel/test_reentrant_requests.py::test_caller_cancelled_at_any_moment_leaves_a_whole_system_that_goes_on",),
+        (
+            "execution/test_reentrant_requests.py::test_caller_cancelled_at_any_moment_leaves_a_whole_system_that_goes_on",
+        ),
     ),
     (
         "aiorts.kernel.component",
@@ -78,27 +103,27 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
         "aiorts.kernel.embedding",
         "",
         "A marked task that fails and whose exception nobody has asked for half a second later is that component's",
-        ("kernel/test_own_tasks.py::test_failure_of_a_task_is_attributed_within_a_second_a_hundred_times",),
+        ("loop/test_own_tasks.py::test_failure_of_a_task_is_attributed_within_a_second_a_hundred_times",),
     ),
     (
-        "aiorts.kernel.gate",
+        "aiorts.kernel.execution.entry_lock",
         "",
         "A component in several contexts is entered by one at a time, in the order they came.",
         (
-            "kernel/test_reentrant_requests.py::"
+            "execution/test_reentrant_requests.py::"
             "test_component_in_two_contexts_is_never_entered_twice_even_when_it_joins_the_second_in_mid_hook",
         ),
     ),
     (
-        "aiorts.kernel.log",
+        "aiorts.kernel.loop.log",
         "",
         "nothing is lost in silence: calls = lines + repeated + dropped",
         (
-            "kernel/test_log_storm.py::test_thousand_components_that_fail_at_once_are_a_thousand_lines_at_most_then_a_summary",
+            "loop/test_log_storm.py::test_thousand_components_that_fail_at_once_are_a_thousand_lines_at_most_then_a_summary",
         ),
     ),
     (
-        "aiorts.kernel.hooks",
+        "aiorts.kernel.execution.hooks",
         "",
         "Anything else is refused here, with class and hook named, not when it first runs.",
         ("kernel/test_declarations.py::test_hook_of_a_wrong_kind_or_signature_is_refused_when_the_class_is_made",),
@@ -108,7 +133,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
         "Configuration",
         "refused whole, with ConfigurationError, when any of its values is bad",
         (
-            "configuration/test_sets.py::"
+            "kernel/test_configuring.py::"
             "test_of_a_thousand_changes_good_and_bad_while_hooks_run_none_is_ever_half_done",
             "configuration/test_configuration_model.py::test_a_component_is_what_the_model_says_after_any_changes",
         ),
@@ -118,7 +143,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
         "",
         "A component that is active nowhere is changed at once.",
         (
-            "configuration/test_sets.py::"
+            "kernel/test_configuring.py::"
             "test_an_inactive_component_is_changed_at_once_though_its_neighbour_holds_the_cycle",
         ),
     ),
@@ -126,24 +151,24 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
         "aiorts.kernel.port_groups",
         "",
         "A port that stays is not touched: it keeps its connectors and its unread samples.",
-        ("configuration/test_port_groups.py::test_no_sample_is_lost_on_a_connector_that_stays",),
+        ("kernel/test_port_groups.py::test_no_sample_is_lost_on_a_connector_that_stays",),
     ),
     (
-        "aiorts.kernel.configuration_files",
-        "ConfigurationFiles.load_configuration",
+        "aiorts.assembly",
+        "Kernel.load_configuration",
         "of every component in it, or of none when anything is wrong",
         (
-            "configuration/test_files.py::test_a_wrong_file_is_refused_with_its_place_and_nothing_changes",
-            "configuration/test_files.py::test_when_the_last_component_refuses_what_the_first_took_is_taken_back",
+            "configuration/test_configuration_files.py::test_a_wrong_file_is_refused_with_its_place_and_nothing_changes",
+            "configuration/test_configuration_files.py::test_when_the_last_component_refuses_what_the_first_took_is_taken_back",
         ),
     ),
     (
-        "aiorts.kernel.safe_files",
+        "aiorts.configuration.safe_files",
         "",
-        "whoever looks finds the old text or the new, never a part",
+        "a reader gets the old text or the new, never a part",
         (
-            "configuration/test_files.py::test_a_process_that_is_killed_while_it_saves_leaves_a_whole_file",
-            "configuration/test_files.py::test_a_disk_that_fails_leaves_the_old_file",
+            "configuration/test_configuration_files.py::test_a_process_that_is_killed_while_it_saves_leaves_a_whole_file",
+            "configuration/test_configuration_files.py::test_a_disk_that_fails_leaves_the_old_file",
         ),
     ),
 ]

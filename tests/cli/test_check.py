@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from aiorts.cli.app import run_command
+from aiorts.cli.console.report import LONGEST
 from system_parts import CHAIN, PARTS
 
 ROOT = Path(__file__).parents[2]
@@ -80,7 +81,7 @@ def test_the_exit_status_tells(
 def test_of_several_files_each_is_told_of(write: Callable[..., str], capsys: Out) -> None:
     assert run_command(["check", "-q", write(CHAIN, "a.toml"), write(WRONG, "b.toml"), "missing.toml"]) == 2
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "a.toml: nothing to say, it can run"
+    assert lines[0] == "a.toml: no findings, it can run"
     assert "b.toml: 1 error, 1 warning" in lines
     assert lines[-2].startswith("aiorts: E-SYSTEM: missing.toml: cannot be read: No such file or directory")
 
@@ -100,9 +101,27 @@ def test_json_is_one_object_for_each_file(write: Callable[..., str], capsys: Out
         "where": "connections[1]",
         "cause": "unknown option 'lenght'",
         "remedy": "did you mean 'length'?",
-        "suggestion": "",
+        "suggestion": "length",
     }
     assert (second["findings"][0]["line"], third["findings"][0]["line"]) == (1, 0)
+
+
+def test_a_suggestion_is_text_that_can_stand_in_the_place_or_be_added(write: Callable[..., str], capsys: Out) -> None:
+    text = CHAIN.replace("parts.py:Sink", "parts.py:Snik").replace("length = 4", "lenght = 4")
+    run_command(["check", "--format", "json", write(text)])
+    found = json.loads(capsys.readouterr().out)["findings"]
+    mended = text.split("\n")
+    for one in found:
+        if one["severity"] == "error":
+            line = mended[one["line"] - 1]
+            end = one["column"] - 1 + one["width"]
+            mended[one["line"] - 1] = f"{line[: one['column'] - 1]}{one['suggestion']}{line[end:]}"
+    assert "\n".join(mended) == CHAIN
+    run_command(["check", "--format", "json", write('schema = 1\n[components.a]\ntype = "parts.py:Sink"\n')])
+    first, *_ = json.loads(capsys.readouterr().out)["findings"]
+    assert first["suggestion"] == '[contexts.main]\nkind = "periodic"\nrate = 10.0\nmembers = ["a"]'
+    run_command(["check", "--format", "json", write("[components]\n")])
+    assert json.loads(capsys.readouterr().out)["findings"][0]["suggestion"] == "schema = 1"
 
 
 def test_github_annotations_are_escaped(write: Callable[..., str], capsys: Out) -> None:
@@ -154,7 +173,7 @@ def test_a_folder_of_plugins_can_be_named(write: Callable[..., str], tmp_path: P
 @pytest.mark.parametrize("name", ["hello", "roomba"])
 def test_the_examples_are_clean(capsys: Out, name: str) -> None:
     assert run_command(["check", "-q", "--strict", str(ROOT / "examples" / name / "system.toml")]) == 0
-    assert "nothing to say, it can run" in capsys.readouterr().out
+    assert "no findings, it can run" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -165,7 +184,7 @@ def test_no_text_of_a_file_commands_the_terminal(write: Callable[..., str], caps
     printed = capsys.readouterr().out
     assert "\x1b" not in printed
     assert "\x07" not in printed
-    assert max(map(len, printed.splitlines())) <= 240
+    assert max(map(len, printed.splitlines())) <= LONGEST
 
 
 def processed(*arguments: object, **options: object) -> tuple[subprocess.CompletedProcess[str], float]:
@@ -199,7 +218,7 @@ def test_a_file_that_is_none_ends_every_command_with_one_line(
         printed = capsys.readouterr()
         lines = [line for line in (printed.out + printed.err).splitlines() if line.startswith("aiorts: E-")]
         assert len(lines) == 1, (name, printed)
-        assert len(lines[0]) <= 240
+        assert len(lines[0]) <= LONGEST
 
 
 @pytest.mark.fault("F04")

@@ -35,7 +35,6 @@ def start(environment: dict[str, str]) -> subprocess.Popen[str]:
 
 
 @pytest.mark.fault("F14")
-@pytest.mark.timeout(120)
 def test_it_runs_without_a_terminal_and_in_any_surroundings(tmp_path: Path) -> None:
     began = time.monotonic()
     runs = [start({}), start({**HOSTILE, "HOME": str(tmp_path / "none")})]
@@ -69,7 +68,6 @@ def test_its_source_is_a_program_that_runs(tmp_path: Path) -> None:
     assert len(done.stdout.splitlines()) >= 10
 
 
-@pytest.mark.timeout(120)
 def test_what_it_saves_runs_and_passes_its_tests(tmp_path: Path) -> None:
     saved = here(tmp_path, "demo", "--save", "my motor/first")
     assert (saved.returncode, saved.stderr) == (0, "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -47,6 +48,50 @@ def aiorts(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no links and pipes in the file system")
+def test_what_may_have_been_meant_is_never_what_was_typed(tmp_path: Path) -> None:
+    """A dead link, a folder or a pipe of that very name."""
+    (tmp_path / "link.toml").symlink_to("nowhere")
+    (tmp_path / "link.py").symlink_to("nowhere")
+    (tmp_path / "folder.py").mkdir()
+    os.mkfifo(tmp_path / "pipe.py")
+    commands = [("run", "link.toml"), ("check", "link.toml"), ("run", "./link.toml"), ("types", "--type-mod", "link")]
+    for name in ("link", "folder", "pipe"):
+        commands += [("run", f"{name}.py:Good"), ("inspect", f"{name}.py:Good")]
+        (tmp_path / f"{name}_type.toml").write_text(f'schema = 1\ncomponents.a.type = "{name}.py:Good"\n')
+        commands += [("run", f"{name}_type.toml"), ("check", f"{name}_type.toml")]
+    for command in commands:
+        done = here(tmp_path, *command)
+        assert done.returncode == 2, command
+        said = done.stderr + done.stdout
+        typed = Path(command[-1].partition(":")[0]).name.replace("_type.toml", ".py")
+        assert f"did you mean {typed!r}" not in said, (command, said)
+        assert said.count("did you mean") <= 1, (command, said)
+
+
+@pytest.mark.parametrize(
+    "command", [("run", "system.toml"), ("flexiconst", "-p", "TimedLong", "-c", "1", "--count", "1")]
+)
+def test_modules_of_the_current_folder_do_not_take_the_place_of_pythons(
+    tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """As with the installed script; only what Python itself loads before the first line of aiorts comes from there."""
+    (tmp_path / "parts.py").write_text(PARTS)
+    (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Sink"))
+    before = subprocess.run(
+        [sys.executable, "-c", "import sys, runpy, aiorts; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        timeout=40,
+    )
+    loaded = {name.partition(".")[0] for name in before.stdout.split()} | {"aiorts", "runpy", "pkgutil"}
+    for name in [*sorted(sys.stdlib_module_names - loaded), "click", "numpy", "uvloop", "msgpack", "anyio"]:
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('a module of the current folder')\n")
+    done = aiorts(tmp_path, *command)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout
+
+
 @pytest.mark.parametrize(
     ("text", "said", "checked"),
     [
@@ -85,7 +130,7 @@ def test_a_process_that_goes_on_after_a_run_is_left_alone(tmp_path: Path) -> Non
     (tmp_path / "parts.py").write_text(PARTS)
     (tmp_path / "system.toml").write_text(TWO.format(kind="periodic", rate=100.0, sink="Sink"))
     program = (
-        "import time\nfrom aiorts.cli import stopping\nfrom aiorts.cli.app import run_command\n"
+        "import time\nfrom aiorts.cli.runtime import stopping\nfrom aiorts.cli.app import run_command\n"
         "stopping.LONGEST_STOP = 0.5\nstatus = run_command(['run', 'system.toml'])\n"
         "time.sleep(1.0)\nprint('goes on', status)\n"
     )

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from aiorts.cli.app import run_command
-from aiorts_flexi.grammar import LONGEST_MAP
+from aiorts.cli.console.report import LONGEST
+from aiorts_flexi.mapping.grammar import LONGEST_MAP
 from run_parts import here, limited
 
 pytestmark = pytest.mark.row(123)
@@ -80,7 +81,7 @@ def test_a_bad_port_or_map_is_one_error_with_a_mark_under_it(
     error, quoted, mark = err.splitlines()
     assert out == ""
     assert error.startswith("aiorts: E-CONFIG: ")
-    assert len(error) <= 240
+    assert len(error) <= LONGEST
     at = mark.index("^")
     assert quoted[at : at + 1] == options[1][place : place + 1]
     assert quoted.strip().removeprefix("...").removesuffix("...") in options[1]  # long text is cut round the place
@@ -137,10 +138,10 @@ def test_a_hundred_thousand_lines_go_through_and_none_is_lost() -> None:
     assert lines(done.stdout) == list(range(100_000))
 
 
-def test_a_component_that_fails_ends_the_filter_with_status_1() -> None:
+def test_a_component_that_fails_ends_the_filter_with_status_3() -> None:
     sums = [{"port": f"input{number % 2}", "data": data} for number, data in enumerate([1, 32767, -9])]
     done = here("flexiadd", "-p", "TimedShort:2", stdin="\n".join(map(json.dumps, sums)))
-    assert done.returncode == 1
+    assert done.returncode == 3
     assert lines(done.stdout) == [1]  # 1 + 32767 is more than a TimedShort holds
     assert "E-CONVERT" in done.stderr
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import run_parts
-from aiorts.system.frames import framed
+from aiorts.system.stdio.frames import framed
 from aiorts.types import TimedDouble, TimedLong
 from aiorts.wire import MsgpackCodec
 from plugin_dists import project
@@ -54,9 +54,9 @@ def test_every_frame_of_many_arrives_in_order_in_any_pieces() -> None:
     [
         (frames(1) + framed("x", b"garbage") + frames(2), [b"1", b"2"], b"frame 2: "),
         (frames(1) + framed("x", CODEC.encode(TimedDouble(1, 2.0))) + frames(2), [b"1", b"2"], b"expected a TimedLong"),
-        (frames(1) + frames(2)[:-1], [b"1"], b"frame 2: the input ends inside a frame, after 34 octets of it"),
-        (frames(1) + b"\x01\xff\xff\xff\xff", [b"1"], b"frame 2: a frame of 4294967295 octets; at most 67108864"),
-        (b'{"data": 5}\n' * 10, [], b"is the input frames at all?"),
+        (frames(1) + frames(2)[:-1], [b"1"], b"frame 2: the input ends inside a frame, after 34 bytes of it"),
+        (frames(1) + b"\x01\xff\xff\xff\xff", [b"1"], b"frame 2: a frame of 4294967295 bytes; at most 67108864"),
+        (b'{"data": 5}\n' * 10, [], b"does the input have frames?"),
     ],
 )
 def test_a_bad_frame_is_one_line_and_counted_and_the_good_ones_are_processed(

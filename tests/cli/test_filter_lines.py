@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from aiorts.cli.console.report import LONGEST
 from campaign import CAMPAIGN
 from run_parts import here
 
@@ -82,8 +83,23 @@ def test_whatever_a_line_is_it_goes_through_or_is_one_line_of_error_and_neither_
     for line, (number, said) in zip(err, bad.items(), strict=True):
         assert line.startswith(f"aiorts: E-LINE: standard input, line {number}: ")
         assert said in line
-        assert len(line) <= 240
+        assert len(line) <= LONGEST
         assert line.isprintable()
+
+
+def test_lines_that_are_bad_for_one_reason_are_folded_and_all_are_counted() -> None:
+    lines = [b'{"data": "x"}' if number % 4 else b"nix" for number in range(1, 20_001)]
+    status, out, err = aiorts(*THROUGH, stdin=b"\n".join(lines))
+    del out
+    assert status == 1
+    for reason, numbers in (("no JSON", range(4, 20_001, 4)),):
+        told = [line.removeprefix("aiorts: E-LINE: standard input, line ") for line in err if reason in line]
+        assert [int(line.partition(":")[0]) for line in told[:10]] == list(numbers[:10])
+        assert 10 < len(told) <= 20
+        assert told[-1].startswith(f"{numbers[-1]}: and ")
+        assert f" {len(numbers)} in all: " in told[-1]
+        # What is told one by one and what is told to have been before it is all there were.
+        assert sum(1 + (int(line.split()[2]) if ": and " in line else 0) for line in told) == len(numbers)
 
 
 def test_of_ten_thousand_lines_one_in_a_hundred_is_bad_and_all_others_are_processed() -> None:
@@ -116,7 +132,7 @@ def test_several_ports_in_and_out_are_told_apart_by_their_names() -> None:
 
 
 def test_the_lines_of_one_filter_are_what_another_reads() -> None:
-    """Records, octets, enumerations and numbers that are none, through filters that change nothing."""
+    """Records, bytes, enumerations and numbers that are none, through filters that change nothing."""
     kinds = ["RangeData", "GPSData", "TimedOctetSeq", "TimedDoubleSeq", "CameraImage"]
     ports = [part for kind in kinds for part in ("-p", f"{kind}:1")]
     stdin = b"\n".join(
@@ -153,4 +169,5 @@ def test_standard_output_is_json_to_its_last_line_whatever_goes_wrong(name: str)
     assert status == 1
     assert [line["data"] for line in out] == [number for number in range(1, 2_000) if number % 10]
     assert all(line.startswith("aiorts: E-") for line in err)
-    assert len(err) == 199 + (name == "flexifilter")
+    assert any("line 1990: and " in line and "199 in all: column 2: no JSON" in line for line in err)
+    assert any("line 2000: " in line for line in err) == (name == "flexifilter")

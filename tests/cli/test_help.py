@@ -14,8 +14,9 @@ from test_layers import ROOT, sources
 import aiorts
 import aiorts.errors
 from aiorts.cli.app import run_command
-from aiorts.cli.codes import CODES
+from aiorts.cli.console.codes import CODES
 from aiorts.errors import AiortsError, MissingExtra
+from run_parts import here
 
 PRINTED = re.compile(r'"(?:aiorts: )?([EWN]-[A-Z][A-Z-]*)[":]')
 
@@ -143,7 +144,7 @@ def test_whatever_is_optional_is_in_an_extra_and_says_so() -> None:
         assert extra in named
         if package.startswith(('"', "'")):
             assert package.strip("\"'") in named[extra]
-    from aiorts.bench.peers import PACKAGES
+    from aiorts_bench.push.peers import PACKAGES
 
     assert set(PACKAGES.values()) - {"dora-rs"} <= named["bench"]
     assert named["all"] == {"aiorts"}
@@ -174,3 +175,10 @@ def test_the_help_comes_at_once() -> None:
         "aiorts.types",
         "msgpack",
     }
+
+
+@pytest.mark.parametrize("option", ["--for", "--record"])
+def test_an_option_without_its_value_names_the_help_of_its_command(option: str) -> None:
+    done = here("run", "system.toml", option)
+    said = f"aiorts: E-USAGE: aiorts run: Option '{option}' requires an argument; see aiorts run --help\n"
+    assert (done.returncode, done.stderr) == (2, said)

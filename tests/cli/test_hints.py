@@ -187,7 +187,7 @@ def test_a_component_alone_without_data_says_how_it_gets_some(folder: Path) -> N
         line = process.stderr.readline()
         process.terminate()
         process.communicate(timeout=30)
-    hint = "in-port raw has no connection, nothing will come; as a filter: aiorts --plugins . newest\n"
+    hint = "in-port raw has no connection, nothing will come; feed it JSON lines: ... | aiorts run parts.py:Newest\n"
     assert line == f"aiorts: W-UNFED: newest: {hint}"
 
 

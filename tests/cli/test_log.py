@@ -15,8 +15,8 @@ from typing import Any
 import click
 import pytest
 
-from aiorts.cli.logfile import LogFile
-from aiorts.cli.options import Options, levels_of
+from aiorts.cli.runtime.logfile import LogFile
+from aiorts.cli.runtime.options import Options, levels_of
 from run_parts import aiorts, begun, folder_of, here, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX locks and devices")
@@ -76,7 +76,7 @@ def test_json_is_an_object_in_a_line_with_where_and_what(folder: Path) -> None:
         "level": "error",
         "hook": "on_execute",
         "code": "E-COMPONENT",
-        "message": "ValueError: too much",
+        "message": "ValueError: too much (parts.py:31)",
     }
     last = here(folder, "run", *arguments, "--debug").stderr.splitlines()
     traces = [line["traceback"] for line in map(json.loads, last) if "traceback" in line]
@@ -107,10 +107,10 @@ def test_the_file_has_every_line_and_standard_error_what_is_wrong(folder: Path) 
     for _ in range(2):
         arguments = (*SIMULATED, "--set", "sink.limit=3", "--log-file", "run.log", "-v")
         done = here(folder, "run", *arguments)
-        assert done.stderr.startswith("aiorts: E-COMPONENT: sink.on_execute: ValueError: too much;")
+        assert done.stderr.startswith("aiorts: E-COMPONENT: sink.on_execute: ValueError: too much (parts.py:31);")
         assert done.stderr.count("\n") == 1
     lines = [re.sub(f"^{TIME} ", "", line) for line in (folder / "run.log").read_text().splitlines()]
-    assert lines == ["info sink: ready", "error E-COMPONENT: sink.on_execute: ValueError: too much"] * 2
+    assert lines == ["info sink: ready", "error E-COMPONENT: sink.on_execute: ValueError: too much (parts.py:31)"] * 2
 
 
 @pytest.mark.fault("F15")
@@ -172,7 +172,7 @@ def test_lines_that_were_lost_are_counted_once_there_is_room(tmp_path: Path) -> 
 def test_a_file_that_somebody_else_has_locked_without_a_name_is_refused_all_the_same(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aiorts.cli.logfile._LOCKS", folder / "nowhere")
+    monkeypatch.setattr("aiorts.cli.runtime.logfile._LOCKS", folder / "nowhere")
     with open(folder / "run.log", "w") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(ValueError, match="another process writes to it"):
@@ -196,13 +196,13 @@ def test_a_component_in_error_is_named_again_at_the_end_when_that_was_long_ago(f
     assert len(soon) == 1
     assert late == [
         *soon,
-        "aiorts: E-COMPONENT: sink: ended in error: ValueError: too much; --strict makes the exit status 3",
+        "aiorts: E-COMPONENT: sink: ended in error: ValueError: too much (parts.py:31); --debug shows the traceback",
     ]
 
 
 def test_the_log_leaves_logging_as_it_was() -> None:
-    from aiorts.cli.session import log_of
-    from aiorts.cli.stopping import Stopper
+    from aiorts.cli.runtime.session import log_of
+    from aiorts.cli.runtime.stopping import Stopper
 
     def found() -> list[object]:
         loggers = [logging.getLogger(), logging.getLogger("aiorts.component")]

@@ -8,12 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.cli.report import LONGEST, shortened
-from aiorts.errors import PluginError, WiringError
+from aiorts.cli.console.report import LONGEST, shortened
+from aiorts.errors import ComponentError, DeclarationError, WiringError
 from aiorts.testing import simulated
-from aiorts.types import TimedLong
+from aiorts.types import TimedLong, record
 from run_parts import here
 
 PARTS = """
@@ -93,7 +95,7 @@ def aiorts(folder: Path, *arguments: str, stdin: str = "", plugins: str = "") ->
         (["--plugins", ".", "nosuper"], NO_SUPER),
         (["--plugins", ".", "noname", "--help"], NO_NAME),
         (["inspect", "parts.py:NoSuperPorts"], NO_SUPER.replace("NoSuper", "NoSuperPorts", 1)),
-        (["run", "own.toml"], "own.toml:7:8: low: " + NO_SUPER),
+        (["run", "own.toml"], "own.toml:7:8: components.low: " + NO_SUPER),
     ],
 )
 def test_a_constructor_that_makes_no_component_is_one_line(folder: Path, arguments: list[str], said: str) -> None:
@@ -101,8 +103,12 @@ def test_a_constructor_that_makes_no_component_is_one_line(folder: Path, argumen
     done = here(folder, *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("aiorts: E-PLUGIN: ")
-    assert done.stderr.endswith(said)
-    assert len(done.stderr.splitlines()) == 1
+    first, *quoted = done.stderr.splitlines(keepends=True)
+    assert first.endswith(said)
+    assert len(quoted) == 2 * (arguments[-1] == "own.toml")  # the line of the file, and a mark
+
+
+UNMADE = r"^Unmade cannot be constructed: LookupError: no camera \(.*test_newcomer\.py:\d+\)$"
 
 
 @simulated
@@ -112,7 +118,7 @@ async def test_a_kernel_names_the_class_that_cannot_be_constructed_and_keeps_the
             raise LookupError("no camera")
 
     async with Kernel() as kernel:
-        with pytest.raises(PluginError, match=r"^Unmade cannot be constructed: LookupError: no camera$") as caught:
+        with pytest.raises(ComponentError, match=UNMADE) as caught:
             await kernel.create(Unmade, "it")
         assert isinstance(caught.value.__cause__, LookupError)
         assert not kernel.components
@@ -173,16 +179,66 @@ def test_a_plugin_s_error_names_its_own_file_and_keeps_cause_and_remedy(folder: 
     assert "signature.py" not in done.stderr
     assert "the result has no type hint; write" in done.stderr
     assert done.stderr.endswith("lp.py, line 3)\n")
-    assert len(done.stderr) <= LONGEST + 1
+    assert f"{deep}/lp.py" in done.stderr
 
 
-def test_folders_are_left_out_of_a_long_line_before_anything_else() -> None:
-    folder = "/home/somebody/" + "robots/" * 20
-    assert (
-        shortened(f"{folder}x.py: it is wrong; {'a' * 100}; do this") == f".../x.py: it is wrong; {'a' * 100}; do this"
+@given(
+    st.lists(
+        st.one_of(
+            st.text("wo rd.:;,-", max_size=300).map(lambda text: (False, text)),
+            st.text("ab.-_", min_size=1, max_size=60).map(lambda text: (True, f"/home/some-body/{text}/x.py")),
+        ),
+        max_size=8,
     )
+)
+def test_a_path_in_a_long_line_is_never_cut_and_the_words_are(parts: list[tuple[bool, str]]) -> None:
+    line = shortened(" ".join(text for _, text in parts))
+    paths = [text for is_path, text in parts if is_path]
+    found = [word for word in line.split(" ") if word.startswith("/")]
+    assert found == paths
+    assert len(line) - sum(map(len, paths)) <= LONGEST + 8 * len(parts)
+    assert line.count(" .../") == 0
+
+
+def test_the_end_of_a_long_line_is_kept() -> None:
+    folder = "/home/somebody/" + "robots/" * 40
     assert shortened(f"{folder}x.py: short") == f"{folder}x.py: short"
-    assert len(shortened("word " * 100)) == LONGEST
+    line = shortened(f"{folder}x.py: it is wrong; {'a ' * 250}{folder}y.py; {'b ' * 250}; do this")
+    assert line.startswith(f"{folder}x.py: it is wrong; a a")
+    assert f" {folder}y.py " in line
+    assert line.endswith("b b ; do this")
+    assert shortened(f"'/home/my robots/x.py': {'a' * 400}").startswith("'/home/my robots/x.py': aaa")
+    assert len(shortened("word " * 200)) == LONGEST
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "'" + "x y " * 5000 + "'",
+        '"' + "it's " * 5000 + '"',
+        repr("it's \"\n\t" * 5000),
+        "x" * 50_000,
+        "'" + "\\'" * 50_000 + "'",
+    ],
+)
+def test_a_long_value_is_shortened_and_no_advice_is_cut(value: str) -> None:
+    advice = 'say what is right: full = "block", ' + "or one of the others that you find in the guide " * 8 + "; end"
+    line = shortened(f"E-X: pid0's value: got {value}; {advice}")
+    assert line.startswith("E-X: pid0's value: got ")
+    assert line.endswith(f"...{line.rpartition('...')[2]}")
+    assert line.endswith(f"; {advice}")
+    assert len(line) <= 140 + len(advice)
+
+
+def test_the_message_of_a_field_that_cannot_travel_is_whole() -> None:
+    class Scan:
+        mode: complex
+
+    with pytest.raises(DeclarationError) as caught:
+        record(Scan)
+    text = f"aiorts: E-PLUGIN: scan.py:Watch cannot be loaded: DeclarationError: {caught.value} (scan.py, line 7)"
+    assert len(text) > 300
+    assert shortened(text) == text
 
 
 @simulated

@@ -59,7 +59,7 @@ def test_each_kind_of_broken_plugin_is_named_and_all_else_works(tmp_path: Path) 
         if name != "good":
             assert expected in verdicts[f"plug_{name}:Good"], name
     assert "offered 2 times" in verdicts["plug_good:Good"]
-    assert verdicts["aiorts_flexi.filter:FlexiFilter"] == "ok"
+    assert verdicts["aiorts_flexi.mapping.filter:FlexiFilter"] == "ok"
     assert verdicts["aiorts.contexts:EventContext"] == "ok"
 
 

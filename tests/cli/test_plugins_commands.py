@@ -89,7 +89,7 @@ def test_help_names_commands_of_plugins_and_components_without_importing_them(gr
     assert f"hello       Of folder {greets}"[:20] in done.stdout
     assert "two words" not in done.stdout
     assert "log         Recordings: " in done.stdout
-    assert done.stdout.count("Run a system file.") == 1
+    assert done.stdout.count("Run a system file, or one component.") == 1
     assert "flexiselect" in done.stdout
 
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from aiorts.cli.quote import cells_of, quote
-from aiorts.cli.report import report_error
+from aiorts.cli.console.quote import cells_of, quote
+from aiorts.cli.console.report import report_error
 from aiorts.errors import AiortsError, ConfigurationError, Place, SystemFileError
-from aiorts.system.parse import parse, parse_override
+from aiorts.system.file.parse import parse, parse_override
 from campaign import cases
 
 TEXTS = st.text(st.characters(), max_size=300) | st.text("ab\t\n\x1b日本é\u0301\udcff", max_size=300)

@@ -1,4 +1,4 @@
-"""`aiorts run MODULE:COMPONENT`: one component, alone, in a context that fits it; and what is said of mistakes."""
+"""`aiorts run FILE.py:Class`: one component, alone, in a context that fits it; and what is said of mistakes."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def folder(tmp_path: Path) -> Path:
     ],
 )
 def test_one_component_runs_alone_in_a_context_that_fits_it(folder: Path, arguments: list[str], said: str) -> None:
-    done = here(folder, "run", *arguments)
+    done = here(folder, "run", "--quiet", *arguments)
     assert (done.returncode, done.stdout, done.stderr) == (0, said, "")
 
 
 def test_a_file_elsewhere_is_named_by_its_path(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    done = here(tmp_path_factory.mktemp("elsewhere"), "run", f"{folder}/parts.py:Counter", "--simulate")
+    done = here(tmp_path_factory.mktemp("elsewhere"), "run", f"{folder}/parts.py:Counter", "--simulate", "-q")
     assert (done.returncode, done.stdout) == (0, "wrote 3 in periodic 10.0\n")
 
 
@@ -45,15 +45,15 @@ def test_one_that_cannot_be_made_is_named(folder: Path) -> None:
     )
     done = here(folder, "run", "unmade.py:Unmade")
     assert done.returncode == 1
-    assert done.stderr == "aiorts: E-COMPONENT: unmade: OSError: no; --debug shows the traceback\n"
+    assert done.stderr == "aiorts: E-COMPONENT: unmade: OSError: no (unmade.py:4); --debug shows the traceback\n"
 
 
 @pytest.mark.parametrize(
     ("source", "status", "said"),
     [
-        ("import nix_to_be_found\n", 2, "bad.py, line 1 cannot be loaded: ModuleNotFoundError"),
-        ("x = 1\nraise SystemExit(9)\n", 2, "bad.py, line 2 cannot be loaded: SystemExit: 9"),
-        ("def (\n", 2, "bad.py, line 1 cannot be loaded: SyntaxError"),
+        ("import nix_to_be_found\n", 2, "bad.py:Bad cannot be loaded: ModuleNotFoundError"),
+        ("x = 1\nraise SystemExit(9)\n", 2, "bad.py:Bad cannot be loaded: SystemExit: 9"),
+        ("def (\n", 2, "bad.py:Bad cannot be loaded: SyntaxError"),
     ],
 )
 @pytest.mark.parametrize("home", ["bad.py", "bad"])
@@ -65,6 +65,7 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
     assert done.returncode == status
     assert done.stderr.count("\n") == 1
     assert said.replace("bad.py", home) in done.stderr
+    assert f" ({folder / 'bad.py'}, line {1 + source.startswith('x')})" in done.stderr
 
 
 @pytest.mark.fault("F04")
@@ -78,17 +79,17 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
         (["aiorts.tpes:Counter"], "did you mean aiorts.types?"),
         (["parts.nix:Counter"], "'parts' is no package"),
         (["parts.py:time"], "no class derived from Component"),
-        (["parts.py:"], "MODULE:COMPONENT"),
-        ([":Counter"], "MODULE:COMPONENT"),
-        (["parts.py:Counter:x y"], "MODULE:COMPONENT"),
+        (["parts.py:"], "which class? write parts.py:CLASS; it has Counter, Sink"),
+        ([":Counter"], "package.module:Class"),
+        (["parts.py:Counter:x y"], "package.module:Class"),
         (["flexidump"], "did you mean 'FlexiDump'"),
         (["FlexiDum"], "did you mean 'FlexiDump'"),
         (["system"], "did you mean 'system.toml'"),
         (["sytem.toml"], "did you mean 'system.toml'"),
         (["nix/system.toml"], "No such file"),
-        (["nix"], "SYSTEM.toml, MODULE:COMPONENT"),
+        (["nix"], "SYSTEM.toml, FILE.py:Class"),
         ([""], "cannot be read"),
-        ([":"], "MODULE:COMPONENT"),
+        ([":"], "package.module:Class"),
         (["parts.py:Counter", "--set", "cuont=1"], "did you mean count"),
         (["parts.py:Counter", "--set", "count=x"], "must be an int"),
         (["parts.py:Counter", "--set", "other.count=1"], "the component is called 'counter'"),
@@ -123,6 +124,7 @@ def test_a_mistake_is_one_line_with_what_was_meant(
     monkeypatch.syspath_prepend(folder)
     status = run_command(["run", *arguments])
     printed = capsys.readouterr()
+    assert printed.err.count("did you mean") <= 1
     assert status == 2
     assert printed.out == ""
     assert said in printed.err

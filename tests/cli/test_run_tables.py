@@ -141,7 +141,7 @@ LINES = [
 
 @pytest.mark.parametrize("how", [("--simulate",), ("--speed", "5")])
 def test_one_file_with_every_table_does_what_each_says(folder: Path, how: tuple[str, ...]) -> None:
-    done = aiorts(folder, "run", "system.toml", *how, "--strict")
+    done = aiorts(folder, "run", "system.toml", *how)
     assert done.stdout.splitlines() == LINES
     assert done.returncode == 0
     assert done.stderr.count("ValueError: too warm") == 1
@@ -170,7 +170,7 @@ def test_a_composite_that_stops_as_a_whole_goes_on_when_its_member_was_helped(fo
     text = text.replace('active = "stiff"\n', 'active = "stiff"\nparams.fails = 2\n')
     text = text.replace("[components.two.supervision]", "[components.one.supervision]").replace("reset", action)
     (folder / "system.toml").write_text(text)
-    done = here(folder, "run", "system.toml", "--simulate", "--strict")
+    done = here(folder, "run", "system.toml", "--simulate")
     assert done.stdout.splitlines()[-3:] == ["one active: gain 5", "two active: gain 7", "sink: 105"]
     assert done.returncode == 0
     assert done.stderr.count("ValueError: too warm") == 1
@@ -234,6 +234,15 @@ def test_an_option_that_does_nothing_is_told_once(folder: Path) -> None:
         f"aiorts: W-OPTION: system.toml:{line}:8: connections[1] (arm.inner to two.input): "
         "buffer.lenght is no option that is known; did you mean 'buffer.length'?"
     ]
+
+
+def test_what_is_about_openrtms_transports_is_told_once(folder: Path) -> None:
+    text = SYSTEM.replace('to = "two.input"\n', 'to = "two.input"\ndataport.interface_type = "corba_cdr"\n')
+    (folder / "system.toml").write_text(text)
+    done = here(folder, "run", "system.toml", "--simulate")
+    assert done.returncode == 0, done.stderr
+    (line,) = (one for one in done.stderr.splitlines() if "W-" in one)
+    assert "W-TRANSPORT: one.output-two.input: dataport.interface_type: " in line
 
 
 @pytest.mark.parametrize(("seconds", "told"), [("0.25", True), ("0.75", False)])

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from campaign import CAMPAIGN
+from campaign import CAMPAIGN, time_limit
 from run_parts import begun, folder_of, limited, started
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
@@ -50,6 +50,33 @@ def test_a_signal_ends_it_in_order_within_five_seconds(folder: Path, target: str
     assert (process.returncode, unwatched(errors)) == (status, "")
     if target == "system.toml":
         assert "stopped in event" in out
+
+
+@pytest.mark.fault("F10")
+@pytest.mark.parametrize(("name", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+@pytest.mark.parametrize(
+    "command",
+    [("run", "system.toml"), ("flexiconst", "-p", "TimedLong", "-c", "1", "-r", "20"), ("types",)],
+    ids=["run", "filter", "types"],
+)
+def test_a_signal_while_the_command_is_imported_ends_it_with_its_status(
+    folder: Path, command: tuple[str, ...], name: str, status: int
+) -> None:
+    """From the first line of `main` on; what Python prints of its imports tells when that has been."""
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "aiorts", *command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=folder,
+    )
+    with limited(process):
+        assert process.stderr is not None
+        while not (line := process.stderr.readline()).endswith("click.globals\n"):
+            assert line, "it has ended before"
+        process.send_signal(getattr(signal, name))
+        _, errors = process.communicate(timeout=20)
+    assert (process.returncode, "Traceback" in errors) == (status, False)
 
 
 @pytest.mark.fault("F10")
@@ -193,7 +220,7 @@ def interrupted(folder: Path, seconds: float, times: int) -> tuple[int, str, flo
 
 @pytest.mark.fault("F09")
 @pytest.mark.parametrize("times", [1, 2])
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(time_limit(900))
 def test_an_interrupt_at_any_moment_ends_it_without_a_traceback(folder: Path, times: int) -> None:
     promised = ORDERLY if times == 1 else AT_ONCE
     with ThreadPoolExecutor(4) as together:

@@ -131,3 +131,46 @@ def test_arguments_that_are_no_text_are_one_line(folder: Path, argument: bytes) 
     assert done.returncode == 2
     assert done.stderr.startswith(b"aiorts: E-")
     assert done.stderr.count(b"\n") == 1
+
+
+@pytest.mark.fault("G01")
+@pytest.mark.parametrize("limit", [6, 12, 20, 26, 30, 64])
+@pytest.mark.parametrize("command", ["run", "filter"])
+def test_too_few_descriptors_are_one_line_and_enough_are_enough(folder: Path, command: str, limit: int) -> None:
+    arguments = [part.format(folder=folder) for part in COMMANDS[command]]
+    done = subprocess.run(
+        ["sh", "-c", f'ulimit -n {limit} && exec "$@"', "sh", sys.executable, "-m", "aiorts", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=40,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+    if limit >= 30:
+        assert (done.returncode, done.stderr) == (0, "")
+        return
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"aiorts: E-FDS: Too many open files: the limit that is set is {limit}; raise it with ulimit -n 4096\n"
+    )
+
+
+OPENS = """
+from aiorts import Component
+import os
+class Counter(Component):
+    def __init__(self, name=""):
+        super().__init__(name)
+        kept = [open(os.devnull) for _ in range(1000)]
+"""
+
+
+@pytest.mark.fault("G01")
+def test_a_component_that_opens_too_much_is_told_and_named(folder: Path) -> None:
+    (folder / "opens.py").write_text(OPENS)
+    command = ["sh", "-c", 'ulimit -n 64 && exec "$@"', "sh", sys.executable, "-m", "aiorts", "run", "opens.py:Counter"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=40, check=False)
+    assert done.returncode not in (0, None)
+    assert "Traceback" not in done.stderr
+    assert "Too many open files" in done.stderr

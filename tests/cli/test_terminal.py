@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aiorts.cli.status import Figures, fitted, text_of
+from aiorts.cli.runtime.status import Figures, fitted, text_of
 from run_parts import Terminal, folder_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals")
@@ -59,19 +59,19 @@ def test_the_line_tells_how_it_goes_and_is_gone_in_the_end(folder: Path) -> None
 
 
 def test_lines_of_the_log_and_of_components_stand_alone(folder: Path) -> None:
-    arguments = ("system.toml", "--set", "sink.limit=60", "--for", "1.5")
+    arguments = ("system.toml", "--set", "sink.limit=60", "--for", "3")
     with Terminal(folder, *arguments, env=QUIET) as terminal:
-        assert terminal.end() == 0
+        assert terminal.end() == 3
     assert "1 in error" in terminal.text
     assert shown(terminal.text)[:3] == [
         "ready",
-        "aiorts: E-COMPONENT: sink.on_execute: ValueError: too much; --debug shows the traceback",
+        "aiorts: E-COMPONENT: sink.on_execute: ValueError: too much (parts.py:31); --debug shows the traceback",
         "stopped in event",
     ]
 
 
 def test_it_says_that_the_loop_is_held_up(folder: Path) -> None:
-    with Terminal(folder, "parts.py:Blocked", env=QUIET) as terminal:
+    with Terminal(folder, "parts.py:Blocked", "--quiet", env=QUIET) as terminal:
         terminal.wait_for("loop held up for 1 s")
         terminal.send(signal.SIGINT)
         terminal.send(signal.SIGTERM)
@@ -137,7 +137,7 @@ def test_debug_opens_the_debugger_where_a_component_failed_and_the_run_goes_on(f
         terminal.write("p 'and', self.limit\n")
         terminal.wait_for("('and', 3)")
         terminal.write("q\n")
-        assert terminal.end() == 0
+        assert terminal.end() == 3
     assert "wrote" in terminal.text  # the counter went on and was deactivated
 
 

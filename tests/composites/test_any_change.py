@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections import Counter
 from typing import Any
 
@@ -25,6 +24,7 @@ from aiorts import (
 )
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
+from campaign import LENGTH, ORDERS
 
 pytestmark = pytest.mark.row(99)
 
@@ -76,7 +76,7 @@ changes = st.lists(
         st.tuples(st.just("both"), members, members),
         st.tuples(st.just("restart"), st.sampled_from(("one", "two"))),
     ),
-    max_size=14,
+    max_size=LENGTH,
 )
 
 
@@ -168,10 +168,10 @@ def check(pairs: dict[str, Composite], parts: dict[str, Watched]) -> None:
 
 
 @settings(
-    max_examples=1500 if os.environ.get("AIORTS_CAMPAIGN") else 40,
+    max_examples=ORDERS,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
-@given(changes)
-def test_any_changes_while_running_keep_order_and_ledger(todo: list[Change]) -> None:
-    simulate(lambda clock: play(clock, todo))
+@given(changes, st.integers(0, ORDERS))
+def test_any_changes_while_running_keep_order_and_ledger(todo: list[Change], seed: int) -> None:
+    simulate(lambda clock: play(clock, todo), seed=seed)

@@ -9,20 +9,23 @@ import pytest
 from aiorts import (
     Component,
     Composite,
+    EventContext,
     ExternalContext,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     PeriodicContext,
     SimulatedClock,
     ThreadContext,
 )
+from aiorts.composites.parallel import Together
 from aiorts.errors import ConfigurationError, HookAbandoned, HookTimeout, StateError
 from aiorts.events import HookFailed
+from aiorts.kernel.execution.cell import cell
 from aiorts.testing.simulation import simulate
 
 pytestmark = pytest.mark.row(30)
 
-I, A, E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR  # noqa: E741
+I, A, E = LifecycleState.INACTIVE, LifecycleState.ACTIVE, LifecycleState.ERROR  # noqa: E741
 Entry = tuple[float, str]
 
 
@@ -183,6 +186,87 @@ def test_groups_come_and_go_while_running() -> None:
     simulate(main)
 
 
+class Gives(Component):
+    """Waits in each cycle until the other has run."""
+
+    gave: asyncio.Event
+
+    async def on_execute(self) -> None:
+        self.gave = asyncio.Event()
+        await self.gave.wait()
+
+
+class Frees(Component):
+    other: Gives
+
+    async def on_execute(self) -> None:
+        await self.sleep(0.001)
+        self.other.gave.set()
+
+
+@pytest.mark.parametrize("where", [(PeriodicContext, "_end_cycle"), (Together, "carry_out")], ids=["cycle", "driver"])
+def test_after_a_fault_of_the_kernels_own_groups_still_run_side_by_side(
+    where: tuple[type, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            one, two = Gives("one"), Frees("two")
+            two.other = one
+            team = await kernel.add(Composite("team", one, two, groups="one|two"))
+            loop = await kernel.start(PeriodicContext(100.0), team, activate=True)
+            await kernel.sleep(0.1)
+
+            owner, method = where
+            right, left = getattr(owner, method), 0
+
+            def fault(*args: object) -> object:
+                nonlocal left
+                if left:
+                    left -= 1
+                    raise RuntimeError("a mistake of the kernel's own")
+                return right(*args)
+
+            monkeypatch.setattr(owner, method, fault)
+            for faults in (1, 2, 3):
+                left, before = 1, loop.ticks
+                await kernel.sleep(1.0)
+                assert (left, loop._faults) == (0, faults)
+                assert loop.ticks - before >= 98
+            assert (kernel.exit_status, one.state, two.state) == (1, A, A)
+            left = 1
+            await kernel.sleep(0.1)
+            assert not loop.running
+
+    simulate(main)
+
+
+class Busy(Component):
+    """Has always something to do."""
+
+    async def on_execute(self) -> None:
+        assert isinstance(self.context, EventContext)
+        self.context.trigger()
+
+
+def test_a_stop_of_the_kernel_gets_on_though_the_next_cycle_of_the_groups_is_due() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            one, two = Busy("one"), Busy("two")
+            team = await kernel.add(Composite("team", one, two, groups="one|two"))
+            loop = await kernel.start(EventContext(), team, activate=True)
+            loop.trigger()
+            for _ in range(30):
+                await asyncio.sleep(0)
+            assert loop.ticks > 3
+            kernel.request_stop()
+            before = loop.ticks
+            for _ in range(15):
+                await asyncio.sleep(0)
+            assert loop.ticks - before <= 1
+
+    simulate(main)
+
+
 def test_groups_that_cannot_be_are_refused_by_name() -> None:
     async def main(clock: SimulatedClock) -> None:
         async with Kernel() as kernel:
@@ -194,7 +278,7 @@ def test_groups_that_cannot_be_are_refused_by_name() -> None:
                 ("a,b|", "a group is empty"),
             ):
                 with pytest.raises(ConfigurationError, match=says):
-                    await kernel.add(Composite("team", a if a._rt_kernel is None else "a", b, groups=groups))
+                    await kernel.add(Composite("team", a if cell(a).kernel is None else "a", b, groups=groups))
                 a, b = Waits("a", [], 0.0), Waits("b", [], 0.0)
             team = await kernel.add(Composite("team", a, b, groups=[["a"], ["b"]]))
             with pytest.raises(StateError, match="groups that run side by side, and thread0 runs in one thread"):

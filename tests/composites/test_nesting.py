@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from aiorts import Component, Composite, ExternalContext, InPort, Kernel, LifeCycleState, OutPort, SimulatedClock
+from aiorts import Component, Composite, ExternalContext, InPort, Kernel, LifecycleState, OutPort, SimulatedClock
 from aiorts.errors import StateError, WiringError
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble
 
-I, A, E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR  # noqa: E741
+I, A, E = LifecycleState.INACTIVE, LifecycleState.ACTIVE, LifecycleState.ERROR  # noqa: E741
 
 
 class Part(Component):

@@ -13,21 +13,21 @@ from aiorts import (
     ExternalContext,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     PeriodicContext,
     RealtimeContext,
     SimulatedClock,
     ThreadContext,
 )
+from aiorts.composites.composition import flow_order
 from aiorts.errors import ComponentError, StateError, TransitionTimeout, WiringError
 from aiorts.events import CompositeChanged
-from aiorts.kernel.context import Context
-from aiorts.model.composition import flow_order
+from aiorts.kernel.execution.context import Context
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble
 
-I, A, E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR  # noqa: E741
+I, A, E = LifecycleState.INACTIVE, LifecycleState.ACTIVE, LifecycleState.ERROR  # noqa: E741
 
 
 class Relay(Component):
@@ -88,7 +88,7 @@ def test_in_an_event_context_members_run_on_data_in_the_composites_order() -> No
             assert sink.input.read_nowait() == TimedDouble(0, 7.0)
             await team.change(members=[a, b])
             assert team.context.members == (a, b)
-            assert sorted(member.order for member in team.context._members) == [1, 2]
+            assert sorted(member.order for member in team.context.runner.members) == [1, 2]
 
     simulate(main)
 

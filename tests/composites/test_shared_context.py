@@ -12,7 +12,7 @@ from aiorts import (
     ExternalContext,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     PeriodicContext,
     SimulatedClock,
@@ -22,7 +22,7 @@ from aiorts.events import PortAdded, PortRemoved, StateChanged
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble
 
-I, A, E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR  # noqa: E741
+I, A, E = LifecycleState.INACTIVE, LifecycleState.ACTIVE, LifecycleState.ERROR  # noqa: E741
 
 
 class Step(Component):
@@ -247,13 +247,13 @@ def test_a_change_that_fails_leaves_everybody_where_he_was() -> None:
 @pytest.mark.row(100)
 @pytest.mark.parametrize(("errors", "whole", "other"), [("stop", E, I), ("report", E, A), ("isolate", A, A)])
 def test_the_error_of_a_member_is_what_the_policy_says(
-    errors: str, whole: LifeCycleState, other: LifeCycleState
+    errors: str, whole: LifecycleState, other: LifecycleState
 ) -> None:
     # OpenRTM: the composite stays active and nobody is told.
     async def main(clock: SimulatedClock) -> None:
         diary: list[str] = []
         async with Kernel() as kernel:
-            told: list[tuple[str, LifeCycleState]] = []
+            told: list[tuple[str, LifecycleState]] = []
             kernel.bus.subscribe(StateChanged, lambda event: told.append((event.component, event.new)))
             a, b, c = steps(diary, "a", "b", "c")
             arm = await kernel.add(Composite("arm", a, b, c, errors=errors))

@@ -26,6 +26,7 @@ from aiorts.events import (
     ParameterRemoved,
     ParametersChanged,
 )
+from aiorts.kernel.execution.cell import cell
 from aiorts.testing import simulate
 from aiorts.types import TimedLong
 from campaign import cases
@@ -215,7 +216,7 @@ def test_a_component_is_what_the_model_says_after_any_changes(
                     count = len(subject.seen)
                     for _ in range(100):
                         await asyncio.sleep(0.01)
-                        if len(subject.seen) > count and not subject.wishes and not subject._rt_changes_queued:
+                        if len(subject.seen) > count and not subject.wishes and not cell(subject).changes_queued:
                             break
                     else:
                         raise AssertionError(subject.last_error)

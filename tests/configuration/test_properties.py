@@ -14,8 +14,8 @@ import pytest
 from aiorts import Component, ExternalContext, Kernel, Param
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError
 from aiorts.events import ParameterAdded, ParameterChanged, ParameterRemoved
-from aiorts.model.constraint_text import parse_constraint
-from aiorts.model.standard_names import STANDARD_NAMES
+from aiorts.model.configuration.constraint_text import parse_constraint
+from aiorts.model.configuration.standard_names import STANDARD_NAMES
 from aiorts.model.values import parse_type
 from aiorts.testing import simulated
 from config_parts import Arm, hear
@@ -72,7 +72,7 @@ async def test_a_component_adds_what_its_device_tells_it() -> None:
         ("seen", Param(1), ConfigurationError, "has something of that name already"),
         ("a-b", Param(1), ConfigurationError, "cannot be used as one"),
         ("class", Param(1), ConfigurationError, "cannot be used as one"),
-        ("_rt_gate", Param(1), ConfigurationError, "cannot be used as one"),
+        ("_rt", Param(1), ConfigurationError, "cannot be used as one"),
         ("a b", Param(1), InvalidNameError, "parameter name 'a b'"),
         ("fine", 1, DeclarationError, r"expected Param\(...\), got 1"),
         ("fine", Param(1, ge=2), DeclarationError, "must be >= 2"),

@@ -8,6 +8,7 @@ import tracemalloc
 import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, OutPort, PeriodicContext, SimulatedClock
+from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
 from contexts.parts import Diary, Doer, Reader, Sender, Ticker
@@ -291,7 +292,7 @@ def test_a_port_added_at_run_time_wakes_its_member() -> None:
             sender.send(2)
             await asyncio.sleep(0.1)
             assert len(ticker.begun) == 1
-            assert port._wakes == ()
+            assert receiver_of(port).callback is None
 
     simulate(main)
 

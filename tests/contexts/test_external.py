@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from aiorts import ExternalContext, Kernel, LifeCycleState, PeriodicContext, SimulatedClock
+from aiorts import ExternalContext, Kernel, LifecycleState, PeriodicContext, SimulatedClock
 from aiorts.errors import ClosedError, StateError
 from aiorts.testing.simulation import simulate
 from campaign import cases
@@ -92,8 +92,8 @@ def test_what_a_cycle_leads_to_has_taken_effect_when_the_tick_returns() -> None:
             source.execute = leave
             context = await kernel.start(ExternalContext(), failing, source, activate=True)
             await context.tick()
-            assert context.state(failing) is LifeCycleState.ERROR
-            assert context.state(source) is LifeCycleState.INACTIVE
+            assert context.state(failing) is LifecycleState.ERROR
+            assert context.state(source) is LifecycleState.INACTIVE
 
     simulate(main)
 

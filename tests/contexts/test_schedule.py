@@ -15,7 +15,17 @@ from aiorts.contexts.thread import ThreadContext
 from aiorts.errors import ConfigurationError
 from contexts.parts import MS, S
 
-BAD_RATES = [0, -1, math.nan, math.inf, 1e-9, 1e9, "x"]
+BAD_RATES = [
+    0,
+    -1,
+    math.nan,
+    math.inf,
+    1e-9,
+    1e9,
+    "x",
+    pytest.param(10**400, id="400"),
+    pytest.param(10**5000, id="5000"),
+]
 
 
 @pytest.mark.fault("C02")
@@ -77,7 +87,8 @@ def test_skip_runs_the_newest_tick_that_is_due() -> None:
     plan.end(35 * MS)
     assert plan.begin(35 * MS) == (2, 25 * MS)  # ticks 1 and 2 are left out
     assert plan.due_ns == 30 * MS
-    assert plan.lateness_max_ns == 5 * MS
+    assert plan.lateness_max_ns == 25 * MS  # of tick 1
+    assert plan.lateness_total_ns == 5 * MS  # of tick 3, which is run
     plan.end(36 * MS)
     assert plan.due_ns == 40 * MS
     assert plan.begin(40 * MS) is None

@@ -18,7 +18,7 @@ from campaign import CAMPAIGN
 CHILD = """
 import asyncio, json, sys
 from aiorts import Component, Kernel, PeriodicContext
-from aiorts.kernel.bus import Overrun
+from aiorts.kernel.loop.bus import Overrun
 
 class Ticker(Component):
     def __init__(self, name):

@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import pytest
 
-from aiorts import Component, InPort, Kernel, LifeCycleState, OutPort, Param, PeriodicContext, SimulatedClock
+from aiorts import Component, InPort, Kernel, LifecycleState, OutPort, Param, PeriodicContext, SimulatedClock
 from aiorts.contexts.thread import ThreadContext
 from aiorts.errors import ClosedError, ComponentError, HookAbandoned, StateError
-from aiorts.kernel.bus import Event, HookFailed, StateChanged
+from aiorts.kernel.loop.bus import Event, HookFailed, StateChanged
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
 from contexts.parts import Doer, Idle, Reader, Sender, Ticker
@@ -189,16 +189,16 @@ async def test_an_error_in_the_thread_moves_the_component_to_error_and_is_told_o
         kernel.bus.subscribe(Event, lambda event: heard.append((event, threading.get_ident())))
         plain = await kernel.add(Plain("plain", fail))
         context = await kernel.start(ThreadContext(100.0, name="cam"), plain, activate=True)
-        await until(lambda: context.state(plain) is LifeCycleState.ERROR)
+        await until(lambda: context.state(plain) is LifecycleState.ERROR)
         await asyncio.sleep(0.02)
         await context.reset(plain)
-        assert context.state(plain) is LifeCycleState.INACTIVE
+        assert context.state(plain) is LifecycleState.INACTIVE
         assert isinstance(plain.last_error, ValueError)
         assert plain.last_error.__traceback__ is not None
     told = [event for event, _ in heard]
     assert {thread for _, thread in heard} == {threading.get_ident()}
     assert [event.hook for event in told if isinstance(event, HookFailed)] == ["on_execute"]
-    assert StateChanged("plain", "cam", LifeCycleState.ACTIVE, LifeCycleState.ERROR) in told
+    assert StateChanged("plain", "cam", LifecycleState.ACTIVE, LifecycleState.ERROR) in told
 
 
 async def test_without_a_rate_one_in_error_is_told_once_and_the_thread_rests() -> None:

@@ -15,13 +15,13 @@ from aiorts import (
     EventContext,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     Param,
     PeriodicContext,
     SimulatedClock,
 )
-from aiorts.kernel.bus import Event, HookAfter, HookBefore, HookFailed
+from aiorts.kernel.loop.bus import Event, HookAfter, HookBefore, HookFailed
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble, TimedLong
 
@@ -115,7 +115,7 @@ async def system(clock: SimulatedClock) -> None:
             component = kernel.components[name]
             await kernel.sleep(0.25)
             context = component.context
-            if context.state(component) is LifeCycleState.ERROR:
+            if context.state(component) is LifecycleState.ERROR:
                 await context.reset(component)
                 await context.activate(component)
 

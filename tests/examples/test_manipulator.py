@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from aiorts import Kernel, LifeCycleState
-from aiorts.kernel.plugins import load_file
+from aiorts import Kernel, LifecycleState
+from aiorts.kernel.extensions.files import load_file
 from aiorts.system import build, load
 from aiorts.testing import Rig, simulate
 from run_parts import here
@@ -108,7 +108,7 @@ def test_the_four_are_one_composite_that_runs_in_one_context() -> None:
             await kernel.sleep(0.1)
             assert loop.profile.members == FOUR
             assert composite.contexts == (loop,)
-            assert composite.state is LifeCycleState.ACTIVE
+            assert composite.state is LifecycleState.ACTIVE
             assert [kernel.components[name].contexts for name in FOUR] == [(loop,)] * 4
             assert kernel.components["damper"].configuration.active == "damped"
             assert 49 <= loop.ticks <= 51
@@ -286,11 +286,14 @@ def test_in_free_space_the_damper_moves_as_its_law_says(push: float, damping: fl
 
 
 @given(speed=numbers, depth=st.floats(-0.01, 0.01), force=st.floats(100.0, 1000.0))
+@example(speed=1.0, depth=0.009765625, force=100.0)
 def test_the_brake_takes_speed_away_and_never_turns_it_round(speed: float, depth: float, force: float) -> None:
     tool = module("world").Tool(4.0, 5000.0, 5.0, force, depth, speed)
     before = abs(speed)
     for _ in range(20):
         tool.advance(0.002, 0.0, True)
+        if tool.contact() > force:
+            return  # so deep in the wall that it pushes harder than the clamp holds
         assert abs(tool.speed) <= before + 1e-12
         before = abs(tool.speed)
     # Once the clamp is stronger than the wall it stands, after at most its momentum / (friction - contact).

@@ -15,7 +15,7 @@ from aiorts import Kernel, SimulatedClock
 from aiorts.system import build, load, wait_finished
 from aiorts.testing import simulate
 from aiorts.types import TimedShortSeq
-from aiorts_flexi.logger import FlexiLogger
+from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_log import RecordingReader, RecordingWriter
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -71,7 +71,7 @@ def test_of_another_drive_it_does_not(tmp_path: Path, drive: Path, capsys: pytes
 
 
 @pytest.mark.row(117)
-def test_replayed_and_recorded_again_it_is_the_same_to_the_octet(tmp_path: Path, drive: Path) -> None:
+def test_replayed_and_recorded_again_it_is_the_same_to_the_byte(tmp_path: Path, drive: Path) -> None:
     async def main(clock: SimulatedClock) -> None:
         from aiorts import EventContext
 

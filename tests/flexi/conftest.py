@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, OutPort
-from aiorts_flexi.filter import FlexiFilter
+from aiorts_flexi.mapping.filter import FlexiFilter
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Sequence

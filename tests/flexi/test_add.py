@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort
+from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
 from aiorts.errors import ConfigurationError, ConversionError
+from aiorts.kernel.configuring import put_parameters
 from aiorts.testing import Rig, check_component, simulated
 from aiorts.types import (
     Point2D,
@@ -54,7 +55,7 @@ def add(**params: Any) -> FlexiAdd:
     """One with these parameters, ready for a rig."""
 
     made = FlexiAdd("add")
-    made._rt_put({"port": "TimedLong:2", **params})
+    put_parameters(made, {"port": "TimedLong:2", **params})
     return made
 
 
@@ -115,7 +116,7 @@ async def test_lengths_that_differ_are_an_error_that_names_both(wait: str) -> No
             await rig.tick()
         said = str(caught.error)
         assert "data: input0 has 1 items and input2 has 2" in said
-        assert component.state is LifeCycleState.ERROR
+        assert component.state is LifecycleState.ERROR
 
 
 @pytest.mark.row(123)
@@ -252,7 +253,7 @@ async def test_what_has_no_sum_is_refused_at_creation_with_the_reason(port: str,
 def test_every_type_is_added_or_refused_when_it_becomes_known() -> None:
     sums, refused = 0, {}
     for cls in list(all_types().values()):
-        if not cls.__module__.startswith("aiorts.types.") or not hasattr(cls, "__dataclass_fields__"):
+        if cls.__module__.rpartition(".")[0] != "aiorts.types" or not hasattr(cls, "__dataclass_fields__"):
             continue
         try:
             Summation(cls, "error")

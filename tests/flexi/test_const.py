@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, LifeCycleState, Param, PeriodicContext
+from aiorts import Component, EventContext, ExternalContext, InPort, Kernel, LifecycleState, Param, PeriodicContext
 from aiorts.errors import ConfigurationError, WriteTimeout
 from aiorts.testing import Rig, check_component, simulated
 from aiorts.types import Point2D, Pose2D, RangeData, TimedDoubleSeq, TimedLong, TimedPose2D
+from aiorts_flexi.common.place import TypedTextError
 from aiorts_flexi.const import FlexiConst
-from aiorts_flexi.place import TypedTextError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,7 +60,7 @@ async def test_a_rate_or_seconds_or_once_a_second(params: dict[str, Any], step: 
         await kernel.start(EventContext(), const, activate=True)
         await kernel.sleep(60.0)
         samples = port.drain()
-        assert const.state is LifeCycleState.INACTIVE
+        assert const.state is LifecycleState.INACTIVE
     assert [sample.tm - samples[0].tm for sample in samples] == [n * step for n in range(5)]
 
 
@@ -71,7 +71,7 @@ async def test_on_the_real_clock_it_ends_after_its_count_and_is_never_early() ->
         (port,) = await reader(kernel, const)
         began = kernel.clock.time_ns()
         await kernel.start(EventContext(), const, activate=True)
-        while const.state is LifeCycleState.ACTIVE:
+        while const.state is LifecycleState.ACTIVE:
             await kernel.sleep(0.001)
         samples = port.drain()
     assert [sample.data for sample in samples] == [7] * 5
@@ -86,7 +86,7 @@ async def test_count_begins_anew_with_each_activation() -> None:
         ran = await kernel.start(EventContext(), const, activate=True)
         for _ in range(2):
             await kernel.sleep(1.0)
-            assert const.state is LifeCycleState.INACTIVE
+            assert const.state is LifecycleState.INACTIVE
             assert [[sample.data for sample in port.drain()] for port in ports] == [[1] * 3, [2] * 3]
             await ran.activate()
 
@@ -167,7 +167,7 @@ async def test_continuous_is_as_fast_as_the_reader_takes_and_loses_nothing() -> 
         await kernel.sleep(2.0)
         assert len(taken) == 200
         assert connector.statistics.written == connector.statistics.delivered == 200
-        assert const.state is LifeCycleState.INACTIVE
+        assert const.state is LifecycleState.INACTIVE
 
 
 @pytest.mark.parametrize("connected", [True, False])
@@ -178,7 +178,7 @@ async def test_continuous_without_anybody_who_holds_it_back_lets_time_pass(conne
         ports = await reader(kernel, const, length=4) if connected else []
         await kernel.start(EventContext(), const, activate=True)
         await kernel.sleep(0.05)
-        assert const.state is LifeCycleState.ACTIVE
+        assert const.state is LifecycleState.ACTIVE
         assert [len(port.drain()) for port in ports] == [4] * connected
 
 
@@ -220,7 +220,7 @@ async def test_a_reader_that_holds_it_up_costs_the_moments_that_passed_and_no_bu
         # The one that is late goes out at once, the next ones when they are due.
         assert [(sample.tm - start) * 1000 // S for sample in taken] == [0, 100, 200, 1050, 1100, 1200]
         await kernel.sleep(0.01)
-        assert const.state is LifeCycleState.INACTIVE
+        assert const.state is LifecycleState.INACTIVE
     assert "7 samples were skipped" in caplog.text
 
 
@@ -231,12 +231,12 @@ async def test_a_reader_that_never_takes_is_an_error_and_says_who() -> None:
         await reader(kernel, const, length=2, full="block", timeout=0.5)
         ran = await kernel.start(EventContext(), const, activate=True)
         await kernel.sleep(2.0)
-        assert const.state is LifeCycleState.ERROR
+        assert const.state is LifecycleState.ERROR
         assert isinstance(const.last_error, WriteTimeout)
         assert "c.output" in str(const.last_error)
         await ran.reset()
         await ran.activate()
-        assert const.state is LifeCycleState.ACTIVE
+        assert const.state is LifecycleState.ACTIVE
 
 
 @simulated
@@ -255,7 +255,7 @@ async def test_constant_and_rate_change_while_it_runs() -> None:
         port.drain()
         await kernel.sleep(2.0)
         assert [sample.data for sample in port.drain()] == [2, 2, 2, 2]
-        assert const.state is LifeCycleState.ACTIVE
+        assert const.state is LifecycleState.ACTIVE
 
 
 @pytest.mark.anyio

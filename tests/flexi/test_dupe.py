@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, Param, PeriodicContext
+from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort, Param, PeriodicContext
 from aiorts.errors import WriteTimeout
 from aiorts.testing import Rig, check_component, simulated
 from aiorts.types import TimedDoubleSeq, TimedLong, TimedString
@@ -81,9 +81,9 @@ async def test_two_readers_that_block_are_waited_for_together() -> None:
         feed.write_nowait(TimedLong(0, 0))
         feed.write_nowait(TimedLong(1, 1))
         await kernel.sleep(1.9)
-        assert dupe.state is LifeCycleState.ACTIVE
+        assert dupe.state is LifecycleState.ACTIVE
         await kernel.sleep(0.2)
-        assert dupe.state is LifeCycleState.ERROR
+        assert dupe.state is LifecycleState.ERROR
         assert isinstance(dupe.last_error, WriteTimeout)
         assert all(f"p{copy}" in str(dupe.last_error) for copy in range(3))
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, PeriodicContext
+from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort, PeriodicContext
 from aiorts.errors import ConfigurationError, ConversionError
 from aiorts.testing import simulated
 from aiorts.types import (
@@ -102,7 +102,7 @@ async def test_what_cannot_be_converted_is_an_error_that_names_the_entry(
 ) -> None:
     await harness.build([ports[0]], [ports[1]], map_)
     await harness.feed(0, sample)
-    while harness.filter.state is not LifeCycleState.ERROR:
+    while harness.filter.state is not LifecycleState.ERROR:
         await harness.kernel.sleep(0.001)
     assert isinstance(harness.filter.last_error, ConversionError)
     assert said in str(harness.filter.last_error)
@@ -243,6 +243,6 @@ async def test_no_value_is_changed_in_silence(harness: Harness, source: str, tar
 
     await harness.build([source], [target], "0>0")
     await harness.feed(0, find_type(source)(0, value))
-    while harness.filter.state is not LifeCycleState.ERROR:
+    while harness.filter.state is not LifecycleState.ERROR:
         await harness.kernel.sleep(0.001)
     assert isinstance(harness.filter.last_error, ConversionError)

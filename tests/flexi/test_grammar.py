@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts.errors import ConfigurationError
-from aiorts_flexi.grammar import LONGEST_MAP, Entry, parse_map
+from aiorts_flexi.mapping.grammar import LONGEST_MAP, Entry, parse_map
 from campaign import cases
 
 

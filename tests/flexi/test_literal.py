@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import aiorts.types.ros  # noqa: F401 - records like others
 from aiorts.errors import ConfigurationError
 from aiorts.types import (
     CameraImage,
@@ -39,9 +40,9 @@ from aiorts.types import (
     all_types,
     to_plain,
 )
-from aiorts_flexi.constant import sample_of
-from aiorts_flexi.literal import DEEPEST, LONGEST, parse_literal
-from aiorts_flexi.place import TypedTextError
+from aiorts_flexi.common.constant import sample_of
+from aiorts_flexi.common.literal import DEEPEST, LONGEST, parse_literal
+from aiorts_flexi.common.place import TypedTextError
 from campaign import cases
 
 
@@ -189,9 +190,9 @@ def test_a_hostile_constant_costs_neither_time_nor_memory(text: str) -> None:
         (TimedDouble, "None", "TimedDouble.data"),
         (TimedDouble, "[1]", "TimedDouble.data"),
         (TimedDoubleSeq, "1", "TimedDoubleSeq.data"),
-        (TimedDoubleSeq, "b'ab'", "octets"),
+        (TimedDoubleSeq, "b'ab'", "bytes"),
         (TimedLongSeq, "[1, 2.5]", "TimedLongSeq.data"),
-        (TimedOctetSeq, "[1, 256]", "[1]: expected an octet"),
+        (TimedOctetSeq, "[1, 256]", "[1]: expected a byte"),
         (TimedPose2D, '{"position": {"q": 1}}', "TimedPose2D.data.position: unknown field q; expected x, y"),
         (TimedPose2D, '{"position": {"x": "a"}}', "TimedPose2D.data.position.x"),
         (TimedPose2D, "3", "TimedPose2D.data"),

@@ -15,14 +15,14 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, Context, EventContext, Kernel, LifeCycleState, PeriodicContext, ThreadContext
+from aiorts import Component, Context, EventContext, Kernel, LifecycleState, PeriodicContext, ThreadContext
 from aiorts.errors import ComponentError
 from aiorts.testing import simulated
 from aiorts.types import TimedLong, TimedOctetSeq
-from aiorts_flexi import recording
-from aiorts_flexi.recording import Recording
+from aiorts_flexi.recordings import recording
+from aiorts_flexi.recordings.recording import Recording
 from aiorts_log import RecordingError, RecordingReader, RecordingWriter, info_of
-from aiorts_log.file import LogFile
+from aiorts_log.mcap.locked_file import LockedFile
 from campaign import CAMPAIGN
 from log_parts import make, read
 from logger_parts import active, closed, ending, feeders, recorder, until, until_error
@@ -35,7 +35,7 @@ def anyio_backend(request: pytest.FixtureRequest) -> tuple[str, dict[str, bool]]
     return "asyncio", {"use_uvloop": request.param == "uvloop"}
 
 
-def disk(monkeypatch: pytest.MonkeyPatch, kind: type[LogFile]) -> None:
+def disk(monkeypatch: pytest.MonkeyPatch, kind: type[LockedFile]) -> None:
     """Every recorder writes to such a disk from now on."""
     monkeypatch.setattr(Recording, "make_writer", partial(RecordingWriter, kind=kind))
 
@@ -113,7 +113,7 @@ async def test_every_sample_of_a_burst_in_one_tick_is_recorded(
     assert ending(path)["dropped"] == {}
 
 
-class Stuck(LogFile):
+class Stuck(LockedFile):
     """A disk that stands still for a while."""
 
     def put(self, parts: list[memoryview]) -> int:
@@ -146,6 +146,8 @@ async def test_what_of_a_burst_finds_no_room_is_counted_and_told_once(
     assert stored == sorted(set(stored))
     (warning,) = told(caplog, logging.WARNING)
     assert "samples are dropped" in warning
+    (error,) = told(caplog, logging.ERROR)
+    assert f"is not complete: {dropped} samples" in error
 
 
 @pytest.mark.fault("B17")
@@ -175,6 +177,8 @@ async def test_what_was_lost_on_the_way_to_the_recorder_is_in_the_file_and_told_
         assert info_of(reader).dropped == {f"{name} (overwritten)": 992}
     (warning,) = told(caplog, logging.WARNING)
     assert f"992 of {name}" in warning
+    (error,) = told(caplog, logging.ERROR)  # also of a segment that has ended long ago
+    assert "is not complete: 992 samples" in error
 
 
 @simulated
@@ -212,8 +216,8 @@ async def test_a_writer_that_may_wait_waits_for_the_disk_and_nothing_is_lost(
 # -- disks -------------------------------------------------------------------------------------------------------------
 
 
-class Failing(LogFile):
-    """A disk that takes so many octets and no more."""
+class Failing(LockedFile):
+    """A disk that takes so many bytes and no more."""
 
     left = 20_000
     error = 28
@@ -239,7 +243,11 @@ class Broken(Failing):
 @pytest.mark.parametrize("where", ["event", "periodic", "thread"])
 @pytest.mark.anyio
 async def test_a_disk_that_fails_stops_the_recording_with_one_error_and_nobody_else(
-    where: str, kind: type[LogFile], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    where: str,
+    kind: type[LockedFile],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     path = tmp_path / "run.mcap"
     disk(monkeypatch, kind)
@@ -260,7 +268,7 @@ async def test_a_disk_that_fails_stops_the_recording_with_one_error_and_nobody_e
         count = len(ticker.ticks)
         await kernel.sleep(0.1)
         assert len(ticker.ticks) > count
-        assert ticker.state is LifeCycleState.ACTIVE
+        assert ticker.state is LifecycleState.ACTIVE
     stored = [record.data for _, _, record in read(path)]
     assert stored == list(range(len(stored)))
     assert 0 < len(stored) < 3000
@@ -284,8 +292,8 @@ async def test_what_fails_when_the_file_is_closed_is_told_once_and_there_is_room
         await kernel.sleep(0.05)
         await context.deactivate(logger)
         await until(lambda: told(caplog, logging.ERROR))
-        assert logger.state is LifeCycleState.INACTIVE
-        disk(monkeypatch, LogFile)
+        assert logger.state is LifecycleState.INACTIVE
+        disk(monkeypatch, LockedFile)
         await context.activate(logger)
         feed.write_nowait(TimedLong(0, -1))
         await kernel.sleep(0.05)
@@ -322,18 +330,18 @@ async def test_a_file_that_somebody_else_made_meanwhile_is_never_taken_for_its_o
         logger = await recorder(kernel, path)
         context = await kernel.start(EventContext(), logger)
         make(path, 5)
-        octets = path.read_bytes()
+        raw = path.read_bytes()
         if when != "before":
             monkeypatch.setattr(recording, "check_target", lambda path, existing: None)
         for _ in range(3):
             with contextlib.suppress(ComponentError):  # on a slow machine it is told a little later
                 await context.activate(logger)
-            assert "is there already" in str(await until_error(logger))
+            assert "exists already" in str(await until_error(logger))
             await context.reset(logger)
-    assert path.read_bytes() == octets
+    assert path.read_bytes() == raw
 
 
-class Slow(LogFile):
+class Slow(LockedFile):
     """A disk that takes half a second for each piece, also for the first."""
 
     def put(self, parts: list[memoryview]) -> int:
@@ -341,7 +349,7 @@ class Slow(LogFile):
         return super().put(parts)
 
 
-class SlowToBegin(LogFile):
+class SlowToBegin(LockedFile):
     """A disk that sleeps when it is asked first."""
 
     def put(self, parts: list[memoryview]) -> int:
@@ -376,7 +384,7 @@ async def test_a_slow_disk_holds_up_neither_loop_nor_activation(
 
 @pytest.mark.fault("D05")
 @pytest.mark.anyio
-async def test_what_waits_for_the_disk_is_bounded_in_octets_as_well(
+async def test_what_waits_for_the_disk_is_bounded_in_bytes_as_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.mcap"
@@ -420,7 +428,7 @@ async def test_a_file_that_vanishes_while_it_is_recorded_is_told_once(
                 path.write_text("another")
         await until(lambda: told(caplog, logging.WARNING), 5.0)
         await kernel.sleep(0.6)
-        assert logger.state is LifeCycleState.ACTIVE
+        assert logger.state is LifecycleState.ACTIVE
         await feed.write(TimedLong(0, 2))
     (warning,) = told(caplog, logging.WARNING)
     assert "run.mcap" in warning

@@ -64,7 +64,7 @@ async def test_activated_again_it_goes_on_in_its_own_file_whatever_lies_beside_i
 @simulated
 async def test_a_recording_in_several_files_is_continued_in_the_last(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    other_recording(path, *range(200), max_octets=4096, chunk=4096)
+    other_recording(path, *range(200), max_bytes=4096, chunk=4096)
     parts = sorted(tmp_path.iterdir(), key=lambda one: one.stat().st_mtime_ns)
     assert len(parts) > 2
     before = {one: one.read_bytes() for one in parts[:-1]}
@@ -82,7 +82,7 @@ async def test_a_recording_in_several_files_is_continued_in_the_last(tmp_path: P
 async def test_a_recording_in_several_files_does_not_begin_among_those_of_another(tmp_path: Path) -> None:
     other_recording(tmp_path / "run.1.mcap", 77)
     async with Kernel() as kernel:
-        with pytest.raises(ConfigurationError, match=r"run\.1\.mcap: is there already"):
+        with pytest.raises(ConfigurationError, match=r"run\.1\.mcap: exists already"):
             await recorder(kernel, tmp_path / "run.mcap", rotate_time=1.0)
 
 

@@ -16,9 +16,9 @@ import pytest
 from click.testing import CliRunner
 
 from aiorts_log import RecordingError, RecordingReader
-from aiorts_log.command import log
-from aiorts_log.target import check_target
-from campaign import CAMPAIGN
+from aiorts_log.commands.command import log
+from aiorts_log.recorder.target import check_target
+from campaign import CAMPAIGN, time_limit
 from log_parts import read
 from run_parts import aiorts, started
 
@@ -92,7 +92,9 @@ def test_a_filter_records_every_line(tmp_path: Path) -> None:
         f"{command} flexiconst -p TimedDouble -c 1.5 --continuous --count 5000 | "
         f"{command} flexilogger -p TimedDouble -l run.mcap --min-free 0"
     )
-    done = subprocess.run(["bash", "-o", "pipefail", "-c", line], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", line], cwd=tmp_path, capture_output=True, text=True, timeout=100
+    )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     path = str(tmp_path / "run.mcap")
     told = json.loads(CliRunner().invoke(log, ["info", path, "--json"]).output)
@@ -112,7 +114,7 @@ def test_a_filter_that_is_killed_leaves_an_exact_prefix_that_opens_as_it_is(tmp_
         fed = feed(process.stdin, chance.uniform(0.3, 0.8))
         at = time.time_ns()
         process.kill()
-        process.communicate()
+        process.communicate(timeout=40)
         with RecordingReader(path) as reader:
             assert not reader.clean
             assert reader.fault == ""
@@ -165,7 +167,7 @@ def test_ctrl_c_while_recording_leaves_a_valid_log(times: int, tmp_path: Path) -
 
 @pytest.mark.fault("F09")
 @pytest.mark.campaign
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(time_limit(1800))
 def test_ctrl_c_at_any_moment_leaves_no_broken_log(tmp_path: Path) -> None:
     """From the start of the process on, once and twice; 150 moments of a raster of 20 ms in the campaign."""
     for number in range(150) if CAMPAIGN else (10, 45):

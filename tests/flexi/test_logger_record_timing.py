@@ -13,7 +13,7 @@ import pytest
 
 from aiorts import Component, Kernel, OutPort, PeriodicContext
 from aiorts.types import TimedDoubleSeq
-from aiorts_flexi.logger import FlexiLogger
+from aiorts_flexi.recordings.logger import FlexiLogger
 from campaign import CAMPAIGN
 from logger_parts import active, feeders, recorder
 
@@ -42,7 +42,7 @@ class Ticker(Component):
 
 @pytest.fixture
 def frozen() -> Iterator[None]:
-    """The garbage collector has nothing to do with what is there already, as in every run of a system."""
+    """The garbage collector has nothing to do with what exists already, as in every run of a system."""
     gc.collect()
     gc.freeze()
     yield

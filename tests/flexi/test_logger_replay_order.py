@@ -10,7 +10,7 @@ from aiorts import Component, EventContext, InPort, Kernel, PeriodicContext, Thr
 from aiorts.errors import ComponentError
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
-from aiorts_flexi.logger import FlexiLogger
+from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_log import RecordingOptions, RecordingWriter
 from log_parts import BEGIN, MS
 

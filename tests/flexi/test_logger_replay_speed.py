@@ -11,7 +11,7 @@ import aiorts
 from aiorts import Component, EventContext, InPort, Kernel
 from aiorts.system import wait_finished
 from aiorts.types import TimedDouble
-from aiorts_flexi.logger import FlexiLogger
+from aiorts_flexi.recordings.logger import FlexiLogger
 from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
 from campaign import CAMPAIGN
 
@@ -58,7 +58,7 @@ def decoded(path: Path) -> float:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
 def test_a_replay_goes_as_fast_as_samples_can_be_decoded_and_in_constant_memory(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    options = RecordingOptions(min_free=0, queue=2_000_000, queue_octets=2**34)
+    options = RecordingOptions(min_free=0, queue=2_000_000, queue_bytes=2**34)
     with RecordingWriter(path, options) as writer:
         port = writer.add_port("data", TimedDouble)
         for number in range(COUNT):

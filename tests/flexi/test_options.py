@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from aiorts import Component
-from aiorts_flexi.options import KINDS, Option
+from aiorts_flexi.common.options import KINDS, Option
 from aiorts_flexi.readme import COMPONENTS, TARGET, render
 
 ORIGINAL = {
@@ -79,7 +79,7 @@ def test_every_component_is_offered_by_name() -> None:
 
 
 def test_options_do_not_stand_in_the_way_of_what_every_component_has() -> None:
-    assert not {"options", "interface", "verbosity", "tell_ports"} & set(dir(Component))
+    assert not {"options", "interface", "verbosity", "log_ports"} & set(dir(Component))
 
 
 def test_the_readme_is_current() -> None:

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort, PeriodicContext
+from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort, PeriodicContext
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, record
-from aiorts_flexi.filter import FlexiFilter
+from aiorts_flexi.mapping.filter import FlexiFilter
 from aiorts_flexi.readme import COMPONENTS
 
 READY: dict[str, dict[str, Any]] = {
@@ -87,7 +87,7 @@ async def test_nothing_is_printed_but_what_is_dumped(kind: str, capsys: pytest.C
             assert isinstance(port, OutPort)
             await port.write(port.type(0, 1))
         await kernel.sleep(0.5)
-        assert component.state is LifeCycleState.ACTIVE
+        assert component.state is LifecycleState.ACTIVE
     out, err = capsys.readouterr()
     assert bool(out) is (kind == "FlexiDump")
     assert err == ""
@@ -164,7 +164,7 @@ async def test_the_filter_prints_its_map_and_sends_whatever_came_before_an_error
         feed.write_nowait(TimedDouble(2, 1e30))
         await kernel.sleep(0.1)
         assert taker.drain() == [TimedLong(1, 1500)]
-        assert component.state is LifeCycleState.ERROR
+        assert component.state is LifecycleState.ERROR
         await context.reset()
         await context.activate()
         feed.write_nowait(TimedDouble(3, 2.5))

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from aiorts.errors import ConfigurationError
 from aiorts.types import find_type
-from aiorts_flexi.place import TypedTextError
-from aiorts_flexi.ports import MOST_PINS, MOST_PORTS, parse_counted, parse_port
+from aiorts_flexi.common.place import TypedTextError
+from aiorts_flexi.common.ports import MOST_PINS, MOST_PORTS, parse_counted, parse_port
 from campaign import cases
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 )
 def test_a_port_is_a_type_and_for_a_sequence_its_length(text: str, form: str, element: str, length: int) -> None:
     spec = parse_port(text, "input0")
-    assert (spec.form, spec.element, spec.length) == (form, element, length)
+    assert (spec.shape, spec.element, spec.length) == (form, element, length)
 
 
 @pytest.mark.parametrize(

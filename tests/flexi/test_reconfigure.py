@@ -20,7 +20,7 @@ from aiorts_flexi.add import FlexiAdd
 from aiorts_flexi.const import FlexiConst
 from aiorts_flexi.dump import FlexiDump
 from aiorts_flexi.dupe import FlexiDupe
-from aiorts_flexi.filter import FlexiFilter
+from aiorts_flexi.mapping.filter import FlexiFilter
 from aiorts_flexi.select import FlexiSelect
 
 

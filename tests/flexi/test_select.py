@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import Kernel, LifeCycleState
+from aiorts import Kernel, LifecycleState
+from aiorts.kernel.configuring import put_parameters
 from aiorts.testing import Rig, check_component, simulate, simulated
 from aiorts.types import Point2D, Pose2D, TimedLong, TimedPose2D, TimedShort, find_type
 from aiorts_flexi.select import FlexiSelect, SelectionError
@@ -20,7 +21,7 @@ def select(**params: Any) -> FlexiSelect:
     """One with these parameters, ready for a rig."""
 
     made = FlexiSelect("select")
-    made._rt_put({"port": "TimedLong:3", **params})
+    put_parameters(made, {"port": "TimedLong:3", **params})
     return made
 
 
@@ -63,7 +64,7 @@ async def test_a_selection_out_of_range_is_an_error_and_the_last_valid_one_stays
             await rig.tick()
         assert str(caught.error).startswith(f"select.selection: expected a selection 0..2, got {value}; ")
         assert "input2 stays selected" in str(caught.error)
-        assert component.state is LifeCycleState.ERROR
+        assert component.state is LifecycleState.ERROR
         await rig.reset()
         await rig.activate()
         for number in range(3):

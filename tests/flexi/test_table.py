@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from aiorts.errors import ConfigurationError
-from aiorts_flexi.filter import FlexiFilter
-from aiorts_flexi.mapping import Rules
-from aiorts_flexi.place import TypedTextError
-from aiorts_flexi.table import map_table
+from aiorts_flexi.common.place import TypedTextError
+from aiorts_flexi.mapping.filter import FlexiFilter
+from aiorts_flexi.mapping.mapping import Rules
+from aiorts_flexi.mapping.table import map_table
 
 
 def test_the_map_of_the_paper() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from aiorts import Component, ExternalContext, InPort, Kernel, OutPort, Param, PeriodicContext, SimulatedClock
 from aiorts.errors import ClosedError, ConfigurationError, DeclarationError, InvalidNameError, StateError, WiringError
-from aiorts.kernel.bus import Disconnected, ParametersChanged, PortAdded, PortRemoved
+from aiorts.kernel.loop.bus import Disconnected, ParametersChanged, PortAdded, PortRemoved
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
 from campaign import cases
@@ -122,14 +122,26 @@ def test_methods_of_ones_own_may_begin_with_on() -> None:
     assert Panel("panel0").on_error_count == 0
 
 
+class Unsightly:
+    """Raises when it is looked at."""
+
+    @property  # type: ignore[misc]
+    def __class__(self) -> type:
+        raise RuntimeError("no class")
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
 @pytest.mark.fault("A19")
 @pytest.mark.parametrize(
     ("returned", "message"),
     [
         (lambda: 5, "returned int 5; a hook returns nothing"),
         (lambda: asyncio.sleep(0), "returned coroutine .*async def"),
+        (lambda: Unsightly(), "returned Unsightly <Unsightly that cannot be shown>; a hook returns nothing"),
     ],
-    ids=["a value", "a coroutine"],
+    ids=["a value", "a coroutine", "what raises when it is looked at"],
 )
 def test_returned_value_is_an_error_at_the_first_call(returned: Callable[[], Any], message: str) -> None:
     class Returning(Component):
@@ -150,6 +162,7 @@ def test_returned_value_is_an_error_at_the_first_call(returned: Callable[[], Any
                 raise component.last_error or AssertionError
             with pytest.raises(StateError, match=message):
                 await kernel.add(Refused("pid1"))
+            assert kernel.exit_status == 0
 
     simulate(main)
 
@@ -385,7 +398,47 @@ def test_a_parameter_named_like_something_of_the_component_is_refused() -> None:
 
 
 def test_the_private_names_of_a_component_belong_to_its_writer() -> None:
-    ours = {name for name in vars(Component("c")) if not name.startswith("_rt_")}
-    assert ours == set(), "every private attribute of Component begins with _rt_"
-    inherited = {name for name in vars(Component) if name.startswith("_") and not name.startswith(("__", "_rt_"))}
-    assert inherited == {"_repr_html_"}
+    assert set(vars(Component("c"))) == {"_rt"}
+    inherited = {name for name in vars(Component) if name.startswith("_") and not name.startswith("__")}
+    assert inherited == {"_repr_html_", "_rt"}
+
+
+def test_a_class_has_what_all_of_its_bases_declare_as_python_finds_attributes() -> None:
+    class Base(Component):
+        gain = Param(1.0)
+        out = OutPort(TimedLong)
+
+    class Tuned(Base):
+        gain = Param(2.0)
+
+    class Limited(Base):
+        limit = Param(9.0)
+        inp = InPort(TimedLong)
+
+    class Mixin:
+        offset = Param(0.5)
+
+    class Both(Limited, Tuned, Mixin):
+        pass
+
+    both = Both()
+    assert (both.gain, both.limit, both.offset) == (2.0, 9.0, 0.5)
+    assert sorted(both.params) == ["gain", "limit", "offset"]
+    assert sorted(both.ports) == ["inp", "out"]
+    assert both.ports["inp"] is both.inp
+
+
+def test_a_type_in_quotes_is_refused_with_class_and_port_when_the_class_is_made() -> None:
+    said = r"Typo\.obstacle: 'Obstacle' is text; give the class itself, without quotes: InPort\(Obstacle\)"
+    with pytest.raises(DeclarationError, match=said):
+
+        class Typo(Component):
+            obstacle = InPort("Obstacle")  # type: ignore[arg-type]
+
+
+def test_a_type_that_cannot_travel_is_refused_with_component_and_port() -> None:
+    class Watch(Component):
+        seen = OutPort(complex)
+
+    with pytest.raises(DeclarationError, match=r"watch0\.seen: complex cannot be the type of a port"):
+        Watch("watch0")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import math
+import platform
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, Composite, Kernel, Param, PeriodicContext, Supervision
-from aiorts.errors import AiortsError, StateError
+from aiorts import Component, Composite, Kernel, LifecycleState, OutPort, Param, PeriodicContext, Supervision
+from aiorts.errors import AiortsError, ConfigurationError, StateError, WiringError
 from aiorts.events import StateChanged
 from aiorts.testing import simulated
+from aiorts.types import TimedDouble
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,8 +51,8 @@ CALLS: dict[str, tuple[Callable[[Kernel, Any], Any], str]] = {
         lambda k, c: _now(k.monitor(["pid0"])),
         "pid0: is a component; say what of it, such as pid0.state",
     ),
-    "watch of none": (lambda k, c: _now(k.watch(length=0)), "watch: length = 0: expected a whole number from 1 on"),
-    "watch of text": (lambda k, c: _now(k.watch(length="8")), "watch: length = '8': expected"),  # type: ignore[arg-type]
+    "watch of none": (lambda k, c: _now(k.changes(length=0)), "changes: length = 0: expected a whole number from 1 on"),
+    "watch of text": (lambda k, c: _now(k.changes(length="8")), "changes: length = '8': expected"),  # type: ignore[arg-type]
     "subscribe length": (
         lambda k, c: _now(k.bus.subscribe(StateChanged, print, length=-1)),
         "subscribe: length = -1: expected a whole number",
@@ -80,6 +84,46 @@ async def test_what_cannot_be_meant_is_said_and_changes_nothing(name: str) -> No
         with pytest.raises(AiortsError, match=why):
             await call(kernel, pid)
         assert (pid.configuration.profile, kernel.profile().structure(), kernel.bus.observers) == before
+
+
+@pytest.mark.parametrize("seconds", ["5", math.nan, math.inf, -1.0, 0, True, [5]], ids=repr)
+@pytest.mark.parametrize("composed", [False, True], ids=["", "composite"])
+@simulated
+async def test_a_start_is_not_given_any_time_out(composed: bool, seconds: Any) -> None:
+    async with Kernel() as kernel:
+        pid: Component = await kernel.create(Pid, "pid0")
+        if composed:
+            pid = await kernel.add(Composite("whole", pid))
+        context, before = PeriodicContext(100.0), kernel.profile().structure()
+        with pytest.raises(ConfigurationError, match=r"start: timeout = .*: expected seconds above 0, or None"):
+            await kernel.start(context, pid, activate=True, timeout=seconds)
+        assert (context.name, context.running, dict(kernel.contexts), pid.states) == ("", False, {}, {})
+        assert kernel.profile().structure() == before
+        await kernel.start(context, pid, activate=True, timeout=1)
+        assert pid.state is LifecycleState.ACTIVE
+
+
+class Unsightly(Pid):
+    """Raises when it is looked at."""
+
+    out = OutPort(TimedDouble)
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
+@simulated
+async def test_a_component_without_a_text_is_as_good_as_any() -> None:
+    async with Kernel() as kernel:
+        one, stranger = await kernel.create(Unsightly), Unsightly("stranger")
+        await kernel.start(PeriodicContext(100.0), one, activate=True)
+        with pytest.raises(StateError, match="stranger: does not belong to"):
+            await kernel.remove(stranger)
+        stranger_port: Any = stranger
+        with pytest.raises(WiringError, match=r"unsightly0.out -> <Unsightly that cannot be shown>: expected"):
+            await kernel.connect(one.out, stranger_port)
+        await kernel.remove(one)
+        assert not kernel.components
 
 
 @pytest.mark.parametrize(
@@ -120,3 +164,46 @@ async def test_a_kernel_stops_its_own_contexts_alone() -> None:
         await one.stop(context)
         await one.stop(context)
         await two.stop(PeriodicContext(1.0))
+
+
+HERE = platform.node()
+
+
+class Source(Component):
+    out = OutPort(TimedDouble)
+
+
+@pytest.mark.parametrize(
+    "before", ["", "here/", f"{HERE}/here/", f"{HERE.upper()}/here/"], ids=["", "kernel", "host", "HOST"]
+)
+def test_a_path_of_this_kernel_finds_its_port(before: str) -> None:
+    async def main() -> None:
+        async with Kernel("here") as kernel:
+            pid = await kernel.create(Source, "pid0")
+            assert kernel.find(f"{before}pid0.out") is pid.out
+            assert kernel.find(f"{before}pid0") is pid
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [
+        ("other/pid0", "is in the kernel 'other', and this is 'here'; ask that kernel, or for 'pid0' here"),
+        ("Here/pid0.out", "is in the kernel 'Here', and this is 'here'; ask that kernel, or for 'pid0.out' here"),
+        (f"{HERE}/other/pid0", "is in the kernel 'other'"),
+        (f"far.{HERE}/here/pid0.out", f"is on the host 'far.{HERE}', and this is '{HERE}'; ask a kernel there"),
+        ("elsewhere/here/nobody", "is on the host 'elsewhere'"),
+    ],
+)
+def test_a_path_of_another_kernel_or_host_is_refused(path: str, told: str) -> None:
+    """It found what has the same name here."""
+
+    async def main() -> None:
+        async with Kernel("here") as kernel:
+            await kernel.create(Source, "pid0")
+            with pytest.raises(WiringError) as caught:
+                kernel.find(path)
+            assert str(caught.value).startswith(f"{path}: {told}")
+
+    asyncio.run(main())

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from aiorts.types import Point3D, TimedDoubleSeq, TimedPoint3D, TimedString
 from aiorts_log import RecordingOptions, RecordingWriter
-from aiorts_log.form import record
-from aiorts_log.index import read_index
-from aiorts_log.source import Limits, Source
+from aiorts_log.mcap.format import record
+from aiorts_log.mcap.index import read_index
+from aiorts_log.mcap.source import Limits, Source
 
 FOLDER = Path(__file__).parent / "golden"
 BEGIN = 1_700_000_000_000_000_000

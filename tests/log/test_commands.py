@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -50,6 +52,27 @@ def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.Capture
     assert run(capsys, "info", "--check", lines)[1].endswith("\n  all of it can be read\n")
 
 
+@pytest.mark.fault("D06")
+@pytest.mark.parametrize("what", ["the index of messages", "the index of all"])
+def test_a_flipped_index_is_told_and_its_samples_are_read(
+    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, new = tmp_path / "run.mcap", tmp_path / "new.mcap"
+    expected = make(path, 101)
+    with RecordingReader(path) as reader:
+        chunk, end = reader.pieces[0], reader.resume()[1]
+    raw = bytearray(path.read_bytes())
+    raw[chunk.offset + chunk.length + 30 if what == "the index of messages" else end + 40] ^= 1
+    path.write_bytes(raw)
+    status, out, _ = run(capsys, "info", "--check", path)
+    assert status == 1
+    assert "  damaged: " in out
+    assert "checksums are right" not in out
+    assert read(path) == expected
+    assert run(capsys, "salvage", path, new)[0] == 0
+    assert "checksums are right" in run(capsys, "info", "--check", new)[1]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", [("info",), ("info", "--json"), ("cat",), ("diff", "run.mcap")])
 def test_standard_output_that_is_full_is_one_line_that_says_so(command: tuple[str, ...], tmp_path: Path) -> None:
@@ -63,10 +86,46 @@ def test_standard_output_that_is_full_is_one_line_that_says_so(command: tuple[st
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="a file that cannot be read, as of a broken disk")
+def test_a_table_that_the_disk_does_not_give_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = "/proc/self/mem"  # a regular file whose first byte gives EIO
+    how = ("--from", "csv", "--port", "a", "--type", "TimedLong")
+    status, out, err = run(capsys, "convert", source, tmp_path / "x.mcap", *how)
+    assert (status, out, err) == (2, "", "aiorts: E-RECORDING: /proc/self/mem: cannot be read: Input/output error\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("ending", ["mcap", "txt", "jsonl"])
+@pytest.mark.parametrize("command", ["info", "cat", "diff", "convert", "salvage"])
+def test_a_recording_that_the_disk_does_not_give_is_named(
+    command: str, ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, target = tmp_path / f"run.{ending}", tmp_path / f"new.{ending}"
+    make(tmp_path / "run.mcap", 300, chunk=2000)
+    if ending != "mcap":
+        assert run(capsys, "convert", tmp_path / "run.mcap", path)[0] == 0
+    there = sorted(tmp_path.iterdir())
+    given, pread, broken = path.stat(), os.pread, path.stat().st_size // 2
+
+    def failing(file: int, length: int, offset: int) -> bytes:
+        if os.path.samestat(os.fstat(file), given) and offset <= broken < offset + length:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return pread(file, length, offset)
+
+    monkeypatch.setattr(os, "pread", failing)
+    more = {"info": ["--check"], "diff": [path], "convert": [target], "salvage": [target]}.get(command, [])
+    status, _, err = run(capsys, command, path, *more)
+    assert status == 2
+    assert err.startswith(f"aiorts: E-RECORDING: {path}: cannot be read at byte ")
+    assert err.endswith(": Input/output error\n")
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == there
+
+
 @pytest.mark.fault("D14")
 def test_info_tells_gaps_and_drops(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.mcap"
-    with RecordingWriter(path, RecordingOptions(min_free=0, queue_octets=1000)) as writer:
+    with RecordingWriter(path, RecordingOptions(min_free=0, queue_bytes=1000)) as writer:
         port = writer.add_port("n", TimedString)
         writer.write(port, TimedString(0, "a"), BEGIN)
         assert writer.flush(10.0)
@@ -90,7 +149,7 @@ def test_info_says_that_a_recording_was_not_closed(tmp_path: Path, capsys: pytes
         file.truncate(last.offset + last.length - 1)
     status, out, _ = run(capsys, "info", path)
     assert status == 0
-    assert f"; {last.length - 1} octets at its end are of no use" in out
+    assert f"; {last.length - 1} bytes at its end are unusable" in out
     assert run(capsys, "info", path, "--json")[1].count('"closed": false') == 1
 
 
@@ -100,28 +159,28 @@ def test_damage_is_found_and_named_and_salvaged(tmp_path: Path, capsys: pytest.C
     expected = make(path, 300, chunk=2000)
     with RecordingReader(path) as reader:
         hit = reader.pieces[9]
-    octets = bytearray(path.read_bytes())
-    octets[hit.offset + 99] ^= 2
-    path.write_bytes(octets)
+    raw = bytearray(path.read_bytes())
+    raw[hit.offset + 99] ^= 2
+    path.write_bytes(raw)
     status, out, _ = run(capsys, "info", "--check", path)
     assert status == 1
-    assert f"octets from octet {hit.offset}: the checksum of a chunk is not right" in out
+    assert f"bytes from byte {hit.offset}: the checksum of a chunk is wrong" in out
     status, out, err = run(capsys, "cat", path)
     assert status == 2
     assert err.startswith("aiorts: E-DAMAGED: ")
-    assert f"damaged at octet {hit.offset}" in err
-    assert err.endswith("aiorts log salvage gets what is whole\n")
+    assert f"damaged at byte {hit.offset}" in err
+    assert err.endswith("aiorts log salvage copies what is whole\n")
     given = len(out.splitlines())
     assert given == sum(one[1] < hit.start for one in expected) or 0 < given < 900
     status, out, err = run(capsys, "salvage", path, new)
     assert (status, err) == (0, "")
-    assert f"from octet {hit.offset}" in out
+    assert f"from byte {hit.offset}" in out
     kept = read(new)
     assert f"{new}: {len(kept)} samples of 3 ports" in out
     assert 860 < len(kept) < 900
     assert [one for one in expected if one in kept] == kept
     status, _, err = run(capsys, "salvage", path, new)
-    assert (status, "is there already" in err) == (2, True)
+    assert (status, "exists already" in err) == (2, True)
     assert run(capsys, "salvage", path, path, "--overwrite")[2].startswith("aiorts: E-RECORDING: ")
     document = json.loads(run(capsys, "salvage", path, new, "--overwrite", "--json")[1])
     assert sum(document["samples"].values()) == len(kept)

@@ -23,9 +23,9 @@ from aiorts.types import (
     record,
 )
 from aiorts_log import DamagedError, RecordingReader
-from aiorts_log.columns import cells_of, columns_of, taker_of
-from aiorts_log.convert import Converted, convert
-from aiorts_log.csv_form import TableOptions, quoted, time_cell, time_of
+from aiorts_log.analysis.convert import Converted, convert
+from aiorts_log.text.columns import cells_of, columns_of, taker_of
+from aiorts_log.text.csv_format import TableOptions, quoted, time_cell, time_of
 
 
 @record
@@ -198,7 +198,7 @@ def test_an_empty_cell_is_a_nan_when_that_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "options", "why"),
     [
-        ("log_time,x\n", {}, "a table does not say what it holds; --port NAME --type TYPE"),
+        ("log_time,x\n", {}, "a table does not have the types of its columns; --port NAME --type TYPE"),
         ("log_time,x\n", {"ports": (("a", TimedDouble),)}, "TimedDouble.data: has no column; --map COLUMN=data"),
         ("t,x\n", {"ports": (("a", TimedDouble),)}, "--time: .* has no column 'log_time'; it has t, x"),
         ("log_time,x,x\n", {"ports": (("a", TimedDouble),)}, "two columns are called 'x'"),
@@ -233,11 +233,11 @@ def test_options_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
 
 @pytest.mark.fault("D09")
 @pytest.mark.parametrize(
-    "octets", [b"log_time,data\n1,\xff\n", b"\x80\x04\x95", b"\0" * 9000, b'log_time,data\n"' + b"a" * 10_000, b"\n\n"]
+    "raw", [b"log_time,data\n1,\xff\n", b"\x80\x04\x95", b"\0" * 9000, b'log_time,data\n"' + b"a" * 10_000, b"\n\n"]
 )
-def test_what_is_no_table_is_one_clear_error(tmp_path: Path, octets: bytes) -> None:
+def test_what_is_no_table_is_one_clear_error(tmp_path: Path, raw: bytes) -> None:
     with pytest.raises(AiortsError):
-        table(tmp_path, octets, ports=(("a", TimedDouble),))
+        table(tmp_path, raw, ports=(("a", TimedDouble),))
     assert not (tmp_path / "out.mcap").exists()
 
 

@@ -15,11 +15,11 @@ import pytest
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, TimedString, all_types
 from aiorts.wire import MsgpackCodec
 from aiorts_log import Limits, RecordingError, RecordingOptions, RecordingReader, RecordingWriter, salvage
-from aiorts_log.chunks import contents, tally
-from aiorts_log.file import LogFile
-from aiorts_log.form import HEADER, MAGIC, MESSAGE, MESSAGE_HEAD, Channel, ChunkHead, Schema, record
-from aiorts_log.forms import schema_of, splitter
-from aiorts_log.outfile import OutFile
+from aiorts_log.mcap.chunks import contents, tally
+from aiorts_log.mcap.encodings import schema_of, splitter
+from aiorts_log.mcap.format import HEADER, MAGIC, MESSAGE, MESSAGE_HEAD, Channel, ChunkHead, Schema, record
+from aiorts_log.mcap.locked_file import LockedFile
+from aiorts_log.mcap.outfile import OutFile
 from log_parts import make, read
 
 MIB = 2**20
@@ -80,7 +80,7 @@ def test_a_sample_for_which_there_is_no_memory_is_refused_alone(
     assert [one for _, _, one in read(tmp_path / "run.mcap")] == [0.0, 2.0]
 
 
-class Broken(LogFile):
+class Broken(LockedFile):
     """Takes nothing any more as soon as a sample comes."""
 
     def put(self, parts: list[memoryview]) -> int:
@@ -159,7 +159,7 @@ def test_compressed_chunks_that_overlap_are_counted_as_large_as_they_become(tmp_
     assert path.stat().st_size < 20_000
     tracemalloc.start()
     try:
-        with RecordingReader(path, limits=Limits(overlap=8 * MIB)) as reader:
+        with RecordingReader(path, limits=Limits(overlap=8 * MIB, unpacked=None)) as reader:
             assert reader.count == 80
             with pytest.raises(RecordingError, match="overlap in time"):
                 list(reader.samples())
@@ -171,7 +171,7 @@ def test_compressed_chunks_that_overlap_are_counted_as_large_as_they_become(tmp_
 @pytest.mark.fault("D08")
 @pytest.mark.parametrize("is_sorted", [True, False])
 def test_a_chunk_of_very_many_messages_is_read_one_by_one(tmp_path: Path, is_sorted: bool) -> None:
-    """As a list, they would take ten times the octets that they have; equal times keep their order."""
+    """As a list, they would take ten times the bytes that they have; equal times keep their order."""
     count = 60_000
     times = [i // 2 for i in range(count)] if is_sorted else [(i * 7919) % 1000 for i in range(count)]
     messages = b"".join(
@@ -232,10 +232,10 @@ def test_many_damaged_chunks_are_all_passed(tmp_path: Path) -> None:
     make(path, 3000, chunk=4096)
     with RecordingReader(path) as reader:
         pieces = reader.pieces
-    octets = bytearray(path.read_bytes())
+    raw = bytearray(path.read_bytes())
     for piece in pieces[1::2]:
-        octets[piece.offset + 9 + 40 + 5] ^= 1
-    path.write_bytes(octets)
+        raw[piece.offset + 9 + 40 + 5] ^= 1
+    path.write_bytes(raw)
     report = salvage(path, tmp_path / "whole.mcap")
     assert len(report.lost) == len(pieces[1::2])
     assert sum(report.samples.values()) + sum(report.missing.values()) == 9000

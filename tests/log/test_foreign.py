@@ -40,9 +40,9 @@ def test_the_reader_of_the_mcap_library_reads_ours_and_finds_every_sum_right(tmp
     with RecordingReader(path) as reader:
         expected = [(s.port.name, s.log_time, s.publish_time, s.sequence, s.data) for s in reader.samples()]
         last = reader.pieces[-1]
-    octets = path.read_bytes() if closed else path.read_bytes()[: last.offset + last.length]
+    raw = path.read_bytes() if closed else path.read_bytes()[: last.offset + last.length]
     if closed:
-        seeking = mcap_reader.SeekingReader(io.BytesIO(octets), validate_crcs=True)
+        seeking = mcap_reader.SeekingReader(io.BytesIO(raw), validate_crcs=True)
         summary = seeking.get_summary()
         assert summary.statistics.message_count == 1500
         assert summary.statistics.chunk_count == len(summary.chunk_indexes)
@@ -51,7 +51,7 @@ def test_the_reader_of_the_mcap_library_reads_ours_and_finds_every_sum_right(tmp
         some = list(seeking.iter_messages(topics=["log"]))
         assert [message.data for _, _, message in some] == [e[4] for e in expected if e[0] == "log"]
     else:
-        seeking = mcap_reader.NonSeekingReader(io.BytesIO(octets), validate_crcs=True)
+        seeking = mcap_reader.NonSeekingReader(io.BytesIO(raw), validate_crcs=True)
     found = []
     with_order = {} if closed else {"log_time_order": False}
     try:
@@ -119,11 +119,16 @@ def test_any_reader_understands_the_samples_without_our_code(tmp_path: Path) -> 
             "point": point,
             "images": images,
             "plain": 2.5,
-            "octets": b"\1\2",
+            "bytes": b"\1\2",
         }.items():
             writer.write(writer.add_port(name, type(value)), value, 1)
     done = subprocess.run(
-        [sys.executable, "-c", READER, str(path)], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-c", READER, str(path)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
     )
     assert done.stderr == ""
     found = {topic: (name, value) for topic, name, value in map(json.loads, done.stdout.splitlines())}
@@ -132,7 +137,7 @@ def test_any_reader_understands_the_samples_without_our_code(tmp_path: Path) -> 
     assert found["text"] == ("TimedString", {"tm": 7, "data": "ä"})
     assert found["point"] == ("TimedPoint3D", {"tm": 5, "data": {"x": 1.0, "y": 2.0, "z": 3.0}})
     assert found["plain"] == ("float", 2.5)
-    assert found["octets"] == ("bytes", "0102")
+    assert found["bytes"] == ("bytes", "0102")
     assert found["images"][0] == "MultiCameraImages"
 
 
@@ -192,11 +197,12 @@ def test_recordings_of_the_mcap_library_are_read(tmp_path: Path, compression: st
         found = list(reader.samples())
         assert [(s.port.name, s.log_time, s.data) for s in found] == expected
         assert {port.name: port.unknown for port in reader.ports.values()} == {
-            "/a": "no type 'Thing' is known here; import the module that defines it",
+            "/a": "no type 'Thing' is known here; import the module that defines it "
+            "(--type-mod), or install its plugin",
             "/b": "its messages are cdr, which are not read here",
         }
         assert found[0].port.plain(b'{"n": 1}') == (
-            {"n": 1} if found[0].port.name == "/a" else {"encoding": "cdr", "octets": "eyJuIjogMX0="}
+            {"n": 1} if found[0].port.name == "/a" else {"encoding": "cdr", "bytes": "eyJuIjogMX0="}
         )
         assert [(one.name, one.data) for one in reader.attachments()] == [("file.txt", b"hello")]
         assert reader.metadata == ()
@@ -225,7 +231,7 @@ def test_a_recording_of_others_that_is_cut_is_read_as_far_as_it_goes(tmp_path: P
 def test_large_samples_are_not_copied_into_one(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     array = np.arange(200_000, dtype=np.float64)
-    with RecordingWriter(path, RecordingOptions(min_free=0, queue_octets=2**30)) as writer:
+    with RecordingWriter(path, RecordingOptions(min_free=0, queue_bytes=2**30)) as writer:
         port = writer.add_port("n", TimedDoubleSeq)
         for i in range(10):
             writer.write(port, TimedDoubleSeq(i, array), i)

@@ -22,7 +22,7 @@ SAMPLES: dict[str, list[Any]] = {
     "number": [TimedDouble(i, i / 7) for i in range(300)],
     "list": [TimedDoubleSeq(i, [i, 0.5]) for i in range(3)],
     "odd": [TimedDoubleSeq(0, [1.0, float("nan"), float("-inf")])],
-    "octets": [TimedOctetSeq(i, bytes([i, 255])) for i in range(3)],
+    "bytes": [TimedOctetSeq(i, bytes([i, 255])) for i in range(3)],
     "pose": [TimedPose3D(i) for i in range(3)],
     "text": [TimedString(0, 'ü"\n')],
     "bare": [1.5, 2.5],
@@ -58,13 +58,13 @@ def test_names_are_those_that_foxglove_documents(tmp_path: Path) -> None:
     assert [one["data"] for one in found["number"]] == [i / 7 for i in range(300)]
     assert found["list"][1]["data"] == [1.0, 0.5]
     assert found["odd"][0]["data"] == [1.0, "NaN", "-Infinity"]
-    assert base64.b64decode(found["octets"][2]["data"]) == b"\x02\xff"
+    assert base64.b64decode(found["bytes"][2]["data"]) == b"\x02\xff"
     assert found["pose"][0]["data"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
     assert found["text"][0]["data"] == 'ü"\n'
     assert found["bare"] == [{"value": 1.5}, {"value": 2.5}]
 
 
-def test_octets_are_base_64_and_the_schema_says_so(tmp_path: Path) -> None:
+def test_bytes_are_base_64_and_the_schema_says_so(tmp_path: Path) -> None:
     with made(tmp_path / "run.mcap", "json").open("rb") as stream:
         summary = reader_module.make_reader(stream).get_summary()
         (schema,) = (one for one in summary.schemas.values() if one.name == "TimedOctetSeq")
@@ -75,7 +75,7 @@ def test_octets_are_base_64_and_the_schema_says_so(tmp_path: Path) -> None:
 def test_a_file_stands_up_to_the_checks_of_a_doctor(tmp_path: Path, encoding: Any) -> None:
     """What `mcap doctor` looks at: every record in its place, every offset right, every count and time as they are."""
     path = made(tmp_path / "run.mcap", encoding)
-    octets = path.read_bytes()
+    raw = path.read_bytes()
     with path.open("rb") as stream:
         summary = reader_module.make_reader(stream, validate_crcs=True).get_summary()
     with path.open("rb") as stream:
@@ -89,10 +89,10 @@ def test_a_file_stands_up_to_the_checks_of_a_doctor(tmp_path: Path, encoding: An
     counted: dict[int, int] = {}
     defined: set[int] = set()
     for chunk, index in zip(chunks, sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset), strict=True):
-        assert octets[index.chunk_start_offset] == 0x06
+        assert raw[index.chunk_start_offset] == 0x06
         assert chunk.uncompressed_crc != 0
         begin = index.chunk_start_offset + index.chunk_length
-        assert all(octets[at] == 0x07 for at in index.message_index_offsets.values())
+        assert all(raw[at] == 0x07 for at in index.message_index_offsets.values())
         assert all(begin <= at < begin + index.message_index_length for at in index.message_index_offsets.values())
         times, last = [], -1
         for one in stream_reader.breakup_chunk(chunk, validate_crc=True):

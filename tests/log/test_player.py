@@ -16,8 +16,8 @@ from aiorts import Kernel, ScaledClock
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble, TimedLong, TimedOctetSeq
 from aiorts_log import DamagedError, RecordingError, RecordingReader
-from aiorts_log.read_ahead import ReadAhead, Reading
-from aiorts_log.schedule import Pace
+from aiorts_log.playing.read_ahead import ReadAhead, Reading
+from aiorts_log.playing.schedule import Pace
 from play_parts import BEGIN, MS, Played, S, foreign, recorded, steady
 
 
@@ -427,9 +427,9 @@ class TestDamage:
         path = steady(tmp_path / "a.mcap", 1000, chunk=2000)
         with RecordingReader(path) as reader:
             place = reader.pieces[-1].offset
-        octets = bytearray(path.read_bytes())
-        octets[place + 200] ^= 1
-        path.write_bytes(octets)
+        raw = bytearray(path.read_bytes())
+        raw[place + 200] ^= 1
+        path.write_bytes(raw)
         async with Kernel() as kernel:
             played = Played(kernel, path)
             with pytest.raises(DamagedError):
@@ -457,7 +457,7 @@ class TestDamage:
             played = Played(kernel, tmp_path / "a.mcap")
             recorded(tmp_path / "b.mcap", [("a", BEGIN, TimedLong(0, 1)), ("b", BEGIN, TimedLong(0, 1))])
             os.replace(tmp_path / "b.mcap", tmp_path / "a.mcap")
-            with pytest.raises(RecordingError, match="port 'a' is another one now"):
+            with pytest.raises(RecordingError, match="port 'a' has changed"):
                 await played.player.play()
 
 

@@ -1,4 +1,4 @@
-"""`aiorts log plot`: every peak is in the picture, the same recording gives the same octets, nothing is half drawn."""
+"""`aiorts log plot`: every peak is in the picture, the same recording gives the same bytes, nothing is half drawn."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from aiorts.cli.app import run_command
 from aiorts.types import Point2D, Pose2D, TimedDouble, TimedDoubleSeq, TimedPose2D, TimedString
 from aiorts_log import RecordingOptions, RecordingWriter, open_recording
-from aiorts_log.series import read_series
-from aiorts_log.thinning import thinned, thinned_path
+from aiorts_log.analysis.series import read_series
+from aiorts_log.analysis.thinning import thinned, thinned_path
 
 FLOATS = st.floats(-1e6, 1e6) | st.just(math.nan)
 
@@ -124,15 +124,15 @@ def test_a_path_and_curves_are_drawn_the_same_every_time(drive: Path) -> None:
     pytest.importorskip("matplotlib")
     fields = ["odometry.pose.data.position.x", "odometry.pose.data.position.y", "base.speed", "base.sonar"]
     done = subprocess.run(
-        [sys.executable, "-c", DRAW, *fields], cwd=drive.parent, capture_output=True, text=True, check=True
+        [sys.executable, "-c", DRAW, *fields], cwd=drive.parent, capture_output=True, text=True, check=True, timeout=100
     )
     assert done.stderr == ""
     assert done.stdout.splitlines()[:2] == ["path0.svg: 2000 values of 2 curves", "times0.svg: 4000 values of 4 curves"]
     for name in ("path", "times"):
         for form in ("svg", "png"):
-            octets = drive.with_name(f"{name}0.{form}").read_bytes()
-            assert octets == drive.with_name(f"{name}1.{form}").read_bytes()
-            assert name == "times" or len(octets) <= 60_000
+            raw = drive.with_name(f"{name}0.{form}").read_bytes()
+            assert raw == drive.with_name(f"{name}1.{form}").read_bytes()
+            assert name == "times" or len(raw) <= 60_000
     text = drive.with_name("path0.svg").read_text()
     assert "position.x [m]" in text
     root = ElementTree.fromstring(text)
@@ -164,7 +164,7 @@ def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys
         "aiorts: E-CONFIG: -o: expected FILE.png or FILE.svg"
     )
     target.write_text("mine")
-    assert "is there already" in run(capsys, drive, "base.speed", "-o", target)[2]
+    assert "exists already" in run(capsys, drive, "base.speed", "-o", target)[2]
     assert target.read_text() == "mine"
     assert sorted(os.listdir(drive.parent)) == ["drive.mcap", "x.svg"]
 
@@ -172,7 +172,7 @@ def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys
 def test_without_matplotlib_the_command_is_named(
     drive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aiorts_log.plot.find_spec", lambda name: None)
+    monkeypatch.setattr("aiorts_log.analysis.plot.find_spec", lambda name: None)
     status, _, err = run(capsys, drive, "base.speed", "-o", "x.svg")
     assert (status, err) == (
         2,
@@ -181,6 +181,6 @@ def test_without_matplotlib_the_command_is_named(
 
 
 def test_matplotlib_is_loaded_for_pictures_alone() -> None:
-    code = "import sys, aiorts_log, aiorts_log.command; print('matplotlib' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = "import sys, aiorts_log, aiorts_log.commands.command; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=100)
     assert done.stdout == "False\n"

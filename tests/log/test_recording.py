@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import aiorts.types.ros  # noqa: F401 - records like others
 from aiorts.types import (
     MultiCameraImages,
     NDArray,
@@ -25,6 +26,7 @@ from aiorts.types import (
     TimedString,
     all_types,
     record,
+    wire_name,
 )
 from aiorts_log import (
     DamagedError,
@@ -35,12 +37,12 @@ from aiorts_log import (
     info_of,
     salvage,
 )
-from aiorts_log.forms import encoder, name_of, schema_of, taker
-from aiorts_log.merge import merged
-from aiorts_log.source import Piece
+from aiorts_log.mcap.encodings import encoder, schema_of, taker
+from aiorts_log.mcap.merge import merged
+from aiorts_log.mcap.source import Piece
 from campaign import cases
 from log_parts import BEGIN, MS, make, read
-from wire.test_wire_codec import bits, records_of
+from wire.test_codec import bits, records_of
 
 TYPES = [cls for cls in all_types().values() if cls.__module__.startswith("aiorts.types") and hasattr(cls, "__slots__")]
 RECORDS = [cls for cls in TYPES if dataclasses.is_dataclass(cls)]
@@ -53,9 +55,9 @@ RECORDS = [cls for cls in TYPES if dataclasses.is_dataclass(cls)]
 def test_every_type_comes_back_bit_for_bit(encoding: Any, data: st.DataObject) -> None:
     cls = data.draw(st.sampled_from(RECORDS))
     sample = data.draw(records_of(cls))
-    octets = encoder(encoding, type(sample))(sample)
-    back = taker(cls, encoding)(octets)
-    assert encoder(encoding, type(back))(back) == octets
+    raw = encoder(encoding, type(sample))(sample)
+    back = taker(cls, encoding)(raw)
+    assert encoder(encoding, type(back))(back) == raw
     if encoding == "msgpack":  # JSON has one NaN; every other bit survives in it, too
         assert bits(back) == bits(sample)
     else:
@@ -64,7 +66,7 @@ def test_every_type_comes_back_bit_for_bit(encoding: Any, data: st.DataObject) -
 
 @pytest.mark.fault("D16")
 @pytest.mark.parametrize("encoding", ["msgpack", "json"])
-def test_record_read_record_gives_the_same_octets(tmp_path: Path, encoding: Any) -> None:
+def test_record_read_record_gives_the_same_bytes(tmp_path: Path, encoding: Any) -> None:
     """A NaN with a payload, text that is no ASCII, empty sequences, every width, plain values, dtypes."""
 
     @record
@@ -169,8 +171,8 @@ def test_what_is_recorded_at_time_0_is_the_first_sample_like_any_other(
         for number in range(4):  # a chunk of its own for each
             assert writer.write(port, TimedLong(0, number), begin + number * second)
     if not indexed:
-        octets = path.read_bytes()
-        path.write_bytes(octets[: octets.index(b"end.json")])
+        raw = path.read_bytes()
+        path.write_bytes(raw[: raw.index(b"end.json")])
     with RecordingReader(path) as reader:
         assert reader.start == begin
         assert [sample.data for _, _, sample in reader.records(start=reader.start)] == [0, 1, 2, 3]
@@ -184,7 +186,7 @@ def test_a_recording_that_is_there_is_never_touched_unless_that_is_said(tmp_path
     path = tmp_path / "run.mcap"
     expected = make(path, 10)
     before = path.read_bytes()
-    with pytest.raises(RecordingError, match="is there already; --append continues it, --overwrite replaces it"):
+    with pytest.raises(RecordingError, match="exists already; --append continues it, --overwrite replaces it"):
         RecordingWriter(path)
     assert path.read_bytes() == before
     make(path, 5, existing="overwrite")
@@ -205,7 +207,9 @@ def test_two_recorders_never_share_a_file(tmp_path: Path, existing: Any) -> None
             "import sys; from aiorts_log import *\n"
             f"RecordingWriter(sys.argv[1], RecordingOptions(min_free=0, existing={existing!r}))"
         )
-        done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False, timeout=100
+        )
         assert f"process {os.getpid()} (" in done.stderr  # and its command
         writer.write(port, TimedLong(2, 2), 2)
     assert [value.data for _, _, value in read(path)] == [1, 2]
@@ -257,14 +261,14 @@ def test_a_recording_is_continued_again_and_again(tmp_path: Path, closed: bool) 
 def test_what_is_damaged_or_not_ours_is_not_continued(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     make(path, 100, chunk=1000)
-    octets = bytearray(path.read_bytes())
-    path.write_bytes(octets[:-20])
-    octets[3000] ^= 1
+    raw = bytearray(path.read_bytes())
+    path.write_bytes(raw[:-20])
+    raw[3000] ^= 1
     damaged = tmp_path / "damaged.mcap"
-    damaged.write_bytes(octets[:-20])
+    damaged.write_bytes(raw[:-20])
     with pytest.raises(RecordingError, match="salvage makes a whole one"):
         RecordingWriter(damaged, RecordingOptions(existing="append"))
-    assert damaged.read_bytes() == octets[:-20]
+    assert damaged.read_bytes() == raw[:-20]
     (tmp_path / "text").write_text("hello")
     with pytest.raises(RecordingError, match="no recording"):
         RecordingWriter(tmp_path / "text", RecordingOptions(existing="append"))
@@ -273,7 +277,7 @@ def test_what_is_damaged_or_not_ours_is_not_continued(tmp_path: Path) -> None:
 
 def test_a_recording_goes_on_in_the_next_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    expected = make(path, 400, chunk=1000, max_octets=20_000)
+    expected = make(path, 400, chunk=1000, max_bytes=20_000)
     paths = [path, *(path.with_name(f"run.{i}.mcap") for i in range(1, len(list(tmp_path.iterdir()))))]
     assert len(paths) > 4
     found = [sample for one in paths for sample in read(one)]
@@ -290,7 +294,7 @@ def test_a_recording_goes_on_in_the_next_file(tmp_path: Path) -> None:
 def test_a_next_file_that_is_there_stays_and_is_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     (tmp_path / "run.1.mcap").write_bytes(b"precious")
-    with RecordingWriter(path, RecordingOptions(min_free=0, chunk=1000, max_octets=20_000)) as writer:
+    with RecordingWriter(path, RecordingOptions(min_free=0, chunk=1000, max_bytes=20_000)) as writer:
         port = writer.add_port("n", TimedLong)
         for i in range(1000):
             writer.write(port, TimedLong(i, i), i)
@@ -358,6 +362,21 @@ def test_a_sample_that_changes_later_is_recorded_as_it_was(tmp_path: Path) -> No
     assert [one.number for _, _, one in read(path)] == list(range(100))
 
 
+def test_so_is_what_a_frozen_dataclass_holds(tmp_path: Path) -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Held:
+        numbers: tuple[int, ...] = ()
+
+    path = tmp_path / "run.mcap"
+    held: list[int] = []
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        port = writer.add_port("n", Held)
+        for i in range(100):
+            held.append(i)
+            writer.write(port, Held(held), i)  # type: ignore[arg-type]
+    assert [len(one.numbers) for _, _, one in read(path)] == list(range(1, 101))
+
+
 def test_samples_cannot_be_had_after_the_reader_was_closed(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     make(path, 300, chunk=1000)
@@ -373,8 +392,8 @@ def test_samples_cannot_be_had_after_the_reader_was_closed(tmp_path: Path) -> No
 def test_a_recorder_killed_while_it_closes_can_be_continued(tmp_path: Path, left: int) -> None:
     path = tmp_path / "run.mcap"
     expected = make(path, 30)
-    from aiorts_log.index import read_index
-    from aiorts_log.source import Limits, Source
+    from aiorts_log.mcap.index import read_index
+    from aiorts_log.mcap.source import Limits, Source
 
     source = Source(path, Limits())
     found = read_index(source)
@@ -425,7 +444,7 @@ def test_a_type_that_is_another_one_by_now_is_named_and_told_as_it_was(tmp_path:
     assert len(read(path)) == 1
     new = made("amount", int)
     schema_of(1, new, "msgpack")
-    assert name_of(new) == name_of(old)
+    assert wire_name(new) == wire_name(old)
     with RecordingReader(path) as reader:
         (sample,) = reader.samples()
         assert sample.port.type is None
@@ -468,9 +487,9 @@ def test_definitions_stand_in_the_file_again_so_that_no_damage_takes_them_all(tm
             writer.write(port, bytes(50_000), i)
     with RecordingReader(path) as reader:
         first = reader.pieces[0]
-    octets = bytearray(path.read_bytes()[:-30])  # not closed, and the first chunk is damaged
-    octets[first.offset + 100] ^= 1
-    path.write_bytes(octets)
+    raw = bytearray(path.read_bytes()[:-30])  # not closed, and the first chunk is damaged
+    raw[first.offset + 100] ^= 1
+    path.write_bytes(raw)
     report = salvage(path, new)
     assert report.samples["n"] >= 147
     assert len(read(new)) == report.samples["n"]
@@ -487,7 +506,7 @@ def test_options_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
 
 def test_the_limit_on_what_waits_counts_what_samples_hold() -> None:
     from aiorts.types import CameraImage, TimedDoubleSeq
-    from aiorts_log.weight import weigher
+    from aiorts_log.recorder.weight import weigher
 
     assert weigher(TimedDouble) is None
     assert weigher(TimedPoint3D) is None
@@ -501,7 +520,7 @@ def test_the_limit_on_what_waits_counts_what_samples_hold() -> None:
 
 def test_a_sample_that_is_none_of_its_type_is_damage(tmp_path: Path) -> None:
     """Its sum may be right when somebody else's program wrote it."""
-    from aiorts_log.outfile import OutFile
+    from aiorts_log.mcap.outfile import OutFile
 
     path = tmp_path / "run.mcap"
     file = OutFile(path, "refuse", 0)
@@ -510,4 +529,4 @@ def test_a_sample_that_is_none_of_its_type_is_damage(tmp_path: Path) -> None:
     file.finish()
     with pytest.raises(DamagedError, match="port n: TimedLong: missing tm, data"):
         read(path)
-    assert json.dumps(RecordingReaderOnce(path)[0].port.plain(b"\xc1")) == '{"encoding": "msgpack", "octets": "wQ=="}'
+    assert json.dumps(RecordingReaderOnce(path)[0].port.plain(b"\xc1")) == '{"encoding": "msgpack", "bytes": "wQ=="}'

@@ -10,11 +10,11 @@ import pytest
 
 from aiorts.types import Array, TimedLong, record, u8
 from aiorts_log import RecordingOptions, RecordingWriter
-from aiorts_log.file import LogFile
+from aiorts_log.mcap.locked_file import LockedFile
 from log_parts import BEGIN, read
 
 
-class _FailsOnce(LogFile):
+class _FailsOnce(LockedFile):
     """The system tells once that it could not write; the next `fsync` is fine again, and means nothing."""
 
     left = 4

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts_log.schedule import Pace, Schedule
+from aiorts_log.playing.schedule import Pace, Schedule
 
 S = 1_000_000_000
 BEGIN = 1_700_000_000 * S

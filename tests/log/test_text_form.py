@@ -22,7 +22,7 @@ from aiorts_log import (
     TextWriter,
     open_recording,
 )
-from aiorts_log.file import LogFile
+from aiorts_log.mcap.locked_file import LockedFile
 from log_parts import BEGIN, MS, make
 
 ESCAPE = "a\x1b[2Jb\n../../c\t#"
@@ -76,7 +76,7 @@ def test_what_was_written_is_read_again(tmp_path: Path) -> None:
 def test_a_file_that_is_there_is_refused_continued_or_replaced(tmp_path: Path) -> None:
     path = tmp_path / "run.txt"
     first = write(path)
-    with pytest.raises(RecordingError, match="is there already; --append"):
+    with pytest.raises(RecordingError, match="exists already; --append"):
         TextWriter(path)
     second = write(path, existing="append")
     with TextReader(path) as reader:
@@ -96,15 +96,15 @@ def test_a_file_that_is_there_is_refused_continued_or_replaced(tmp_path: Path) -
 def test_truncated_at_every_length_it_is_an_exact_prefix_or_one_message(tmp_path: Path) -> None:
     path, cut = tmp_path / "run.txt", tmp_path / "cut.txt"
     expected = write(path, 4)
-    octets = path.read_bytes()
-    for length in range(len(octets)):
-        cut.write_bytes(octets[:length])
+    raw = path.read_bytes()
+    for length in range(len(raw)):
+        cut.write_bytes(raw[:length])
         try:
             with open_recording(cut) as reader:
                 found = list(reader.records())
                 assert found == expected[: len(found)]
-                assert len(found) >= octets[:length].count(b'"data": ') - 1
-                assert not reader.clean or length == len(octets) - 1
+                assert len(found) >= raw[:length].count(b'"data": ') - 1
+                assert not reader.clean or length == len(raw) - 1
         except RecordingError as error:
             assert length < len("# aiorts text recording ")
             assert str(error).startswith(f"{cut}: no recording: ")  # noqa: PT017
@@ -113,9 +113,9 @@ def test_truncated_at_every_length_it_is_an_exact_prefix_or_one_message(tmp_path
 def test_a_torn_recording_is_continued_behind_its_last_whole_line(tmp_path: Path) -> None:
     path = tmp_path / "run.txt"
     expected = write(path, 4)
-    octets = path.read_bytes()
-    for line_end, kept in ((octets.rindex(b"# {"), 8), (octets.rindex(b"# {") - 1, 8), (octets.rindex(b"# {") - 9, 7)):
-        path.write_bytes(octets[:line_end])
+    raw = path.read_bytes()
+    for line_end, kept in ((raw.rindex(b"# {"), 8), (raw.rindex(b"# {") - 1, 8), (raw.rindex(b"# {") - 9, 7)):
+        path.write_bytes(raw[:line_end])
         more = write(path, 1, existing="append")
         with TextReader(path) as reader:
             assert list(reader.records()) == expected[:kept] + more
@@ -162,7 +162,7 @@ def test_a_line_that_is_none_is_named_and_what_stands_before_it_is_given(tmp_pat
         path.write_text("\n".join([*lines[:10], bad, *lines[10:]]))
         with TextReader(path) as reader:
             found = []
-            with pytest.raises(DamagedError, match=rf"run\.txt: line 11: {why}.*; aiorts log salvage gets"):
+            with pytest.raises(DamagedError, match=rf"run\.txt: line 11: {why}.*; aiorts log salvage copies"):
                 found.extend(reader.records())
             assert list(reader.records(end=BEGIN)) == []
             assert reader.check()[0].why.startswith(f"line 11: {why}")
@@ -224,15 +224,15 @@ def test_what_is_no_recording_is_one_clear_error(tmp_path: Path, monkeypatch: py
         with pytest.raises(RecordingError, match=r"it: no recording: it begins with"):
             open_recording(path)
     assert not (tmp_path / "canary").exists()
-    for octets, why in (
+    for raw, why in (
         (b"", "no recording: it is empty"),
         (b"hello\n", "no recording: it begins with b'hello.n'"),
         (b"t,x,y\n0,1,2\n", "CSV: aiorts log convert"),
         (b'[{"data": 1}]', "no recording"),
         (b"\0" * 5000, "no recording"),
-        (b"\x89MCAP", "it ends after 5 octets"),
+        (b"\x89MCAP", "it ends after 5 bytes"),
     ):
-        path.write_bytes(octets)
+        path.write_bytes(raw)
         with pytest.raises(RecordingError, match=why):
             open_recording(path)
     path.unlink()
@@ -245,8 +245,8 @@ def test_what_is_no_recording_is_one_clear_error(tmp_path: Path, monkeypatch: py
         open_recording("/dev/zero")
 
 
-class _Full(LogFile):
-    """A disk that has room for 2000 octets."""
+class _Full(LockedFile):
+    """A disk that has room for 2000 bytes."""
 
     def put(self, parts: list[memoryview]) -> int:
         if self.size + sum(map(len, parts)) > 2000:

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from aiorts import Component, Param
 from aiorts.errors import ConfigurationError, DeclarationError
-from aiorts.model.configuration import ParameterSpec
-from aiorts.model.constraint_text import constraint_text, parse_constraint
-from aiorts.model.constraints import Constraint
+from aiorts.model.configuration.constraint_text import constraint_text, parse_constraint
+from aiorts.model.configuration.constraints import Constraint
+from aiorts.model.configuration.parameters import ParameterSpec
 
 
 class Parity(enum.Enum):
@@ -37,6 +37,14 @@ class Parity(enum.Enum):
         ("100<=x<=200", 150, 200, 201),
         ("100<x<200", 150, 199, 200),
         ("100 <= x < 200", 150, 100, 200),
+        ("0<=x", 0.0, 1e300, -1e-9),
+        ("0<x", 1.0, 5e-324, 0.0),
+        ("100>x", 1.0, 99.5, 100.0),
+        ("100 >= x", 1.0, 100.0, 100.5),
+        ("200>=x>=100", 150, 200, 99),
+        ("200>x>=100", 150, 100, 200),
+        ("0<x, 10>x, x>100", (1, 9, 101), (5, -5, 500), (0, 9, 101)),
+        ("{k0: 200>x>100, k1: 100<=x}", {"k0": 150, "k1": 100}, {"k0": 101, "k1": 1000}, {"k0": 200, "k1": 100}),
         ("-1.5e-3<=x<=inf", 0.0, 1e9, -2e-3),
         ("(9600, 19200, 115200)", 9600, 19200, 19201),
         ("(slow, fast)", "slow", "fast", "warp"),
@@ -69,8 +77,12 @@ def test_a_constraint_as_text_lets_through_what_it_says_and_nothing_else(
         ("x>=", 4, "expected a number"),
         ("x>=much", 4, "expected a number"),
         ("x>=1e999", 4, "expected a number"),
-        ("100<x", 6, "a lower bound alone is written x>=100"),
-        ("200>=x>=100", 4, "write the lower bound first"),
+        ("100<x>50", 6, "both signs point the same way"),
+        ("200>=x<300", 7, "both signs point the same way"),
+        ("100<x<", 7, "expected a number"),
+        ("100<x and x>5", 11, "the same thing twice"),
+        ("100<", 5, "expected x"),
+        ("0>=x>=1", 1, "exchange the bounds"),
         ("1<=x<=0", 1, "exchange the bounds"),
         ("a<=x<=b", 1, "a bound is a number"),
         ("1<=y", 4, "expected x"),
@@ -162,6 +174,18 @@ def test_text_of_a_constraint_reads_as_the_same_constraint(constraint: Constrain
     again = parse_constraint(constraint_text(constraint))
     assert again == constraint
     assert repr(again) == repr(constraint)
+
+
+@pytest.mark.row(73)
+@given(low=st.integers(-1000, 0), high=st.integers(1, 1000), signs=st.tuples(*[st.sampled_from(("<", "<="))] * 2))
+def test_a_bound_means_the_same_from_either_side(low: int, high: int, signs: tuple[str, str]) -> None:
+    turned = [sign.replace("<", ">") for sign in signs]
+    one, other = signs
+    assert parse_constraint(f"{low}{one}x") == parse_constraint(f"x{turned[0]}{low}")
+    assert parse_constraint(f"{high}{turned[1]}x") == parse_constraint(f"x{other}{high}")
+    forwards = parse_constraint(f"{low}{one}x{other}{high}")
+    assert forwards == parse_constraint(f"{high}{turned[1]}x{turned[0]}{low}")
+    assert forwards == parse_constraint(f"{low}{one}x and {high}{turned[1]}x")
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,9 @@ class Colour(Enum):
         (None, [None], [0]),
         (str | None, ["", None], [b""]),
         (TimedDouble, [TimedDouble(0, 1.0)], [1.0]),
-        (list[int], [[1], ["unchecked inside"]], [(1,)]),
+        (list[int], [[1], []], [(1,), ["inside"], [1, True]]),
+        (list[Any], [["anything"]], [("a",)]),
+        (dict[str, list[float]], [{}, {"a": [1]}], [{"a": ["b"]}, {1: []}]),
         (Colour, [Colour.RED], [1]),
     ],
 )
@@ -171,7 +173,8 @@ def test_methods_are_read_with_the_types_that_are_known_here() -> None:
     found = read_interface(Interface)
     assert (found.name, found.doc, list(found.methods)) == ("Interface", "One that adds to another.", ["look", "take"])
     take = found.methods["take"].profile
-    assert str(take) == "async take(what: Local, count: int = 3, fast: bool) -> aiorts.types.basic.TimedDouble | None"
+    parameters = "what: Local, count: int = 3, /, *, fast: bool"
+    assert str(take) == f"async take({parameters}) -> aiorts.types.basic.TimedDouble | None"
     assert [one.kind for one in take.parameters] == ["position", "position", "keyword"]
     assert take.doc == "Take it.\n\nAll of it."
 

@@ -1,4 +1,4 @@
-"""The life-cycle table: every state and event has an answer, and every hook that raises has a consequence."""
+"""The lifecycle table: every state and event has an answer, and every hook that raises has a consequence."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import itertools
 
 import pytest
 
-from aiorts.model.lifecycle import ADVICE, HOOKS, ON_FAILURE, TRANSITIONS, Event, Failure, LifeCycleState, transition
+from aiorts.model.lifecycle import ADVICE, HOOKS, ON_FAILURE, TRANSITIONS, Event, Failure, LifecycleState, transition
 
-I, A, E = LifeCycleState.INACTIVE, LifeCycleState.ACTIVE, LifeCycleState.ERROR  # noqa: E741
+I, A, E = LifecycleState.INACTIVE, LifecycleState.ACTIVE, LifecycleState.ERROR  # noqa: E741
 
 
 @pytest.mark.row(10)
-@pytest.mark.parametrize(("state", "event"), list(itertools.product(LifeCycleState, Event)))
+@pytest.mark.parametrize(("state", "event"), list(itertools.product(LifecycleState, Event)))
 def test_every_event_in_every_state_leads_somewhere_or_is_refused_with_advice(
-    state: LifeCycleState, event: Event
+    state: LifecycleState, event: Event
 ) -> None:
     way = transition(state, event)
     assert (way is None) == ((state, event) in ADVICE)

@@ -125,12 +125,6 @@ def test_host_needs_a_kernel() -> None:
         Path("pid0", host="robot")
 
 
-def test_parent_and_with_port_keep_the_place() -> None:
-    path = Path.parse("host/kernel/pid0.command")
-    assert str(path.parent) == "host/kernel/pid0"
-    assert str(path.parent.with_port("measured")) == "host/kernel/pid0.measured"
-
-
 @pytest.mark.parametrize("host", ["localhost", "robot.local", "10.0.0.1", "a_b-c", "x" * 253])
 def test_host_is_returned_as_it_is(host: str) -> None:
     assert check_host(host) == host

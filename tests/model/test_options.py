@@ -6,10 +6,23 @@ import math
 from typing import Any
 
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from aiorts.errors import WiringError
-from aiorts.model.options import connector_profile
+from aiorts.model.buffer import EmptyPolicy, FullPolicy
+from aiorts.model.options import _VALUES, connector_profile, idle, without_effect
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 from aiorts.model.profile import ConnectorProfile
+
+CHOICES = {
+    "dataflow": Dataflow,
+    "subscription": Subscription,
+    "push": Push,
+    "full": FullPolicy,
+    "empty": EmptyPolicy,
+    "stamp": Stamp,
+}
 
 
 def profile(**options: Any) -> ConnectorProfile:
@@ -40,6 +53,50 @@ def test_flush_keeps_and_reports_a_push_policy_it_does_not_use() -> None:
     assert kept.length == 8
 
 
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"dataflow": "pull", "length": 5}, ["length"]),
+        ({"dataflow": "pull", "push": "all", "subscription": "new"}, ["push"]),
+        ({"dataflow": "pull", "full": "block", "skip": 2, "push_rate": 5.0}, ["full", "skip", "push_rate"]),
+        (
+            {
+                "dataport.dataflow_type": "pull",
+                "dataport.inport.buffer.length": "5",
+                "dataport.publisher.push_policy": "all",
+            },
+            ["dataport.inport.buffer.length", "dataport.publisher.push_policy"],
+        ),
+        ({"subscription": "new", "full": "block"}, ["full"]),
+        ({"subscription": "new", "push": "new", "full": "reject", "length": 5}, ["full", "length"]),
+        (
+            {"dataport.subscription_type": "new", "inport.buffer.write.full_policy": "do_nothing"},
+            ["inport.buffer.write.full_policy"],
+        ),
+        ({"out_length": 5}, ["out_length"]),
+        ({"subscription": "new", "push": "all", "out_length": 5, "length": 5}, ["out_length"]),
+        ({"subscription": "new", "out_length": 5, "length": 5}, ["out_length", "length"]),
+        # What is said as it is, and what chooses something:
+        ({"subscription": "periodic", "push_rate": 5.0, "out_length": 5}, []),
+        ({"dataport.outport.buffer.length": "5", "dataport.buffer.length": "3"}, []),
+        ({"dataflow": "pull", "length": 1, "push": "new", "full": "overwrite", "stamp": "read"}, []),
+        ({"dataflow": "pull"}, []),
+        ({"subscription": "new", "full": "overwrite", "length": 1}, []),
+        ({"subscription": "new", "push": "all", "full": "block", "length": 5}, []),
+        ({"subscription": "periodic", "push": "new", "push_rate": 5.0, "full": "reject", "length": 5}, []),
+        ({"length": 5, "full": "block"}, []),
+        ({"dataflow": "sideways", "length": 5}, []),  # an error, and said as such
+    ],
+    ids=str,
+)
+def test_an_option_that_chooses_nothing_beside_the_others_is_found(options: dict[str, Any], named: list[str]) -> None:
+    found = dict(idle(options))
+    assert list(found) == named
+    for key, text in found.items():
+        assert text.startswith(f"{key} chooses nothing where ")
+        assert text.endswith("; take it away")
+
+
 @pytest.mark.row(41)
 @pytest.mark.fault("B13")
 @pytest.mark.parametrize("key", ["length", "out_length", "dataport.inport.buffer.length", "dataport.buffer.length"])
@@ -52,6 +109,11 @@ def test_a_length_out_of_range_is_refused_naming_the_range(key: str, bad: Any) -
 @pytest.mark.parametrize("good", [1, 1_000_000, "8", 8.0])
 def test_a_length_in_range_is_taken(good: Any) -> None:
     assert profile(length=good).length == int(good)
+
+
+def test_no_time_at_all_is_a_timeout_like_any_other() -> None:
+    """The ends of a range are in it."""
+    assert profile(timeout=0).timeout == 0.0
 
 
 @pytest.mark.row(40)
@@ -119,7 +181,14 @@ OPENRTM = [
     ({"buffer.write.full_policy": "do_nothing"}, "full", "reject"),
     ({"buffer.write.full_policy": "block"}, "full", "block"),
     ({"inport.buffer.write.full_policy": "overwrite", "buffer.write.full_policy": "block"}, "full", "overwrite"),
-    ({"outport.buffer.write.full_policy": "do_nothing"}, "full", "reject"),
+    ({"outport.buffer.write.full_policy": "do_nothing"}, "full", "overwrite"),
+    ({"outport.buffer.write.full_policy": "block", "buffer.write.full_policy": "do_nothing"}, "full", "reject"),
+    ({"outport.buffer.write.timeout": "7"}, "timeout", 1.0),
+    ({"outport.buffer.read.empty_policy": "block"}, "empty", None),
+    ({"subscription_type": "New"}, "subscription", "new"),
+    ({"io_mode": " NonBlock"}, "subscription", "new"),
+    ({"buffer.write.full_policy": "Do_Nothing "}, "full", "reject"),
+    ({"timestamp_policy": "ON_SEND"}, "stamp", "send"),
     ({"buffer.write.timeout": "0.25"}, "timeout", 0.25),
     ({"inport.buffer.write.timeout": "2", "buffer.write.timeout": "1"}, "timeout", 2.0),
     ({"buffer.read.empty_policy": "readback"}, "empty", "readback"),
@@ -164,6 +233,61 @@ def test_keys_that_are_for_others_are_kept_and_reported() -> None:
     }
     assert dict(profile(**others).extra) == others
     assert profile(length=3).extra == {}
+
+
+@pytest.mark.fault("B14")
+@pytest.mark.parametrize("key", ["dataport.measurement.exec_count", "inport.measurement.period_count"])
+def test_a_count_of_sends_that_is_none_is_refused_also_where_nothing_is_measured(key: str) -> None:
+    with pytest.raises(WiringError, match="expected a whole number from 1"):
+        profile(**{key: "many"})
+
+
+SPELLINGS = [
+    *((key, word.value) for key, kind in CHOICES.items() for word in kind),
+    *((key, word) for key, words in _VALUES.items() for word in words),
+]
+
+
+@pytest.mark.row(39, 40, 41)
+@given(data=st.data())
+def test_a_word_is_the_same_in_any_case_and_with_blanks_round_it(data: st.DataObject) -> None:
+    key, word = data.draw(st.sampled_from(SPELLINGS))
+    cased = "".join(data.draw(st.sampled_from([letter.lower(), letter.upper()])) for letter in word)
+    blanks = st.text(" \t\n", max_size=3)
+    given_word = data.draw(blanks) + cased + data.draw(blanks)
+    assert profile(push_rate=1, **{key: given_word}) == profile(push_rate=1, **{key: word})
+
+
+@pytest.mark.fault("B14")
+@given(key=st.sampled_from(sorted(CHOICES)), word=st.text(st.characters(codec="utf-8")))
+def test_a_word_that_is_none_of_an_option_is_refused(key: str, word: str) -> None:
+    known = {one for other, one in SPELLINGS if other == key} | ({""} if key in ("stamp", "empty") else set())
+    assume(word.strip().lower() not in known)
+    with pytest.raises(WiringError, match=rf"{key} = .*: expected "):
+        profile(**{key: word})
+
+
+def test_one_word_in_two_spellings_is_one_value() -> None:
+    assert profile(**{"dataport.subscription_type": "Flush", "subscription": "flush"}).subscription == "flush"
+    assert profile(**{"dataport.push": "All", "push": "all"}).push == "all"
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"interface_type": "corba_cdr"}, ["interface_type"]),
+        (
+            {"dataport.inport.marshaling_type": "cdr", "dataport.sync_readwrite": "NO"},
+            ["dataport.inport.marshaling_type", "dataport.sync_readwrite"],
+        ),
+        ({"dataport.buffer.read.empty_policy": "readback"}, ["dataport.buffer.read.empty_policy"]),
+        ({"empty": "block"}, ["empty"]),
+        ({"outport.buffer.write.full_policy": "block"}, ["outport.buffer.write.full_policy"]),
+        ({"outport.buffer.length": 4, "inport.buffer.write.full_policy": "block", "push": "new", "empty": None}, []),
+    ],
+)
+def test_options_that_are_taken_for_openrtm_alone_are_known(options: dict[str, Any], found: list[str]) -> None:
+    assert without_effect(options) == found
 
 
 def test_no_timeout_waits_for_ever_and_a_report_cannot_be_edited() -> None:

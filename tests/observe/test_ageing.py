@@ -46,13 +46,13 @@ def test_a_thousand_connections_leave_no_memory_behind(observed: bool) -> None:
                 await kernel.add(Node(name))
             if observed:
                 kernel.bus.subscribe(ConnectorEvent, lambda event: None)
-                kernel.watch(length=8)
+                kernel.changes(length=8)
             await connect_often(kernel, 200)
             gc.collect()
             tracemalloc.start()
             before = tracemalloc.get_traced_memory()[0]
             await connect_often(kernel, 1000)
-            kernel.listening.tell()
+            kernel.listening.report()
             gc.collect()
             grown = tracemalloc.get_traced_memory()[0] - before
             tracemalloc.stop()

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from aiorts import Component, InPort, OutPort
-from aiorts.model.buffer import Buffer, FullPolicy, Verdict, decide
+from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Choice, Push, Subscription, admits, choose, default_push
 from aiorts.types import TimedLong
+from reference_buffer import Buffer
 
 
 class Source(Component):
@@ -41,7 +42,7 @@ class ModelConnector:
     start_ns: int
     ledger: Buffer[int] = field(init=False)
     backlog: deque[tuple[int, int]] = field(default_factory=deque)  # (number since the connection, sample)
-    arrived_at: int = 0
+    arrived: dict[int, int] = field(default_factory=dict)  # sample -> its place in the one sequence of the in-port
     closed: bool = False
 
     def __post_init__(self) -> None:
@@ -68,15 +69,20 @@ class ModelConnector:
 
 
 class Model:
-    """What an in-port with any number of connectors must do."""
+    """What an in-port with any number of connectors must do: read in the one sequence in which samples arrived."""
 
     def __init__(self) -> None:
         self.connectors: list[ModelConnector] = []
-        self.order: list[ModelConnector] = []
         self.is_open = True
         self.last: int | None = None
         self.source: ModelConnector | None = None
         self.arrivals = 0
+
+    @property
+    def order(self) -> list[ModelConnector]:
+        """For each unread sample its connector, in the order of arrival."""
+        unread = [(one.arrived[sample], one) for one in self.connectors for sample in one.ledger.samples]
+        return [one for _, one in sorted(unread, key=lambda entry: entry[0])]
 
     def write(self, connector: ModelConnector, sample: int) -> bool | None:
         """What `write_nowait` returns; None for WouldBlock."""
@@ -92,14 +98,10 @@ class Model:
             ledger.drop("skipped")
             return True
         if connector.push is Push.NEW:
-            replaced = bool(ledger.samples)
             ledger.discard("superseded")
-            verdict = ledger.offer(sample)
-            self._arrived(connector, replaced)
-            return True
         verdict = ledger.offer(sample)
         if verdict in (Verdict.STORE, Verdict.REPLACE_OLDEST):
-            self._arrived(connector, verdict is Verdict.REPLACE_OLDEST)
+            self._arrived(connector, sample)
         return {Verdict.WAIT: None, Verdict.REFUSE: False}.get(verdict, True)
 
     def _write_periodic(self, connector: ModelConnector, sample: int) -> bool:
@@ -126,32 +128,34 @@ class Model:
             verdict = decide(len(ledger.samples), ledger.length, ledger.full)
             if verdict is Verdict.WAIT:
                 return
-            verdict = ledger.offer(backlog.popleft()[1])
+            sample = backlog.popleft()[1]
+            verdict = ledger.offer(sample)
             ledger.written -= 1  # it was counted when it entered the backlog
             if verdict is not Verdict.REFUSE:
-                self._arrived(connector, verdict is Verdict.REPLACE_OLDEST)
+                self._arrived(connector, sample)
 
-    def _arrived(self, connector: ModelConnector, replaced: bool) -> None:
+    def _arrived(self, connector: ModelConnector, sample: int) -> None:
         self.arrivals += 1
-        connector.arrived_at = self.arrivals
-        if not replaced:
-            self.order.append(connector)
+        connector.arrived[sample] = self.arrivals
+
+    def newest(self) -> ModelConnector | None:
+        """Whose sample arrived last of all that are unread."""
+        order = self.order
+        return order[-1] if order else None
 
     def read(self) -> int | None:
-        if not self.order:
+        if not (order := self.order):
             return None
-        connector = self.order.pop(0)
+        connector = order[0]
         self.last, self.source = connector.ledger.take(), connector
         return self.last
 
     def latest(self) -> int | None:
-        unread = [connector for connector in self.connectors if connector.ledger.samples]
-        if unread:
-            newest = max(unread, key=lambda connector: connector.arrived_at)
+        newest = self.newest()
+        if newest is not None:
             self.last, self.source = newest.ledger.take_newest(), newest
-            for connector in unread:
+            for connector in self.connectors:
                 connector.ledger.discard("superseded")
-            self.order.clear()
         return self.last
 
     def drain(self) -> list[int]:
@@ -164,7 +168,6 @@ class Model:
         connector.drop_all("disconnected")
         connector.closed = True
         self.connectors.remove(connector)
-        self.order = [other for other in self.order if other is not connector]
 
     def set_open(self, is_open: bool) -> None:
         if self.is_open is is_open:
@@ -172,7 +175,6 @@ class Model:
         self.is_open = is_open
         for connector in self.connectors:
             connector.drop_all("inactive")
-        self.order.clear()
         if is_open:
             self.last = self.source = None
 

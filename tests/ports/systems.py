@@ -99,7 +99,7 @@ class World:
 
     def read(self, sink: int) -> int | None:
         model = self.sinks[sink]
-        first = model.order[0] if model.order else None
+        first = next(iter(model.order), None)
         sample = model.read()
         for link in self.of_sink(sink):
             if link.model is first:
@@ -109,13 +109,12 @@ class World:
     def latest(self, sink: int) -> int | None:
         model = self.sinks[sink]
         links = self.of_sink(sink)
-        unread = [link for link in links if link.model.ledger.samples]
-        if unread:
-            newest = max(unread, key=lambda link: link.model.arrived_at)
-            model.last, model.source = newest.model.ledger.take_newest(), newest.model
+        source = model.newest()
+        if source is not None:
+            newest = next(link for link in links if link.model is source)
+            model.last, model.source = source.ledger.take_newest(), source
             for link in (newest, *(link for link in links if link is not newest)):
                 link.model.ledger.discard("superseded")
-                model.order = [other for other in model.order if other is not link.model]
                 self.admit(link)
         return model.last
 

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import random
+import sys
 from collections import deque
+from types import FrameType
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from aiorts import InPort, Kernel, SimulatedClock
+from aiorts import Connector, ExternalContext, InPort, Kernel, SimulatedClock
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
-from ports.parts import Sink, Source, data, long
+from campaign import cases
+from ports.parts import Model, ModelConnector, Sink, Source, data, long
+from ports.test_connector import COMBINATIONS
 
 pytestmark = pytest.mark.anyio
 
@@ -20,8 +28,8 @@ pytestmark = pytest.mark.anyio
 async def fan_in(kernel: Kernel, *options: dict[str, Any]) -> tuple[list[Source], InPort[TimedLong]]:
     sink = await kernel.add(Sink())
     sources = [await kernel.add(Source()) for _ in options]
-    for source, given in zip(sources, options, strict=True):
-        await kernel.connect(source.out, sink.inp, **given)
+    for source, chosen in zip(sources, options, strict=True):
+        await kernel.connect(source.out, sink.inp, **chosen)
     return sources, sink.inp
 
 
@@ -132,16 +140,140 @@ async def test_the_newest_of_several_connectors_is_the_one_that_arrived_last(any
         three.out.write_nowait(long(3))
         two.out.write_nowait(long(4))
         one.out.write_nowait(long(5))
-        assert inp.read_nowait().data == 5  # the place of 1, replaced by 5
+        assert inp.read_nowait().data == 3  # 1 and 2 were replaced, by what came after it
         newest = inp.latest
         assert newest is not None
-        assert newest.data == 4
+        assert newest.data == 5
         assert not inp.is_new
         assert [dict(connector.statistics.dropped) for connector in inp.connectors] == [
             {"superseded": 1},
-            {"superseded": 1},
-            {"superseded": 1},
+            {"superseded": 2},
+            {},
         ]
+
+
+@pytest.mark.row(43)
+@pytest.mark.parametrize("options", [{"subscription": "new"}, {"length": 1}, {"length": 1, "stamp": "send"}])
+async def test_what_overwrites_is_read_when_it_arrived_and_not_in_the_place_of_the_old_one(
+    options: dict[str, Any], anyio_backend: Any
+) -> None:
+    async with Kernel() as kernel:
+        [one, two], inp = await fan_in(kernel, options, options)
+        one.out.write_nowait(long(1))
+        two.out.write_nowait(long(2))
+        one.out.write_nowait(long(3))
+        oldest = inp.peek()
+        assert oldest is not None
+        assert oldest.data == 2
+        assert data(inp.drain()) == [2, 3]
+
+
+STEPS = ("write",) * 12 + ("read",) * 6 + ("latest", "drain", "disconnect", "connect", "activate")
+
+
+@pytest.mark.row(43)
+@pytest.mark.campaign
+@settings(max_examples=cases(5_000), deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([c for c in COMBINATIONS if c[0] != "periodic" and c[2] != "block"]), st.integers(1, 4)
+        ),
+        min_size=1,
+        max_size=5,
+    ),
+    st.lists(st.tuples(st.sampled_from(STEPS), st.integers(0, 4)), max_size=150),
+)
+def test_whatever_is_overwritten_samples_are_read_in_the_one_sequence_in_which_they_came(
+    kinds: list[tuple[tuple[str, str, str], int]], steps: list[tuple[str, int]]
+) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            sink = await kernel.add(Sink())
+            context = await kernel.start(ExternalContext(), sink, activate=True)
+            sources = [await kernel.add(Source()) for _ in kinds]
+            model, inp = Model(), sink.inp
+            live: dict[int, tuple[Connector, ModelConnector]] = {}
+
+            async def connect(which: int) -> None:
+                (subscription, push, full), length = kinds[which]
+                options: dict[str, Any] = {"subscription": subscription, "push": push, "full": full, "length": length}
+                if push == "skip":
+                    options["skip"] = 1
+                one = ModelConnector(options, 0)
+                model.connectors.append(one)
+                live[which] = await kernel.connect(sources[which].out, inp, **options), one
+
+            for which in range(len(kinds)):
+                await connect(which)
+            for number, (step, chosen) in enumerate(steps):
+                which = chosen % len(kinds)
+                if step == "write" and which in live:
+                    assert sources[which].out.write_nowait(long(number)) is model.write(live[which][1], number)
+                elif step == "read":
+                    got = inp.read_nowait().data if inp.is_new else None
+                    assert got == model.read()
+                elif step == "latest":
+                    newest = inp.latest
+                    assert (None if newest is None else newest.data) == model.latest()
+                elif step == "drain":
+                    assert data(inp.drain()) == model.drain()
+                elif step == "disconnect" and which in live:
+                    await kernel.disconnect(live[which][0])
+                    model.disconnect(live.pop(which)[1])
+                elif step == "connect" and which not in live:
+                    await connect(which)
+                elif step == "activate":
+                    await (context.deactivate(sink) if model.is_open else context.activate(sink))
+                    model.set_open(not model.is_open)
+                assert inp.is_new == bool(model.order)
+                check_tokens(inp)
+            assert data(inp.drain()) == model.drain()
+
+    simulate(main)
+
+
+def check_tokens(inp: InPort[Any]) -> None:
+    """One for each unread sample, and for what was overwritten no more than a connector can have samples."""
+    tokens = receiver_of(inp).tokens
+    for connector in inp.connectors:
+        assert connector.statistics.balanced
+        if tokens is not None:
+            dead = transport_of(connector).dead
+            assert tokens.count(transport_of(connector)) == connector.unread + dead
+            assert dead <= connector.profile.length
+
+
+@pytest.mark.row(43)
+@pytest.mark.parametrize("quiet", [False, True], ids=["all write in turn", "one writes, the others are full"])
+async def test_overwriting_costs_the_same_beside_any_number_of_connectors(quiet: bool, anyio_backend: Any) -> None:
+    async def cost(connectors: int) -> float:
+        """Steps of the interpreter for one write that overwrites and, where all write, for reading it."""
+        async with Kernel() as kernel:
+            sources, inp = await fan_in(kernel, *({"length": 2} for _ in range(connectors)))
+            for source in sources * 2:
+                source.out.write_nowait(long(0))
+            writing = sources[:1] * 1_000 if quiet else sources * 5
+            steps = 0
+
+            def count(frame: FrameType, event: str, arg: object) -> Any:
+                nonlocal steps
+                frame.f_trace_opcodes, frame.f_trace_lines = True, False
+                steps += event == "opcode"
+                return count
+
+            sample, before = long(1), sys.gettrace()
+            sys.settrace(count)
+            try:
+                for source in writing:
+                    source.out.write_nowait(sample)
+                if not quiet:
+                    inp.drain()
+            finally:
+                sys.settrace(before)
+            return steps / len(writing)
+
+    assert await cost(200) < 1.2 * await cost(10)
 
 
 def test_order_and_ledgers_hold_through_every_mixture() -> None:
@@ -173,10 +305,8 @@ def test_order_and_ledgers_hold_through_every_mixture() -> None:
                     await asyncio.sleep(0)
                 while blocked and blocked[0].done():
                     blocked.popleft()
-                assert inp._tokens is not None
-                for connector in inp.connectors:
-                    assert inp._tokens.count(connector) == connector.unread
-                    assert connector.statistics.balanced
+                assert receiver_of(inp).tokens is not None
+                check_tokens(inp)
             while blocked:
                 inp.drain()
                 await blocked.popleft()

@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort, PeriodicContext
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
 
@@ -92,4 +93,4 @@ async def test_who_did_not_ask_gets_none_and_keeps_the_short_way() -> None:
         ticker, sink = await kernel.create(Ticker), await kernel.create(Sink)
         connector = await kernel.connect(ticker.out, sink.inp)
         assert connector.timing is None
-        assert connector.direct
+        assert transport_of(connector).direct

@@ -12,7 +12,10 @@ import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, OutPort, SimulatedClock, ThreadContext, WouldBlock
 from aiorts.errors import ClosedError, ReadTimeout, StateError, ThreadError, WriteTimeout
-from aiorts.kernel import crossings
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.receiver import Receiver
+from aiorts.realtime.lock_free import make_lock_free
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
 from campaign import cases
@@ -263,7 +266,7 @@ async def test_a_thread_that_waits_for_room_goes_on_when_there_is_nothing_to_wai
         reading = await kernel.start(EventContext(), sink, activate=True)
         connector = await kernel.connect(blocked.out, sink.inp, full="block", length=2, timeout=None)
         context = await kernel.start(ThreadContext(), blocked, activate=True)
-        await reached(lambda: connector.statistics.written == 2 and bool(connector._waiting))
+        await reached(lambda: connector.statistics.written == 2 and bool(transport_of(connector).waiting))
         if how == "disconnect":
             await kernel.disconnect(connector)
             await reached(lambda: blocked.writes == 3)
@@ -277,7 +280,7 @@ async def test_a_thread_that_waits_for_room_goes_on_when_there_is_nothing_to_wai
             assert isinstance(blocked.outcome, ClosedError)
             assert blocked.last_error is None
             assert connector.statistics.written == 2
-            assert not connector._waiting
+            assert not transport_of(connector).waiting
 
 
 async def test_a_thread_that_waits_for_data_has_a_time_out_and_ends_with_its_context(anyio_backend: Any) -> None:
@@ -342,6 +345,77 @@ async def test_in_debug_mode_a_port_is_used_in_its_own_thread_only(anyio_backend
         await context.stop()
 
 
+WAYS: list[dict[str, Any]] = [
+    {},
+    {"length": 1},
+    {"subscription": "new"},
+    {"subscription": "new", "push": "skip", "skip": 0},
+    {"stamp": "send"},
+]
+
+
+@pytest.mark.fault("A16")
+@pytest.mark.parametrize("options", WAYS, ids=lambda options: "-".join(map(str, options.values())) or "flush")
+@pytest.mark.parametrize("several", [False, True], ids=["one writer", "two writers"])
+async def test_a_foreign_thread_that_cannot_wake_a_waiting_reader_is_told_at_once(
+    several: bool, options: dict[str, Any], anyio_backend: Any
+) -> None:
+    async with Kernel() as kernel:
+        source, other, sink = await kernel.add(Source()), await kernel.add(Source()), await kernel.add(Sink("sink"))
+        await kernel.connect(source.out, sink.inp, **options)
+        if several:
+            await kernel.connect(other.out, sink.inp)
+        reading = asyncio.create_task(sink.inp.read())
+        await asyncio.sleep(0)
+        with pytest.raises(ThreadError, match=r"sink\.inp: .*call_soon_threadsafe"):
+            await asyncio.to_thread(source.out.write_nowait, long(1))
+        [connector] = source.out.connectors
+        assert connector.statistics.balanced
+        assert connector.unread == 1  # it lies there, nobody was woken
+        source.out.write_nowait(long(2))
+        assert (await asyncio.wait_for(reading, 5.0)).data == (1 if transport_of(connector).room > 1 else 2)
+        sink.inp.drain()
+        kernel.loop.call_soon_threadsafe(source.out.write_nowait, long(3))  # what it says is to be done
+        assert (await asyncio.wait_for(sink.inp.read(), 5.0)).data == 3
+
+
+@pytest.mark.fault("A16")
+async def test_a_foreign_thread_cannot_wake_an_event_context_and_is_told(anyio_backend: Any) -> None:
+    class Counter(Sink):
+        seen = 0
+
+        async def on_execute(self) -> None:
+            self.seen += len(self.inp.drain())
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Counter("sink"))
+        await kernel.connect(source.out, sink.inp)
+        await kernel.start(EventContext(), sink, activate=True)
+        with pytest.raises(ThreadError, match=r"sink\.inp: "):
+            await asyncio.to_thread(source.out.write_nowait, long(1))
+        source.out.write_nowait(long(2))
+        await reached(lambda: sink.seen == 2)
+
+
+@pytest.mark.fault("A16")
+@pytest.mark.parametrize("options", [{}, {"stamp": "read"}], ids=["plain", "stamped"])
+async def test_a_foreign_thread_that_cannot_wake_a_waiting_writer_takes_nothing(
+    options: dict[str, Any], anyio_backend: Any
+) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Sink("sink"))
+        connector = await kernel.connect(source.out, sink.inp, length=1, full="block", **options)
+        await source.out.write(long(1))
+        writing = asyncio.create_task(source.out.write(long(2)))
+        await asyncio.sleep(0)
+        for read in (sink.inp.read_nowait, lambda: sink.inp.latest, sink.inp.drain):
+            with pytest.raises(ThreadError, match=r"sink\.inp: .* nothing was read; read on that loop"):
+                await asyncio.to_thread(read)
+        assert connector.statistics.delivered == 0
+        assert sink.inp.read_nowait().data == 1
+        assert await asyncio.wait_for(writing, 5.0)
+
+
 async def test_statistics_of_an_unshared_connector_are_read_on_the_loop(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source()), await kernel.add(Sink())
@@ -377,7 +451,7 @@ async def test_periodic_samples_of_a_thread_arrive_on_the_loop(anyio_backend: An
         )
         await kernel.start(ThreadContext(), writer, activate=True)
         await reached(lambda: writer.written == 2_000)
-        await reached(lambda: not connector._backlog)  # type: ignore[attr-defined]
+        await reached(lambda: transport_of(connector).buffered == connector.unread)
         ledger = connector.statistics
         assert ledger.written == 2_000
         assert ledger.balanced
@@ -460,8 +534,8 @@ async def test_what_vanishes_while_it_is_read_across_threads_was_never_there(com
     async with Kernel() as kernel:
         source, listener = await kernel.add(Source()), await kernel.add(Listener("listener"))
         connector = await kernel.connect(source.out, listener.inp)
-        crossings.cross(listener.inp)
-        connector._queue = Vanishing()
+        make_lock_free(listener.inp)
+        transport_of(connector).queue = Vanishing()
         await kernel.start(ThreadContext(), listener, activate=True)
         source.out.write_nowait(long(1))
         if comes_late:
@@ -477,8 +551,8 @@ async def test_what_vanishes_while_it_is_awaited_was_never_there() -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source()), await kernel.add(Sink())
         connector = await kernel.connect(source.out, sink.inp)
-        crossings.cross(sink.inp)
-        connector._queue = Vanishing()
+        make_lock_free(sink.inp)
+        transport_of(connector).queue = Vanishing()
         source.out.write_nowait(long(1))
         reading = asyncio.create_task(sink.inp.read())
         await kernel.sleep(0.05)
@@ -492,14 +566,14 @@ async def test_ports_get_their_locks_on_the_loop_and_not_while_somebody_there_is
 ) -> None:
     """Also where a component joins a context that runs, and where it is connected while it is about to."""
     locked_in: list[int] = []
-    make_locked = InPort._make_locked
+    make_locked = Receiver.make_locked
 
-    def noted(port: InPort[Any]) -> None:
-        if port._lock is None:
+    def noted(receiver: Receiver) -> None:
+        if receiver.lock is None:
             locked_in.append(threading.get_ident())
-        make_locked(port)
+        make_locked(receiver)
 
-    monkeypatch.setattr(InPort, "_make_locked", noted)
+    monkeypatch.setattr(Receiver, "make_locked", noted)
     inside, goes_on = threading.Event(), threading.Event()
 
     class Both(Component):
@@ -527,5 +601,5 @@ async def test_ports_get_their_locks_on_the_loop_and_not_while_somebody_there_is
         goes_on.set()
         await joining
         assert both in context.members
-        assert all(port._lock is not None for port in (first.inp, both.inp, sink.inp, late.inp))
+        assert all(receiver_of(port).lock is not None for port in (first.inp, both.inp, sink.inp, late.inp))
         assert locked_in == [threading.get_ident()] * 4

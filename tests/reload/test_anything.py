@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from aiorts import EventContext, Kernel, PeriodicContext
 from aiorts.errors import AiortsError
+from aiorts.kernel.execution.cell import cell
 from aiorts.testing import simulate
-from campaign import cases
+from campaign import LENGTH, ORDERS, time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -90,16 +91,16 @@ SCRIPT = st.lists(
         st.integers(0, 25),
     ),
     min_size=3,
-    max_size=14,
+    max_size=LENGTH,
 )
 
 
 @pytest.mark.row(23)
-@pytest.mark.timeout(900)
-@settings(max_examples=cases(2000), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-@given(script=SCRIPT, event=st.booleans())
+@pytest.mark.timeout(time_limit(900))
+@settings(max_examples=ORDERS, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(script=SCRIPT, event=st.booleans(), seed=st.integers(0, ORDERS))
 def test_whatever_is_asked_at_the_same_time_the_system_stays_whole(
-    script: list[tuple[str, str, str, int, str, int]], event: bool, source: Make
+    script: list[tuple[str, str, str, int, str, int]], event: bool, seed: int, source: Make
 ) -> None:
     async def run() -> None:
         file = source(PART)
@@ -145,7 +146,7 @@ def test_whatever_is_asked_at_the_same_time_the_system_stays_whole(
             await kernel.sleep(0.1)
             for name, component in kernel.components.items():
                 assert component.name == name
-                assert all(member.component is component for member in component._rt_members)
+                assert all(member.component is component for member in cell(component).members)
                 assert all(component in context.members for context in component.contexts)
             for context in contexts:
                 assert all(kernel.components[one.name] is one for one in context.members)
@@ -156,10 +157,10 @@ def test_whatever_is_asked_at_the_same_time_the_system_stays_whole(
                 assert counts.written == counts.delivered + counts.buffered + sum(counts.dropped.values())
                 if not connector.closed:
                     assert {id(connector.out), id(connector.in_)} <= live
-            assert not kernel._roster.renewing
-            assert not kernel._roster.tasks
+            assert not kernel.registry.renewing
+            assert not kernel.registry.tasks
             for component in kernel.components.values():
                 assert "data" in component.ports
                 assert "AssertionError" not in str(type(component.last_error))
 
-    simulate(run())
+    simulate(run(), seed=seed)

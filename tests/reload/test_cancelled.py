@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import reload_files
-from aiorts import Kernel, LifeCycleState, PeriodicContext, SimulatedClock
+from aiorts import Kernel, LifecycleState, PeriodicContext, SimulatedClock
 from aiorts.testing import simulate
 
 if TYPE_CHECKING:
@@ -59,14 +59,14 @@ def test_cancelled_at_every_turn_a_reload_is_seen_through(source: Callable[[str]
             await asyncio.wait([task], timeout=10.0)
             assert task.done()
             await kernel.sleep(2.0)
-            assert not kernel._roster.renewing
+            assert not kernel.registry.renewing
             new: Any = kernel.components["part"]
             assert new.version == 2  # nobody who goes away leaves a change half done
             await new.configure(gain=2.0)
             file.replace("version = 2", "version = 3")
             await kernel.reload("Part")
             last: Any = kernel.components["part"]
-            assert (last.version, last.gain, last.state) == (3, 2.0, LifeCycleState.ACTIVE)
+            assert (last.version, last.gain, last.state) == (3, 2.0, LifecycleState.ACTIVE)
         assert asyncio.all_tasks() == before
         return under_way
 

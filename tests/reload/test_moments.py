@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Component, Kernel, LifeCycleState, PeriodicContext, RealtimeContext, Supervision
+from aiorts import Component, Kernel, LifecycleState, PeriodicContext, RealtimeContext, Supervision
 from aiorts.errors import (
     AiortsError,
     ClosedError,
@@ -20,7 +20,9 @@ from aiorts.errors import (
     TransitionTimeout,
 )
 from aiorts.events import ComponentReloaded
-from aiorts.system.setting import Setting
+from aiorts.kernel.configuring import put_parameters
+from aiorts.kernel.execution.cell import cell
+from aiorts.system.file.setting import Setting
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     Make = Callable[[str], Source]
 
 pytestmark = pytest.mark.row(23)
-ACTIVE = LifeCycleState.ACTIVE
+ACTIVE = LifecycleState.ACTIVE
 
 SLOW = """
 class Slow(Component):
@@ -136,7 +138,7 @@ def test_anything_else_in_the_midst_of_a_reload(what: str, after: float, source:
         outcome: Any = None
         if what == "close":
             await kernel.aclose()
-            assert not kernel._roster.renewing
+            assert not kernel.registry.renewing
         elif what == "remove":
             await kernel.remove(here)
         elif what == "stop":
@@ -165,11 +167,11 @@ def test_anything_else_in_the_midst_of_a_reload(what: str, after: float, source:
                 assert isinstance(outcome, asyncio.CancelledError)
                 assert versions["slow"] == 2
             if what == "deactivate":
-                assert kernel.components["slow"].state is LifeCycleState.INACTIVE
+                assert kernel.components["slow"].state is LifecycleState.INACTIVE
             if not isinstance(outcome, Exception | asyncio.CancelledError):
                 assert versions["spare"] == 2
-        assert not kernel._roster.renewing
-        assert not kernel._roster.tasks
+        assert not kernel.registry.renewing
+        assert not kernel.registry.tasks
         await kernel.aclose()
         assert (old.ends, spare.ends) == (1, 1)
 
@@ -204,7 +206,7 @@ async def test_a_component_in_two_contexts_changes_in_both_at_once(source: Make)
             await kernel.sleep(1.0)
             assert len(now.ran) > count + 60
             assert len(old.ran) == ran
-            assert not before._rt_members or before is now
+            assert not cell(before).members or before is now
 
 
 @simulated
@@ -383,7 +385,7 @@ async def test_a_supervised_restart_makes_the_code_of_the_day_whatever_sets_it_u
 
     def set_up(name: str, *, kind: type[Component], pause: float) -> Component:
         made = kind(name)
-        made._rt_put({"pause": pause})
+        put_parameters(made, {"pause": pause})
         return made
 
     async with Kernel() as kernel:
@@ -406,8 +408,8 @@ async def test_a_supervised_restart_makes_the_code_of_the_day_whatever_sets_it_u
                 file.replace("# execute", "1 / 0")
                 with pytest.raises(ComponentError):
                     await kernel.reload("Slow")
-        for member in tuple(context._members):
-            context._life.task_failed(member, ValueError("failed"))
+        for member in tuple(context.runner.members):
+            context.runner.life.task_failed(member, ValueError("failed"))
         await kernel.sleep(5.0)
         versions = {name: one.version for name, one in kernel.components.items()}  # type: ignore[attr-defined]
         assert versions == dict.fromkeys(factories, 3 if good else 1)

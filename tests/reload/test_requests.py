@@ -13,7 +13,7 @@ from aiorts import (
     Component,
     ExternalContext,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     PeriodicContext,
     Provided,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     Make = Callable[[str], Source]
 
 pytestmark = pytest.mark.row(23)
-ACTIVE, INACTIVE = LifeCycleState.ACTIVE, LifeCycleState.INACTIVE
+ACTIVE, INACTIVE = LifecycleState.ACTIVE, LifecycleState.INACTIVE
 
 LONG = """
 class Long(Component):
@@ -234,7 +234,7 @@ async def test_a_caller_that_is_cancelled_ends_nothing_and_nobody_else_is_called
                 await kernel.reload("Long")
         await kernel.sleep(3.0)
         assert kernel.components["long"] is old
-        assert not kernel._roster.renewing
+        assert not kernel.registry.renewing
         with pytest.raises(StateError):
             await kernel.start(PeriodicContext(rate=1.0), Component("strange"))
 
@@ -280,4 +280,4 @@ async def test_one_that_is_removed_while_its_code_is_taken_back_is_gone_once_and
         assert list(kernel.components) == ["writer"]
         assert (old.ends, new.ends) == (1, 1)
         assert connector.closed
-        assert not kernel._roster._leaving
+        assert not kernel.registry._leaving

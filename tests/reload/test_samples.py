@@ -14,7 +14,7 @@ from aiorts import Component, EventContext, InPort, Kernel, OutPort, PeriodicCon
 from aiorts.errors import AiortsError
 from aiorts.testing import simulate
 from aiorts.types import Time, TimedDouble
-from campaign import cases
+from campaign import cases, time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -72,7 +72,7 @@ class Last(Component):
 
 
 @pytest.mark.row(23)
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(time_limit(900))
 @settings(max_examples=cases(1500), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     edits=st.lists(st.tuples(st.sampled_from(sorted(EDITS)), st.integers(0, 60)), min_size=1, max_size=4),

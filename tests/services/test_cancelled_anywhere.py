@@ -9,8 +9,10 @@ import pytest
 
 from aiorts import Component, ExternalContext, Kernel, Provided, Required, SimulatedClock, ThreadContext
 from aiorts.errors import ServiceError
+from aiorts.kernel.execution.cell import cell
 from aiorts.testing.simulation import simulate
 from services.parts import Arm, Brake, wired
+from services_api import waits
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -74,11 +76,11 @@ async def cancelled_after(turns: int, what: Callable[[], Awaitable[Any]]) -> boo
 
 def whole(kernel: Kernel, component: Component) -> None:
     """Nothing of a call is left."""
-    assert component._rt_gate.open
-    assert not kernel._connections.calls._by_caller
+    assert cell(component).entry_lock.open
+    assert not waits(kernel)
     for connector in kernel.service_connectors.values():
-        assert all(not link.calls for link in connector._links)
-    assert not kernel._roster.tasks
+        assert all(not link.calls for link in connector.links)
+    assert not kernel.registry.tasks
 
 
 @pytest.mark.parametrize("method", ["stop", "held"])
@@ -195,8 +197,8 @@ def test_the_provider_goes_at_any_moment_of_a_call(what: str) -> None:
                 assert clock.monotonic_ns() - begun < 100_000_000
                 await asyncio.gather(ticking, return_exceptions=True)
                 await asyncio.sleep(0.01)
-                assert brake._rt_gate.open
-                assert not kernel._connections.calls._by_caller
-                assert not kernel._roster.tasks
+                assert cell(brake).entry_lock.open
+                assert not waits(kernel)
+                assert not kernel.registry.tasks
 
     simulate(main)

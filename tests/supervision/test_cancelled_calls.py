@@ -12,7 +12,7 @@ from aiorts import (
     EventContext,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     Param,
     PeriodicContext,
@@ -129,7 +129,7 @@ async def _activated(world: World, then: Callable[[], Coroutine[Any, Any, None]]
 
 async def _failed(world: World) -> None:
     await world.context.activate(world.one)
-    world.context._life.failed(world.context._member(world.one), "on_execute", RuntimeError("told to"))
+    world.context.runner.life.failed(world.context.runner.member(world.one), "on_execute", RuntimeError("told to"))
     await world.kernel.sleep(0.02)
     await world.context.reset(world.one)
 
@@ -149,11 +149,11 @@ async def cancelled_after(turns: int, call: Call, clock: SimulatedClock, kind: t
         assert task.done()
         if not task.cancelled() and (error := task.exception()) is not None:
             assert isinstance(error, AiortsError), error
-        if not kernel._closed:
+        if not kernel.closed:
             # The kernel works as before: what the call locked is free again.
             fresh = await kernel.create(Part, "fresh")
             context = await kernel.start(PeriodicContext(100.0), fresh, activate=True)
-            assert fresh.state is LifeCycleState.ACTIVE
+            assert fresh.state is LifecycleState.ACTIVE
             if "one" in kernel.components and world.context.running and world.one.contexts:
                 await world.one.configure(gain=3.0)
             await kernel.stop(context)

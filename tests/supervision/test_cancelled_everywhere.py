@@ -13,7 +13,7 @@ from aiorts import (
     Composite,
     ExternalContext,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     MultiModeComponent,
     Param,
     PeriodicContext,
@@ -61,7 +61,7 @@ async def _deactivated(w: Any) -> None:
 
 async def _failed(w: Any) -> None:
     context, member = w.composite.context, w.inner[0]
-    context._life.failed(context._member(member), "on_execute", RuntimeError("told to"))
+    context.runner.life.failed(context.runner.member(member), "on_execute", RuntimeError("told to"))
     await w.kernel.sleep(0.02)
     await w.composite.reset()
 
@@ -90,7 +90,7 @@ async def _observed(w: Any) -> None:
 
 
 async def _watched(w: Any) -> None:
-    async with w.kernel.watch() as watch:
+    async with w.kernel.changes() as watch:
         await anext(watch)
         await w.kernel.create(Part, "new")
         await anext(watch)
@@ -106,7 +106,7 @@ async def _helped(w: Any) -> None:
     """A restart is no public coroutine, but what it consists of is cancelled by whoever supervises anew."""
     w.kernel.supervise(w.two, Supervision("restart", backoff=0.001))
     await w.context.activate(w.two)
-    w.context._life.failed(w.context._member(w.two), "on_execute", RuntimeError("told to"))
+    w.context.runner.life.failed(w.context.runner.member(w.two), "on_execute", RuntimeError("told to"))
     await w.kernel.sleep(0.02)
 
 
@@ -145,7 +145,9 @@ ELSEWHERE = {
     "SimulatedClock.advance": "the clock of the tests: what it moves is what is cancelled here",
     "SimulatedClock.advance_to": "the same",
     "RealtimeContext.add": "Context.add, after a check that waits for nothing",
-    "Supervising.reload": "reload/test_cancelled.py",
+    "Kernel.reload": "reload/test_cancelled.py",
+    "KernelService.closing": "the kernel's own, while it closes; nobody who is cancelled awaits it",
+    "KernelService.ending": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "Required.wait_bound": "services/test_cancelled_anywhere.py",
     "ServicePort.wait_bound": "services/test_cancelled_anywhere.py",
 }
@@ -183,7 +185,7 @@ def test_files_are_whole_or_untouched_whenever_it_is_cancelled(name: str, tmp_pa
             assert file.read_text() in (text, text.replace("gain = 1.0", "gain = 3.0", 1))
             assert world.one.configuration.values["gain"] in (1.0, 3.0)
             assert [path.name for path in tmp_path.iterdir()] == ["values.toml"]
-            assert world.one.state is LifeCycleState.INACTIVE
+            assert world.one.state is LifecycleState.INACTIVE
             await world.one.configure(gain=4.0)
         assert asyncio.all_tasks() == before
         return under_way

@@ -14,7 +14,7 @@ from aiorts import (
     EventContext,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     PeriodicContext,
     Provided,
@@ -23,7 +23,7 @@ from aiorts import (
     Supervision,
 )
 from aiorts.errors import ServiceFailed, ServiceUnavailable
-from aiorts.events import Helped
+from aiorts.events import ComponentRecovered
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
 
@@ -149,8 +149,8 @@ async def test_a_caller_made_anew_calls_and_answers_as_before(simulated_clock: S
             raise RuntimeError("tired")
 
     async with Kernel() as kernel:
-        helped: list[Helped] = []
-        kernel.bus.subscribe(Helped, helped.append)
+        helped: list[ComponentRecovered] = []
+        kernel.bus.subscribe(ComponentRecovered, helped.append)
         arm, disc = await kernel.add(Failing("arm")), await kernel.add(Disc("disc"))
         await kernel.connect(arm.brake, disc.service)
         await kernel.connect(disc.lamp, arm.lamp)
@@ -162,7 +162,7 @@ async def test_a_caller_made_anew_calls_and_answers_as_before(simulated_clock: S
         new: Any = kernel.components["arm"]
         assert len(helped) == 1
         assert new is not arm
-        assert new.states == {context.name: LifeCycleState.ACTIVE}
+        assert new.states == {context.name: LifecycleState.ACTIVE}
         assert bound(kernel) == before
         assert await new.brake.proxy.stop(0.1) == 0.1
         assert disc.lit == "green arm"
@@ -185,7 +185,7 @@ async def test_what_cannot_be_bound_again_is_said_and_the_rest_is(
         kernel.supervise(disc, RESTART, factory=Other)
         arm.orders.write_nowait(TimedLong(0, 13))
         await kernel.sleep(2.0)
-        assert kernel.components["disc"].state is LifeCycleState.ACTIVE
+        assert kernel.components["disc"].state is LifecycleState.ACTIVE
         assert await arm.brake.proxy.stop(0.1) == 0.1
         assert not arm.other.is_bound
         lines = [record.getMessage() for record in caplog.records if "not connected again" in record.getMessage()]

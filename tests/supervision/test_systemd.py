@@ -124,7 +124,7 @@ async def test_pings_come_in_half_the_time_and_only_while_contexts_get_on(
         systemd.all()
         await asyncio.sleep(0.5)
         assert "WATCHDOG=1" not in systemd.all()
-        said = [record for record in caplog.records if "watchdog is not answered" in record.getMessage()]
+        said = [record for record in caplog.records if "watchdog gets no keep-alive" in record.getMessage()]
         assert len(said) == 1
         assert "one.on_execute" in said[0].getMessage()
         one.released.set()

@@ -12,7 +12,7 @@ from aiorts import (
     Composite,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     Param,
     Participant,
@@ -30,7 +30,7 @@ from aiorts.types import TimedDouble
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-A, E, I = LifeCycleState.ACTIVE, LifeCycleState.ERROR, LifeCycleState.INACTIVE  # noqa: E741
+A, E, I = LifecycleState.ACTIVE, LifecycleState.ERROR, LifecycleState.INACTIVE  # noqa: E741
 
 
 class Unprintable(Exception):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from aiorts import Catalogue
 from aiorts.system import GRAPH_FORMATS, graph, load, parse
-from campaign import cases
+from campaign import cases, time_limit
 from system_parts import CHAIN
 
 CATALOGUE = Catalogue()
@@ -175,7 +175,7 @@ def records_are_balanced(label: str) -> bool:
 
 @given(systems())
 @settings(max_examples=cases(5_000))
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(time_limit(600))
 def test_whatever_a_type_is_called_each_drawing_is_valid(text: str) -> None:
     system: Any = parse(text, Path("nowhere/s.toml"))
     assert all(fits(line, MERMAID) for line in graph(system, "mermaid", CATALOGUE).splitlines())

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from aiorts import Kernel
 from aiorts.errors import AiortsError
 from aiorts.system import Finding, build, check, graph, load, prepare
-from aiorts.system.check import check_text
-from aiorts.system.parse import parse
+from aiorts.system.checks.check import check_text
+from aiorts.system.file.parse import parse
 from aiorts.testing import simulate
 from system_parts import TABLES
 

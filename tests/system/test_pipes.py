@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import aiorts
-from aiorts import Component, EventContext, InPort, Kernel, LifeCycleState, OutPort
+from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
 from aiorts.system import LineStream, StandardInput, StandardOutput, wait_finished
 from aiorts.types import TimedLong
 
@@ -124,7 +124,7 @@ def test_a_bad_line_is_reported_with_its_number_and_the_others_go_on() -> None:
 
 
 def test_a_line_without_end_is_refused_and_takes_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aiorts.system.pipes._LONGEST", 100_000)
+    monkeypatch.setattr("aiorts.system.stdio.pipes._LONGEST", 100_000)
     found = through(b"1" * 500_000 + b"\n2\n" + b"3" * 300_000)
     assert found.numbers == [4]
     assert [number for number, _ in found.bad] == [1, 3]
@@ -149,7 +149,7 @@ def test_a_directory_is_an_error_of_the_component(tmp_path: Path) -> None:
         descriptor = os.open(tmp_path, os.O_RDONLY)
         try:
             async with found.running(descriptor):
-                while found.source.state is not LifeCycleState.ERROR:
+                while found.source.state is not LifecycleState.ERROR:
                     await asyncio.sleep(0.01)
                 assert isinstance(found.source.last_error, IsADirectoryError)
         finally:

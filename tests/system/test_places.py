@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts.system.places import Place, Places
-from campaign import cases
+from aiorts.system.file.places import Place, Places
+from campaign import cases, time_limit
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").rglob("*.toml"))
 TEXT = r"""# a comment with a = "b" and [x]
@@ -138,7 +138,7 @@ def documents(draw: st.DrawFn) -> str:
 
 @given(documents())
 @settings(max_examples=cases(10_000))
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(time_limit(600))
 def test_every_value_of_any_document_is_found(text: str) -> None:
     try:
         tomllib.loads(text)

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from aiorts import Catalogue
 from aiorts.errors import AiortsError
 from aiorts.model import options
+from aiorts.model.profile import ConnectorProfile
 from aiorts.system import load, parse, prepare, schema
-from aiorts.system.connection_schema import OPTIONS
-from campaign import cases
+from aiorts.system.schemas.connection_schema import OPTIONS
+from campaign import cases, time_limit
 from system_parts import CHAIN
 
 ROOT = Path(__file__).parents[2]
@@ -111,10 +112,14 @@ def test_thirty_broken_ones_do_not_validate(old: str, new: str) -> None:
 def test_it_has_every_option_of_a_connection_and_no_other() -> None:
     assert set(OPTIONS) == set(options.OWN_KEYS)
     for key, one in OPTIONS.items():
-        for word in one.get("enum", ()):
-            if word != "periodic":
-                options.connector_profile("", {key: word}, "", ())
+        for word in one.get("anyOf", [{}])[0].get("enum", ()):
+            assert spelled(key, word.title()) == spelled(key, f" {word.upper()} ") == spelled(key, word)
+            assert faults(GOOD.replace("length = 4", f'{key} = " {str(word).title()} "', 1)) == []
         assert one["description"]
+
+
+def spelled(key: str, word: str) -> ConnectorProfile:
+    return options.connector_profile("", {key: word, "push_rate": 1.0}, "", ())[0]
 
 
 def test_an_editor_finds_types_parameters_units_defaults_and_docs() -> None:
@@ -148,7 +153,22 @@ NUMBERS = st.one_of(
     st.sampled_from(["5", "0x10", " 2.5 ", "1e3", "inf", "x"]),
 )
 WORDS = st.sampled_from(
-    ["new", "flush", "periodic", "all", "skip", "block", "overwrite", "push", "pull", "send", "on", "no"]
+    [
+        "new",
+        "flush",
+        "periodic",
+        "Flush",
+        " NEW ",
+        "all",
+        "skip",
+        "block",
+        "overwrite",
+        "push",
+        "pull",
+        "send",
+        "on",
+        "no",
+    ]
 )
 PARAMS = st.one_of(
     NUMBERS,
@@ -219,7 +239,7 @@ def systems(draw: st.DrawFn) -> str:
 
 @given(systems())
 @settings(max_examples=cases(20_000))
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(time_limit(900))
 def test_what_the_program_accepts_the_schema_accepts(text: str) -> None:
     """`prepare` is stricter than `parse`: types, parameters, options and contexts are checked with it."""
     try:

@@ -35,6 +35,8 @@ def with_option(line: str) -> str:
             "did you mean 'inport.buffer.length'?",
             "lenght",
         ),
+        ('dataflow = "pull"', "length chooses nothing where the reader pulls", "take it away", "length"),
+        ('subscription = "new"', "length chooses nothing where a newer sample", "take it away", "length"),
         ("foo.bar = 1", "foo.bar is no option that is known", "it is kept and does nothing: take it away", "bar"),
         ('name = ""', "connector name '': is empty", "choose another, or take it away", '""'),
         ('name = "a.b"', "connector name 'a.b': ", "choose another, or take it away", '"a.b"'),
@@ -68,11 +70,45 @@ def test_a_table_in_the_place_of_a_value_is_refused(write: Write, line: str, cau
         load(path)
 
 
+def test_what_openrtm_says_of_its_transports_is_told_once_by_check_and_by_a_kernel(
+    write: Write, caplog: pytest.LogCaptureFixture
+) -> None:
+    """OpenRTM's tools write such keys for every connection."""
+    first = 'dataport.interface_type = "corba_cdr"\noutport.buffer.write.full_policy = "block"'
+    more = 'dataport.interface_type = "direct"\nbuffer.read.empty_policy = "readback"'
+    text = with_option(first).replace('to = "sink.input"\n', f'to = "sink.input"\n{more}\n')
+    path = write(text)
+    (found,) = (one for one in check(path) if one.severity != "note")
+    assert (found.severity, found.code, found.line) == (
+        "warning",
+        "W-TRANSPORT",
+        text.split("\n").index(first[:37]) + 1,
+    )
+    keys = "dataport.interface_type, outport.buffer.write.full_policy, buffer.read.empty_policy"
+    assert found.cause.startswith(f"{keys}: keys of OpenRTM's transports and backlogs")
+    assert found.quote[found.column - 1 : found.column - 1 + found.width] == "interface_type"
+
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(path))
+            assert [one.profile.full for one in kernel.connectors.values()] == ["overwrite", "overwrite"]
+            assert dict(kernel.connectors["source.out-middle.input"].profile.extra) == {
+                "dataport.interface_type": "corba_cdr",
+                "outport.buffer.write.full_policy": "block",
+            }
+
+    asyncio.run(main())
+    told = [record.getMessage() for record in caplog.records if "W-TRANSPORT" in record.getMessage()]
+    assert [line.partition(": keys of")[0].partition(": a key of")[0] for line in told] == [
+        "W-TRANSPORT: source.out-middle.input: dataport.interface_type, outport.buffer.write.full_policy",
+        "W-TRANSPORT: middle.output-sink.input: buffer.read.empty_policy",
+    ]
+
+
 @pytest.mark.parametrize(
     "line",
     [
-        'dataport.interface_type = "corba_cdr"',
-        'dataport.inport.marshaling_type = "cdr"',
+        'subscription = " Flush "',
         'dataport.serializer.cdr.endian = "little,big"',
         'dataport.buffer.read.timeout = "1.0"',
         'dataport.interface_option.ros.topic = "chatter"',

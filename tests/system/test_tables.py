@@ -10,9 +10,10 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from aiorts import Catalogue, Composite, Kernel, LifeCycleState, StartRule, Supervision
+from aiorts import Catalogue, Composite, Kernel, LifecycleState, StartRule, Supervision
+from aiorts.diagnostics.loop_monitor import LoopLimit
 from aiorts.errors import AiortsError
-from aiorts.system import Finding, WatchEntry, build, check, graph, load, prepare, schema, wait_finished
+from aiorts.system import Finding, build, check, graph, load, prepare, schema, wait_finished
 from aiorts.testing import simulate
 from system_parts import CHAIN, TABLES
 
@@ -38,7 +39,7 @@ def test_the_tables_are_read_as_the_values_that_python_code_would_give(write: Wr
     assert source.start == StartRule("source", after=("arm active", "sink"), wait=0.25)
     assert system.composites["arm"].options["errors"] == "isolate"
     assert system.composites["hand"].members == ("two",)
-    assert system.watch_loop == WatchEntry(2.0, "exit")
+    assert prepare(system).services["watch_loop"].settings == LoopLimit(2.0, "exit")
     assert prepare(system).settings["source"].sets == {"slow": {"rate_limit": 2}}
 
 
@@ -156,7 +157,7 @@ def test_a_member_that_is_restarted_stays_in_its_composite_with_its_set(write: W
             assert type(two).broken  # type: ignore[attr-defined]
             assert isinstance(hand, Composite)
             assert hand.members == (two,)
-            assert (two.state, two.configuration.active) == (LifeCycleState.ACTIVE, "stiff")
+            assert (two.state, two.configuration.active) == (LifecycleState.ACTIVE, "stiff")
             assert two.configuration.values["gain"] == 3.0
 
     simulate(main())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -13,26 +14,31 @@ from aiorts import (
     EventContext,
     ExternalContext,
     InPort,
+    KernelService,
     OutPort,
     Param,
     PeriodicContext,
     RealtimeContext,
     ThreadContext,
 )
+from aiorts.diagnostics.loop_monitor import LoopMonitor
 from aiorts.errors import AiortsError
+from aiorts.supervision.supervising import Supervising
 from aiorts.testing import (
     CODEC_CHECKS,
     COMPONENT_CHECKS,
     CONTEXT_CHECKS,
+    SERVICE_CHECKS,
     ConformanceError,
     check_codec,
     check_component,
     check_context,
+    check_service,
     faults,
 )
 from aiorts.types import TimedDouble, TimedDoubleSeq
 from aiorts.wire import CONTROL, Codec, MsgpackCodec
-from testing import wrong_codecs, wrong_components, wrong_contexts
+from testing import wrong_codecs, wrong_components, wrong_contexts, wrong_services
 
 CONTEXTS: dict[str, Callable[[], Context]] = {
     "external": ExternalContext,
@@ -58,6 +64,25 @@ WRONG_CODECS: dict[str, tuple[type[MsgpackCodec], str]] = {
     "forgets the byte order": (wrong_codecs.ForgetsTheByteOrder, "takes_any_layout"),
     "confuses emptiness": (wrong_codecs.ConfusesEmptiness, "keeps_nothing"),
     "lets errors through": (wrong_codecs.LetsErrorsThrough, "refuses_a_part"),
+}
+
+SERVICES: dict[str, tuple[type[KernelService], dict[str, Any]]] = {
+    "good": (wrong_services.Good, {"interval": 2.0}),
+    "watch_loop": (LoopMonitor, {"policy": "exit"}),
+    "supervision": (Supervising, {"ready": ["sink"]}),
+}
+WRONG_SERVICES: dict[str, tuple[type[KernelService], str]] = {
+    "has the name of a table": (wrong_services.NamedAsATable, "has_a_name"),
+    "changing settings": (wrong_services.ChangingSettings, "has_settings"),
+    "has an option of several": (wrong_services.OptionOfSeveral, "has_settings"),
+    "doubles its settings": (wrong_services.DoublingSettings, "comes_back_from_its_table"),
+    "forgets what was replaced": (wrong_services.ForgetsReplaced, "follows_a_system"),
+    "knows only the new": (wrong_services.KnowsOnlyTheNew, "comes_to_a_system_that_runs"),
+    "reports NaN": (wrong_services.ReportsNaN, "reports_what_json_can_carry"),
+    "leaves a task": (wrong_services.LeavesATask, "leaves_nothing"),
+    "leaves a timer": (wrong_services.LeavesATimer, "leaves_nothing"),
+    "leaves a thread": (wrong_services.LeavesAThread, "leaves_nothing"),
+    "takes its time": (wrong_services.TakesItsTime, "leaves_nothing"),
 }
 
 
@@ -92,6 +117,26 @@ def test_wrong_context_is_refused_by_the_check_of_that_promise(what: str) -> Non
     assert caught.value.check == name
     with pytest.raises(ConformanceError):
         check_context(make)
+
+
+@pytest.mark.parametrize("name", SERVICE_CHECKS)
+@pytest.mark.parametrize("what", SERVICES)
+def test_good_service_keeps_every_promise(what: str, name: str) -> None:
+    kind, settings = SERVICES[what]
+    check_service(kind, only=[name])
+    check_service(kind, settings, only=[name])
+
+
+@pytest.mark.parametrize("what", WRONG_SERVICES)
+def test_wrong_service_is_refused_by_the_check_of_that_promise(what: str) -> None:
+    kind, name = WRONG_SERVICES[what]
+    wrong_services.THREADS_END.clear()
+    try:
+        with pytest.raises(ConformanceError) as caught:
+            check_service(kind, only=[name])
+    finally:
+        wrong_services.THREADS_END.set()
+    assert caught.value.check == name
 
 
 @pytest.mark.parametrize("name", CODEC_CHECKS)

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from aiorts import ExternalContext, Kernel, LifeCycleState
+from aiorts import ExternalContext, Kernel, LifecycleState
 from aiorts.errors import DeclarationError, HookAbandoned, HookTimeout, StateError
 from aiorts.model.lifecycle import HOOKS
 from aiorts.testing import Rig, current_clock, faults, simulated
@@ -22,7 +22,7 @@ async def test_failing_fails_in_the_hook_it_was_told(hook: str) -> None:
                 await rig.activate()
                 await rig.tick()
         assert [(failure.component, failure.hook) for failure in rig.failures] == [("f", hook)]
-        assert rig.context.state(component) is LifeCycleState.ERROR
+        assert rig.context.state(component) is LifecycleState.ERROR
 
 
 @simulated

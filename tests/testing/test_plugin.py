@@ -94,7 +94,9 @@ def test_plugin_loads_nothing_of_the_test_kit() -> None:
         "print(*sorted(m for m in set(sys.modules) - before if m.startswith(('aiorts', 'numpy', 'uvloop', 'msgpack'))))"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True, timeout=100
+    )
     assert done.stdout.split() == ["aiorts.testing", "aiorts.testing.pytest_plugin"]
 
 

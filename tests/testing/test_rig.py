@@ -14,7 +14,7 @@ from aiorts import (
     EventContext,
     ExternalContext,
     InPort,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     Param,
     PeriodicContext,
@@ -227,7 +227,7 @@ async def test_expected_error_is_caught_and_told() -> None:
         with rig.expect_error(OSError) as caught:
             await rig.tick()
         assert str(caught.error) == "gone"
-        assert rig.context.state(rig.components[0]) is LifeCycleState.ERROR
+        assert rig.context.state(rig.components[0]) is LifecycleState.ERROR
         await rig.reset()
         await rig.activate()
         await rig.tick()
@@ -361,7 +361,7 @@ async def test_sample_changed_after_it_was_written_is_found() -> None:
         await rig.tick(2)
         found = rig.find_aliasing()
         assert len(found) == 2
-        assert found[1].startswith("liar.out: sample 1: TimedDoubleSeq.data[0]: '2.0 (octets")
+        assert found[1].startswith("liar.out: sample 1: TimedDoubleSeq.data[0]: '2.0 (bytes")
 
 
 async def test_find_aliasing_says_nothing_of_an_honest_writer() -> None:

@@ -39,7 +39,7 @@ class ForgetsTheElementType(MsgpackCodec):
 
 
 class ForgetsTheByteOrder(MsgpackCodec):
-    """Takes the octets of an array as they lie in memory."""
+    """Takes the bytes of an array as they lie in memory."""
 
     def encode(self, record: Any) -> bytes:
         if isinstance(record, TimedNDArray) and record.data.ndim == 3:
@@ -48,7 +48,7 @@ class ForgetsTheByteOrder(MsgpackCodec):
 
 
 class ConfusesEmptiness(MsgpackCodec):
-    """Has no empty octet sequences."""
+    """Has no empty byte sequences."""
 
     def decode(self, data: bytes, expected: type | None = None) -> Any:
         record = super().decode(data, expected)

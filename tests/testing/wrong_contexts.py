@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from aiorts import ExternalContext, LifeCycleState, PeriodicContext
-from aiorts.kernel.life import Action, Call
+from aiorts import ExternalContext, LifecycleState, PeriodicContext
+from aiorts.kernel.execution.cycle import Call
 
 if TYPE_CHECKING:
-    from aiorts.kernel.member import Member
+    from aiorts.kernel.execution.member import Member
     from aiorts.model.profile import ContextStatistics
 
 
@@ -18,8 +18,8 @@ class LosesTicks(ExternalContext):
 
     def _begin_cycle(self) -> Sequence[Member]:
         members = super()._begin_cycle()
-        self._over.extend(self._asked)
-        self._asked.clear()
+        self._over.extend(self._requested)
+        self._requested.clear()
         return members
 
 
@@ -46,11 +46,8 @@ class ObeysInTheMiddle(ExternalContext):
         self._in_cycle = False
         super()._end_cycle(members)
 
-    def _submit(self, action: Action) -> None:
-        if not self._in_cycle:
-            super()._submit(action)
-            return
-        for step in action.steps():
+    def _request_came(self) -> None:
+        for step in self.runner.next_action().steps() if self._in_cycle else ():
             if isinstance(step, Call):
                 step.member.hook_of(step.hook)[1](*step.args)
 
@@ -63,7 +60,7 @@ class Reenters(ExternalContext):
             self.ticks += 1
             for hook in ("on_execute", "on_state_update"):
                 for member in self._members:
-                    if member.state is LifeCycleState.ACTIVE:
+                    if member.state is LifecycleState.ACTIVE:
                         result: Any = member.hook_of(hook)[1]()
                         if result is not None:
                             await result
@@ -72,9 +69,9 @@ class Reenters(ExternalContext):
 class EndsInOrder(ExternalContext):
     """Shuts the first member down first."""
 
-    async def _stop(self, budget: Any) -> None:
+    async def stop(self) -> None:
         self._members.reverse()
-        await super()._stop(budget)
+        await super().stop()
 
 
 class Flatters(ExternalContext):

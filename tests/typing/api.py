@@ -11,7 +11,7 @@ from aiorts import (
     Connector,
     InPort,
     Kernel,
-    LifeCycleState,
+    LifecycleState,
     OutPort,
     Param,
     PeriodicContext,
@@ -161,7 +161,7 @@ async def main() -> None:
         assert_type(await kernel.connect(pid.command, pid.command, pid.measured), tuple[Connector, ...])
         context = await kernel.start(PeriodicContext(rate=500.0), pid)
         assert_type(context, PeriodicContext)
-        assert_type(context.state(pid), LifeCycleState)
+        assert_type(context.state(pid), LifecycleState)
         assert_type(kernel.components, Mapping[str, Component])
         await context.activate(pid.measured)  # error: not a component
         value: Any = pid.params["gain"].value

@@ -1,17 +1,15 @@
-"""A strip chart of characters: one line for each moment, time goes down; ASCII alone, so that any terminal shows it."""
+"""Draws a strip chart of ASCII characters: one line for each moment, time goes down."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-__all__ = ("Strip",)
+from aiorts.late import dataclass
 
 _NARROWEST = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A chart from 0 to `most`, `width` columns wide: `*` is the value, `:` what it ought to be, `#` both."""
+    """A chart from 0 to `most`, `width` columns wide: `*` is the value, `:` the target, `#` both."""
 
     most: float
     width: int

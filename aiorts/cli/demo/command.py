@@ -1,4 +1,4 @@
-"""The command `aiorts demo`: shows it, prints its source, or saves its files; it never overwrites one."""
+"""The command `aiorts demo`: runs it, prints its source, or saves its files without overwriting any."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from typing import Final
 
 import click
 
-from aiorts.cli.output import say
+from aiorts import exits
+from aiorts.cli.console.output import say
 from aiorts.errors import ConfigurationError
-
-__all__ = ("demo",)
 
 _FILES: Final = {"motor.py": "motor.py", "system.toml": "system.toml", "test_motor.py": "test_motor.txt"}
 """Name of a saved file -> name in this package."""
@@ -30,7 +29,7 @@ def demo(source: bool, folder: Path | None) -> int:
         raise click.UsageError("--source and --save exclude each other")
     if source:
         say(_text("motor.py").rstrip("\n"))
-        return 0
+        return exits.DONE
     if folder is not None:
         return _save(folder)
     from aiorts.cli.demo.show import show
@@ -62,7 +61,7 @@ def _save(folder: Path) -> int:
     say(f"  aiorts run {folder / 'system.toml'}")
     say(f"  aiorts inspect {folder / 'motor.py'}:Motor")
     say(f'  python -m pytest {folder}      (pip install "aiorts[test]" first)')
-    return 0
+    return exits.DONE
 
 
 def _text(name: str) -> str:

@@ -1,4 +1,4 @@
-"""A motor, its speed controller and what it is told to do: three components, and a main program that runs them.
+"""A motor, its speed controller and a source of targets: three components, and a main program that runs them.
 
 Run it: python motor.py
 """
@@ -12,7 +12,7 @@ RATE = 100.0  # Hz: cycles in a second
 
 
 class Motor(Component):
-    """A motor that turns as fast as its voltage and its load let it."""
+    """A motor whose speed follows its voltage and its load."""
 
     voltage = InPort(TimedDouble, unit="V")
     speed = OutPort(TimedDouble, unit="rad/s")
@@ -32,7 +32,7 @@ class Motor(Component):
 
 
 class Control(Component):
-    """Proportional and integral controller: gives the voltage that brings the speed to its target."""
+    """A proportional and integral controller: computes the voltage that brings the speed to its target."""
 
     target = InPort(TimedDouble, unit="rad/s")
     speed = InPort(TimedDouble, unit="rad/s")
@@ -57,7 +57,7 @@ class Control(Component):
 
 
 class Steps(Component):
-    """Sends a new target now and then, and has finished after the last one."""
+    """Sends a new target now and then, and finishes after the last one."""
 
     target = OutPort(TimedDouble, unit="rad/s")
     targets: tuple[float, ...] = Param((150.0, 250.0, 50.0), unit="rad/s")

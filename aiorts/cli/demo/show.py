@@ -1,6 +1,6 @@
-"""The system of the demo: motor, controller, a FlexiFilter and a gauge; run live, and again in virtual time.
+"""Runs the demo: motor, controller, a FlexiFilter and a gauge, live and again in virtual time.
 
-Every figure it gives is counted or measured in this run.
+Every figure it prints is counted or measured in this run.
 """
 
 from __future__ import annotations
@@ -11,16 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from shutil import get_terminal_size
 
-from aiorts import Component, Context, InPort, Kernel, PeriodicContext, run
+from aiorts import Component, Context, InPort, Kernel, PeriodicContext, exits, run
 from aiorts.cli.demo.chart import Strip
 from aiorts.cli.demo.motor import RATE, Control, Motor, Steps
 from aiorts.testing import simulate
 from aiorts.types import TimedLong
 
-__all__ = ("show",)
-
 _TARGETS = (150.0, 250.0)
-"""rad/s, a second each; then a second with a load."""
+"""rad/s, each for a second; then a second with a load."""
 _SECONDS = 3.0
 _LOAD = 3.0
 _LINE_EVERY = 0.1
@@ -52,7 +50,7 @@ class Gauge(Component):
 
 @dataclass
 class _Result:
-    """What a run has shown. Times in seconds."""
+    """The measurements of a run; times in seconds."""
 
     speeds: list[int] = field(default_factory=list)
     ledger: tuple[int, int, int, int] = (0, 0, 0, 0)
@@ -65,7 +63,7 @@ class _Result:
 
 
 def show(say: Callable[[str], None]) -> int:
-    """Run the demo and say it line by line; 0 when what it promises held, else 1."""
+    """Run the demo and print it line by line; 0 when its promises were kept, else 1."""
     width = get_terminal_size((80, 24)).columns
     say(f"A motor and its controller, {RATE:g} cycles a second, live ({_SECONDS:g} s):")
     say(f"{'s':>4} {'rpm':>5}  0{'rpm':>{max(8, min(width, 80) - 20)}} {_MOST:g}")
@@ -90,7 +88,7 @@ def show(say: Callable[[str], None]) -> int:
     )
     say("")
     say(_NEXT)
-    return 0 if live.balanced and same and first.balanced else 1
+    return exits.DONE if live.balanced and same and first.balanced else exits.FAILED
 
 
 async def _session(say: Callable[[str], None] | None, strip: Strip | None) -> _Result:
@@ -105,14 +103,14 @@ async def _session(say: Callable[[str], None] | None, strip: Strip | None) -> _R
         await kernel.connect(control.voltage, motor.voltage)
         await kernel.connect(convert.ports["output0"], gauge.rpm)
         loop = await kernel.start(PeriodicContext(rate=RATE), steps, motor, control, convert, gauge, activate=True)
-        await _watch(kernel, motor, control, gauge, say, strip)
+        await _observe(kernel, motor, control, gauge, say, strip)
         await loop.deactivate()
         _count(result, kernel, loop)
         result.speeds = list(gauge.speeds)
     return result
 
 
-async def _watch(
+async def _observe(
     kernel: Kernel,
     motor: Motor,
     control: Control,

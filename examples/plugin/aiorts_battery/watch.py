@@ -20,9 +20,14 @@ class BatteryWatch(Component):
     full = Param(4.2, gt=0.0, unit="V", doc="of a full cell")
     low = Param(0.2, ge=0.0, le=1.0, doc="charge below which it is low")
 
+    charge = 1.0
+    """Of the last sample, 0 empty to 1 full."""
+
     async def on_execute(self) -> None:
         for sample in self.voltage.drain():
-            await self.battery.write(self.judge(sample))
+            state = self.judge(sample)
+            self.charge = state.charge
+            await self.battery.write(state)
 
     def judge(self, sample: TimedDouble) -> BatteryState:
         """The state that a voltage stands for; its charge is linear between empty and full."""

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 from aiorts_battery.codec import DeflateCodec
 from aiorts_battery.command import battery_life
+from aiorts_battery.guard import Limits
 from aiorts_battery.records import BatteryState
 from aiorts_battery.watch import BatteryWatch
 from click.testing import CliRunner
 
+from aiorts import Catalogue, Kernel
 from aiorts.errors import RecordError
+from aiorts.system import check, load, prepare
 from aiorts.testing import Rig, check_codec, check_component, simulated
+
+PLUGIN = Path(__file__).parents[1]
 
 
 @simulated
@@ -40,3 +50,32 @@ def test_the_codec_gives_back_what_it_was_given() -> None:
 def test_the_command_says_how_long() -> None:
     done = CliRunner().invoke(battery_life, ["--capacity", "5", "--current", "2.5"])
     assert done.output == "2 h 00 min\n"
+
+
+@simulated
+async def test_the_service_ends_the_run_when_the_reserve_is_reached() -> None:
+    services = {"battery": {"reserve": 0.3, "interval": 0.5}}
+    async with Kernel(plugins=Catalogue([PLUGIN]), services=services) as kernel:
+        watch = await kernel.add(BatteryWatch("watch0"))
+        ending = asyncio.ensure_future(kernel.wait_stop_requested())
+        await kernel.sleep(1.9)
+        assert kernel.profile().services["battery"] == {"reserve": 0.3, "looks": 3}
+        assert not ending.done()
+        watch.charge = 0.25
+        await kernel.sleep(0.5)
+        assert ending.done()
+
+
+def test_the_table_and_the_option_say_what_it_goes_by(tmp_path: Path) -> None:
+    path = tmp_path / "system.toml"
+    path.write_text("schema = 1\n[battery]\ninterval = 0.5\nreserve = 0.2\n")
+    plan = prepare(load(path), Catalogue([PLUGIN]), {"battery": {"reserve": 0.4}})
+    assert plan.services["battery"].settings == Limits(reserve=0.4, interval=0.5)
+    path.write_text("schema = 1\n[battery]\nreserv = 0.2\ninterval = 0\n")
+    assert [(one.line, one.message) for one in check(path, plugins=[PLUGIN])] == [
+        (3, "unknown key 'reserv'; did you mean 'reserve'?"),
+        (4, "expected seconds above 0, got 0"),
+    ]
+    command = [sys.executable, "-m", "aiorts", "--plugins", str(PLUGIN), "run", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    assert "Options of the service battery:\n  --battery-reserve FLOAT" in done.stdout

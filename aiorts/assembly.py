@@ -1,0 +1,407 @@
+"""Assembles `Kernel`: the microkernel and the services of aiorts round it, each made when it is first used.
+
+Every method here says what it does and hands on to the room that does it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, TypeVar, overload
+
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.microkernel import Microkernel
+
+if TYPE_CHECKING:
+    from aiorts.configuration import ConfigurationFiles
+    from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.ports import Port, PortDeclaration
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.blame import GcPauses
+    from aiorts.model.configuration.sets import Difference
+    from aiorts.observe import Changes, ConnectorEvent, Introspection, Listening, Monitor, SystemProfile
+    from aiorts.reload import Reloaded
+    from aiorts.services import Made, Service, ServiceConnector
+    from aiorts.supervision import StartRule, Supervised, Supervising, Supervision
+
+X = TypeVar("X", bound=Context)
+
+
+class Kernel(Microkernel):
+    """Owner of a system: `async with Kernel() as kernel:`, or `await Kernel().open()` and `await kernel.aclose()`.
+
+    Args:
+        name: for logs and paths.
+        clock: SystemClock by default; on a loop that keeps its own time, a simulated one or another's, that loop's.
+        debug: check the thread of every port call, copy every sample: slow; finds writers that change what they wrote.
+        contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further (`aiorts
+            run` takes SIGINT itself). By default it is passed on after the component went to error.
+        initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None is for ever (`aiorts
+            run`: 30). One over it is cancelled, or refused when it returns if it blocks, and its component not added.
+        plugins: where types asked for by name come from; installed packages by default.
+        services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
+
+    Raises:
+        PluginError: nobody offers a service of that name. ConfigurationError: names each setting that is wrong.
+    """
+
+    _deadlines: DeadlineMonitor | None = None
+    _supervision: Supervising | None = None
+
+    async def start(self, context: X, *components: Component, activate: bool = False, timeout: float | None = 5.0) -> X:
+        if self._deadlines is None:
+            from aiorts.diagnostics import DeadlineMonitor
+
+            self._deadlines = self.service(DeadlineMonitor)
+        return await super().start(context, *components, activate=activate, timeout=timeout)
+
+    start.__doc__ = Microkernel.start.__doc__
+
+    # First what is more special, though the overridden method has it last: a service port is a port.
+    @overload  # type: ignore[override]
+    async def connect(self, one: Service, two: Service, /, **options: Any) -> ServiceConnector: ...
+
+    @overload
+    async def connect(self, one: Service, two: Service, three: Service, /, *more: Service, **options: Any) -> Made: ...
+
+    @overload
+    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...
+
+    @overload
+    async def connect(
+        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Any
+    ) -> tuple[Connector, ...]: ...
+
+    @overload
+    async def connect(
+        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Any
+    ) -> Any: ...
+
+    async def connect(  # pyright: ignore[reportIncompatibleMethodOverride]
+        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Any
+    ) -> Any:
+        return await super().connect(one, two, *more, **options)
+
+    connect.__doc__ = Microkernel.connect.__doc__
+
+    def monitor_deadlines(self, context: Context) -> ContextTimer | None:
+        return None if self._deadlines is None else self._deadlines.monitor(context)
+
+    def _hooks_wanted_changed(self) -> None:
+        if self.bus.samples_wanted:
+            _ = self._introspection  # who listens to samples is its affair
+        super()._hooks_wanted_changed()
+
+    # -- the services, made on first use ---------------------------------------------------------------------------
+
+    @property
+    def _introspection(self) -> Introspection:
+        from aiorts.observe import Introspection
+
+        return self.service(Introspection)
+
+    @property
+    def _supervising(self) -> Supervising:
+        if self._supervision is None:
+            from aiorts.supervision import Supervising
+
+            self._supervision = self.service(Supervising)
+        return self._supervision
+
+    @property
+    def _configuration(self) -> ConfigurationFiles:
+        from aiorts.configuration import ConfigurationFiles
+
+        return self.service(ConfigurationFiles)
+
+    # -- what it is, and how it changes -----------------------------------------------------------------------------
+
+    def profile(self) -> SystemProfile:
+        """The whole system at this moment, as frozen values; `to_json()` makes one document of it.
+
+        Raises:
+            ClosedError: the kernel was never opened. ThreadError: called in another thread than the kernel's.
+        """
+        from aiorts.observe import system_profile
+
+        self.check_thread("profile")
+        self.loop  # noqa: B018 - raises ClosedError
+        return system_profile(self)
+
+    async def profile_in_turns(self, hold: float = 0.001) -> SystemProfile:
+        """The same, without holding the loop for longer than `hold` seconds (and one component) at a time.
+
+        Everything that an event tells of is as it is when this returns; counters are of moments since the call.
+        """
+        from aiorts.observe import system_profile_in_turns
+
+        self.check_open("profile_in_turns")
+        return await system_profile_in_turns(self, hold)
+
+    def changes(self, *, length: int = 1024) -> Changes:
+        """What the system is, and then each change of it: an async iterator of `ProfileSnapshot` and `Change`.
+
+        The first is a `ProfileSnapshot`. Applied one after the other (`profile = change.apply(profile)`) the changes
+        give the profile of each moment, without what changes without an event (`SystemProfile.structure`).
+
+        Args:
+            length: changes that wait for a slow reader; beyond that they are dropped for a new snapshot.
+
+        Raises:
+            ClosedError: the kernel is not open. ConfigurationError: the length is none.
+        """
+        self.check_open("changes")
+        return self._introspection.changes(length)
+
+    def monitor(self, paths: Sequence[str], rate: float = 10.0) -> Monitor:
+        """Values such as "pid0.command.data", "pid0.gain", "loop.lateness" at a rate: an async iterator of `Reading`.
+
+        Nothing is disturbed: no sample is taken, what is missed is counted. What can be named: `monitor.py`.
+
+        Args:
+            rate: Hz on the kernel's clock, up to 10,000.
+
+        Raises:
+            WiringError: there is no such value now. ConfigurationError: the rate is none. ClosedError: not open.
+        """
+        self.check_open("monitor")
+        return self._introspection.monitor(paths, rate)
+
+    def heartbeat(self, interval: float = 1.0) -> Callable[[], None]:
+        """Send a ContextBeat of each context and a ComponentBeat of each component at this interval, in seconds of
+        the kernel's clock, until the returned function is called or the kernel closes.
+
+        Raises:
+            ConfigurationError: the interval is not from 0.001 to 86,400. ClosedError: the kernel is not open.
+        """
+        self.check_open("heartbeat")
+        return self._introspection.heartbeat(interval)
+
+    def listen(
+        self, connector: Connector, listener: Callable[[ConnectorEvent], object], *kinds: str
+    ) -> Callable[[], None]:
+        """Tell `listener` what becomes of the samples of a connector, until the returned function is called.
+
+        It is told on the loop, soon after, in order. One that raises is counted and harms nobody. A connector that is
+        listened to is slower; all others are not. For all connectors: `bus.subscribe(ConnectorEvent, listener)`.
+
+        Args:
+            kinds: of `ConnectorEventKind`; all by default.
+
+        Raises:
+            StateError: the connector is not of this kernel, or a real-time thread is at it.
+        """
+        self.check_thread("listen")
+        return self._introspection.listening.add(connector, listener, kinds)
+
+    @property
+    def listening(self) -> Listening:
+        """Who listens to connectors."""
+        return self._introspection.listening
+
+    # -- components that fail, and new code -------------------------------------------------------------------------
+
+    def supervise(
+        self, component: Component, policy: Supervision, *, factory: Callable[[str], Component] | None = None
+    ) -> Supervised:
+        """Say what is done when this component fails, and how long its hooks may take; replaces what was said before.
+
+        Args:
+            policy: see `Supervision`. A hook that runs already is held to a new deadline from now on.
+            factory: makes a new instance of the given name, for "restart"; the component's class by default.
+
+        Raises:
+            StateError: it is not of this kernel. DeclarationError: the policy is none, the factory is no function, or
+                a composite is to be made anew or to have deadlines: its members can, it can be reset.
+        """
+        self.check_mine(component, "supervise")
+        return self._supervising.supervise(component, policy, factory)
+
+    @property
+    def supervised(self) -> Mapping[str, Supervised]:
+        """The supervised components, by name; one that could not be made anew stays, exhausted."""
+        return MappingProxyType({}) if self._supervision is None else self._supervision.supervised
+
+    async def reload(
+        self,
+        kind: type[Component] | str,
+        *,
+        cycles: int = 10,
+        seconds: float = 1.0,
+        timeout: float | None = 5.0,
+        import_timeout: float = 30.0,
+    ) -> Reloaded:
+        """Replace a component type's code while the system runs: its file is read anew, its instances go on with it.
+
+        Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
+        order and lifecycle state, parameters in force and sets, and the connectors and unread samples of the ports
+        that its code still has. `on_initialize` of the new one runs before, beside the old one; then its `on_reload`,
+        which is told the old one; no other transition hook runs. Tasks of the old one are cancelled (beside
+        the new one's they would take each other's samples), and its `on_finalize` runs at the end: what `on_reload`
+        takes over for good it takes away from the old one. It returns
+        when the new code has done its first cycles without a failure; whatever fails before that has everything taken
+        back, attributes of the old instance included; where a hook of the new code runs on, 10 s are waited, and then
+        the old code comes back when that hook returns. If tasks of it had been cancelled, its `on_deactivated` and
+        `on_activated` are run, to start them anew, while it stays active. A caller that is cancelled ends nothing.
+
+        Only the file itself is read anew, not what it imports. Other types in it keep their code; what is created
+        afterwards is made of the new, by a supervised restart, too, if its factory is the class or a `partial` of it.
+
+        Args:
+            kind: a class, its name, "pid.py:Pid", "package.module:Pid", or a name that a plugin offers; there are
+                instances of it.
+            cycles: the new code has proved itself after so many cycles of each context, 0 at once,
+            seconds: or after so many seconds of the kernel's clock.
+            timeout: seconds of the kernel's clock in which `on_initialize` of each new instance has to return, every
+                context to come to the end of a cycle, and `on_reload` to return; None is for ever.
+            import_timeout: seconds of real time that running the file may take.
+
+        Raises:
+            PluginError: no such type, or its file cannot be loaded, or an instance not be made; names file and line.
+            ComponentError: `on_reload`, or a hook in the first cycles, failed. StateError: one of them cannot be
+            replaced: it is in a real-time context, say. TransitionTimeout: a context did not come to it in time.
+            ClosedError: the kernel closes.
+        """
+        self.check_open("reload")
+        from aiorts.reload import reload  # late: most systems never do
+
+        return await reload(self, kind, cycles=cycles, seconds=seconds, timeout=timeout, import_timeout=import_timeout)
+
+    # -- who is ready, and in which order ---------------------------------------------------------------------------
+
+    async def wait_ready(self, *components: Component | str, timeout: float | None = 10.0) -> None:
+        """Wait until these components are active in every context they are in; by default all that are in a context.
+
+        A source that has finished counts as ready. A name may be given before there is a component of it.
+
+        Args:
+            timeout: seconds of the kernel's clock; None waits for ever.
+
+        Raises:
+            TransitionTimeout: says who is not active, and why as far as that is known. ClosedError: the kernel closes.
+        """
+        self.check_open("wait_ready")
+        from aiorts.supervision import wait_ready
+
+        await wait_ready(self, components, timeout)
+
+    async def start_in_order(self, rules: Sequence[StartRule]) -> None:
+        """Activate components one after the other, each once its conditions hold and its `wait` is over.
+
+        They are deactivated in the reverse order by `stop_in_order`, or else when the kernel closes. One that fails
+        leaves those before it active.
+
+        Raises:
+            ConfigurationError: the rules wait for each other (names them); nothing was started.
+            TransitionTimeout: a condition did not come true; names it. StateError: there is no such component.
+            ComponentError: its `on_activated` raised.
+        """
+        self.check_open("start in order")
+        await self._supervising.start_in_order(rules)
+
+    async def stop_in_order(self, *, timeout: float | None = 5.0) -> None:
+        """Deactivate what `start_in_order` has activated, the last first, each before the next.
+
+        Raises:
+            TransitionTimeout: one was not deactivated within `timeout` seconds; the others were.
+        """
+        self.check_open("stop in order")
+        await self._supervising.stop_in_order(timeout)
+
+    def notify_systemd(self, *components: Component | str, environ: Mapping[str, str] | None = None) -> bool:
+        """Tell systemd of this kernel, if the environment asks for it; False when it does not.
+
+        READY=1 once these components (by default all that are in a context) are active; STOPPING=1 when the kernel
+        closes; STATUS= whenever it changes; WATCHDOG=1 four times in WATCHDOG_USEC, while all contexts get on: a hook
+        that runs for half of that time is answered for no longer.
+
+        Args:
+            environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID are taken from it; those of the process by default.
+
+        Raises:
+            ConfigurationError: systemd is told of this kernel already.
+        """
+        self.check_open("notify systemd")
+        return self._supervising.notify_systemd(components, os.environ if environ is None else environ)
+
+    # -- what holds it up -------------------------------------------------------------------------------------------
+
+    def watch_loop(self, limit: float = 5.0, policy: str = "warn") -> bool:
+        """Watch the loop: what keeps it from turning for 0.2 s is logged in one line while it does, with its stack.
+
+        Nothing is said while a debugger holds the process. Called again it changes limit and policy.
+
+        Args:
+            limit: seconds after which `policy` comes into force.
+            policy: "warn" says so once more; "exit" ends the process at once with status 70, for who restarts it.
+
+        Returns:
+            Whether it is monitored: not in simulated time, and not where the system has no timerfd.
+
+        Raises:
+            ConfigurationError: limit or policy out of range.
+        """
+        self.check_open("monitor the loop")
+        from aiorts.diagnostics import LoopLimit, LoopMonitor
+
+        return self.service(LoopMonitor).monitor(LoopLimit(limit, policy))
+
+    @property
+    def loop_stalls(self) -> LoopStalls:
+        """How often and how long the loop did not turn, since `watch_loop`."""
+        from aiorts.diagnostics import LoopMonitor, LoopStalls
+
+        monitor = self.attached(LoopMonitor)
+        return LoopStalls() if monitor is None else monitor.stalls
+
+    @property
+    def gc_pauses(self) -> Mapping[int, GcPauses]:
+        """Garbage collections by generation, while a context with a rate ran: nothing else runs meanwhile."""
+        return MappingProxyType({}) if self._deadlines is None else self._deadlines.gc_pauses
+
+    # -- configuration files ----------------------------------------------------------------------------------------
+
+    async def save_configuration(self, path: str | os.PathLike[str], *components: Component) -> None:
+        """Save the configuration sets of these components, or of all that have parameters.
+
+        It is the configuration of one moment; the file is the old one or the new one, whatever happens meanwhile.
+
+        Raises:
+            ConfigurationError: a value cannot be written, or the file cannot; nothing was changed.
+        """
+        self.check_open("save_configuration")
+        await self._configuration.save(path, components)
+
+    async def load_configuration(self, path: str | os.PathLike[str]) -> None:
+        """Put in force what a file says, of every component in it, or of none when anything is wrong.
+
+        A component's sets are those of the file then, and no others. The components change one after the other, each
+        between its own cycles. Awaited from a hook that this would wait for it is queued and returns at once.
+
+        Raises:
+            ConfigurationError: names all that is wrong, with lines. TransitionTimeout: a component's moment did not
+                come in time. What was changed already is taken back.
+        """
+        self.check_open("load_configuration")
+        await self._configuration.load(path)
+
+    async def diff_configuration(self, path: str | os.PathLike[str]) -> tuple[Difference, ...]:
+        """What differs between a file (old) and the components as they are (new); empty when loading changes nothing.
+
+        Raises:
+            ConfigurationError: the file cannot be read.
+        """
+        self.check_open("diff_configuration")
+        return await self._configuration.diff(path)
+
+    def html_of(self, thing: Component | Port[Any]) -> str | None:
+        from aiorts.observe import html_of
+
+        return html_of(thing)
+
+    def _repr_html_(self) -> str:
+        from aiorts.observe import kernel_html
+
+        return kernel_html(self)

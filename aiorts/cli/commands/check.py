@@ -1,0 +1,97 @@
+"""`aiorts check FILE...`: prints the findings of `aiorts.system.checks` for system files."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.console.finding import below, line_of
+from aiorts.cli.console.report import has_colours, painted, printed
+from aiorts.system import Finding, check
+
+_WORDS: Final = {"error": "E", "warning": "W", "note": "N"}
+_GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
+
+
+@click.command("check", short_help="Check system files without running them.")
+@click.argument("files", metavar="SYSTEM.toml...", nargs=-1, required=True, type=click.Path())
+@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Check with this parameter.")
+@click.option(
+    "--format",
+    "layout",
+    type=click.Choice(["text", "json", "github"]),
+    default="text",
+    help="text for people, json one object for each file in a line, github for its annotations.",
+)
+@plugins_option
+@click.option("--strict", is_flag=True, help="Exit status 1 when there are warnings and no errors.")
+@click.option("-q", "--quiet", is_flag=True, help="Leave notes out.")
+def check_command(
+    files: tuple[str, ...],
+    changes: tuple[str, ...],
+    layout: str,
+    plugins: tuple[Path, ...],
+    strict: bool,
+    quiet: bool,
+) -> int:
+    """Find everything wrong with system files that can be found without running them.
+
+    Component files and plugins are imported, as running would; no hook runs and nothing is opened. Exit status: 0 when
+    nothing is wrong, 2 when there are errors; warnings change it with --strict alone, to 1.
+    """
+    counts: Counter[str] = Counter()
+    folders = catalogue_of(None, plugins).folders
+    for file in files:
+        with quietly():
+            findings = [one for one in check(file, changes, folders) if not (quiet and one.severity == "note")]
+        counts.update(one.severity for one in findings)
+        _PRINTERS[layout](file, findings)
+    if counts["error"]:
+        return exits.REFUSED
+    return exits.FAILED if strict and counts["warning"] else exits.DONE
+
+
+def _text(file: str, findings: Sequence[Finding]) -> None:
+    coloured = has_colours(sys.stdout)
+    for one in findings:
+        lines = (line_of(one), *below(one))
+        click.echo("\n".join(map(painted, lines) if coloured else lines), color=coloured)
+    counts = Counter(one.severity for one in findings)
+    summary = ", ".join(f"{counts[word]} {word}{'s' * (counts[word] != 1)}" for word in _WORDS if counts[word])
+    runs = "" if counts["error"] else ", it can run"
+    click.echo(printed(f"{file}: {summary or 'no findings'}{runs}"))
+
+
+def _json(file: str, findings: Sequence[Finding]) -> None:
+    counts = Counter(one.severity for one in findings)
+    numbers = {f"{word}s": counts[word] for word in _WORDS}
+    click.echo(json.dumps({"file": file, **numbers, "findings": [one.plain() for one in findings]}))
+
+
+def _github(file: str, findings: Sequence[Finding]) -> None:
+    for one in findings:
+        place = f",line={one.line},col={one.column},endColumn={one.column + one.width}" if one.line else ""
+        where = f"{one.where}: " if one.where else ""
+        click.echo(
+            f"::{_GITHUB[one.severity]} file={_escaped(str(one.path))}{place},title={_escaped(one.code)}::"
+            f"{_data(printed(where + one.message) + (chr(10) + one.suggestion if one.suggestion else ''))}"
+        )
+
+
+def _data(text: str) -> str:
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _escaped(text: str) -> str:
+    return _data(text).replace(":", "%3A").replace(",", "%2C")
+
+
+_PRINTERS: Final = {"text": _text, "json": _json, "github": _github}

@@ -1,0 +1,267 @@
+"""Runs any component as a Unix filter: `aiorts flexifilter -i TimedDouble ...` reads JSON lines and writes JSON lines.
+
+Its options are those of the class attribute `options`, else one for each parameter. In-ports are fed from standard
+input and out-ports written to standard output, with back-pressure throughout, so that no line is lost. One without
+in-ports produces, in the context that fits it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+import sys
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import click
+
+from aiorts import Component, EventContext, InPort, Kernel, declaration_of, exits
+from aiorts.cli.console.completion import completer_of
+from aiorts.cli.console.output import plain, table
+from aiorts.cli.console.report import report_error
+from aiorts.cli.runtime.alone import (
+    DEFAULT_RATE,
+    check_rate,
+    connect_input,
+    connect_output,
+    context_for,
+    end_with,
+    outs_of,
+)
+from aiorts.cli.runtime.ends import Ends
+from aiorts.cli.runtime.options import Options, checked
+from aiorts.cli.runtime.session import execute
+from aiorts.cli.runtime.stopping import Stopper
+from aiorts.errors import AiortsError, ComponentError, ConfigurationError
+from aiorts.kernel.extensions.type_modules import import_types
+from aiorts.system import FrameInput, StandardInput, construct, option_params
+from aiorts.types import type_name
+
+_WORDS: Final = {"in": "in ", "out": "out"}
+_STREAMS: Final = ("stdin", "stdout")
+_OURS: Final = (
+    click.Option(["--count"], type=click.IntRange(min=1), metavar="N", help="End after N samples."),
+    click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
+    click.Option(
+        ["--rate"], type=float, metavar="HZ", help=f"Run it periodically; {DEFAULT_RATE:g} when it has no in-port."
+    ),
+    click.Option(["--loop"], type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop."),
+    click.Option(["--codec"], metavar="NAME", help="Binary frames of this codec in place of JSON lines."),
+    click.Option(["--debug"], is_flag=True, help="Print the component's log, and tracebacks."),
+)
+
+
+def command_of(name: str, cls: type[Component]) -> click.Command:
+    """Make the command that runs a component of this class."""
+    table = getattr(cls, "options", None)
+    own = _from_table(table) if table is not None else _from_parameters(cls)
+    taken = {flag for option in own for flag in option.opts}
+    ours = [option for option in _OURS if not taken.intersection(option.opts)]
+
+    def run(**given: Any) -> int:
+        common = {option.name: given.pop(str(option.name)) for option in ours}
+        return _run(cls, table or (), given, common)
+
+    return _FilterCommand(name, callback=run, params=[*own, *ours], help=_help(cls), no_args_is_help=False)
+
+
+class _FilterCommand(click.Command):
+    """A command that takes `--loop=-1`: a negative value for an option that may go without a value."""
+
+    def make_parser(self, ctx: click.Context) -> Any:
+        """Make click's parser, which would take -1 for an option, and the option for one without a value."""
+        parser: Any = super().make_parser(ctx)
+        parse = parser.parse_args
+        beginnings = tuple(f"{flag}=-" for one in self.params if one.callback is _stripped for flag in one.opts)
+        vars(parser)["parse_args"] = lambda args: parse(
+            [word.replace("=", "= ", 1) if word.startswith(beginnings) else word for word in args]
+        )
+        return parser
+
+
+def _stripped(_ctx: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(value.strip() for value in values)
+
+
+def _help(cls: type[Component]) -> str:
+    first = inspect.cleandoc(cls.__doc__ or cls.__name__)
+    more = inspect.cleandoc(getattr(cls, "help_text", ""))
+    if interface := getattr(cls, "interface", "").replace("`", ""):
+        ports, names = f"Ports: {interface}", ["input0"]
+    else:
+        ports, names = _ports_of(cls)
+    line = (
+        f'A line in: {{"port": "{names[0]}", "data": ...}}, or the bare data where there is one in-port.'
+        if names
+        else ""
+    )
+    return "\n\n".join(part for part in (first, more, line, ports) if part)
+
+
+def _ports_of(cls: type[Component]) -> tuple[str, list[str]]:
+    """A table of the class's declared ports, and the names of the in-ports."""
+    ports = [port for port in declaration_of(cls).ports if port.direction in _WORDS]
+    rows = [(_WORDS[port.direction], port.name, port.type, port.unit or "", port.doc) for port in ports]
+    return f"\b\nPorts:\n{table(rows) or '  none'}", [port.name for port in ports if port.direction == "in"]
+
+
+# -- options -----------------------------------------------------------------------------------------------------------
+
+
+def _from_table(table: Iterable[Any]) -> list[click.Option]:
+    return [
+        click.Option(
+            [*option.flags, f"option{number}"],
+            multiple=option.kind != "flag",  # one that stands there twice is refused, and not half of it forgotten
+            required=option.required,
+            help=option.help,
+            shell_complete=completer_of(option.flags),
+            metavar=None if option.kind == "flag" else "TEXT" if option.kind != "number" else "NUMBER",
+            **_without_value(option),
+        )
+        for number, option in enumerate(table)
+    ]
+
+
+def _without_value(option: Any) -> dict[str, Any]:
+    """For click: whether an option has no value, or may have none."""
+    if bare := getattr(option, "bare", ""):
+        return {"is_flag": False, "flag_value": bare, "callback": _stripped}
+    # None, not False: with False click takes a value that begins with "-" for the next option.
+    return {"is_flag": True if option.kind == "flag" else None}
+
+
+def _from_parameters(cls: type[Component]) -> list[click.Option]:
+    return [
+        click.Option([_flag(name), f"param_{name}"], help=_described(parameter.spec), metavar="VALUE")
+        for name, parameter in construct(cls, "draft").params.items()
+    ]
+
+
+def _described(spec: Any) -> str:
+    """The help of a parameter: its text, type, default and range."""
+    default = plain(spec.default)
+    unit = f" {spec.unit}" if spec.unit else ""
+    rules = (spec.type_text, f"default {default if default != '' else repr(default)}{unit}", str(spec.constraint))
+    return f"{spec.doc} [{'; '.join(filter(None, rules))}]".strip()
+
+
+def _chosen(table: Iterable[Any], given: Mapping[str, Any]) -> tuple[dict[str, Any], list[Any], str]:
+    """Parameters, actions that replace a run, and the modules that define types."""
+    values: dict[int, Any] = {}
+    actions, modules = [], ""
+    for number, option in enumerate(table):
+        value = given[f"option{number}"]
+        if value in (None, False, ()):
+            continue
+        if option.kind not in ("flag", "repeat"):
+            if len(value) > 1:
+                raise ConfigurationError(f"{option.flags[-1]}: given {len(value)} times; give it once")
+            value = value[0]
+        if option.action:
+            actions.append(option)
+        elif option.param:
+            values[number] = value
+        elif "--type-mod" in option.flags:
+            modules = value
+    params = option_params(table, values)
+    params |= {
+        name.removeprefix("param_"): value
+        for name, value in given.items()
+        if value is not None and name.startswith("param_")
+    }
+    return params, actions, modules
+
+
+# -- running -----------------------------------------------------------------------------------------------------------
+
+
+def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], common: Mapping[str, Any]) -> int:
+    try:
+        params, actions, modules = _chosen(table, given)
+        import_types(modules)
+        check_rate(common.get("rate"))
+        _check(cls, table, params)
+        for option in actions:
+            click.echo(getattr(cls, option.action)(**params))
+        if actions:
+            return exits.DONE
+    except AiortsError as error:
+        report_error(error, verbose=False)
+        return exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
+    ends = Ends(common.get("codec"))
+    filter_ = _Filter(cls, params, common.get("count"), common.get("rate"), ends)
+    debug = common["debug"]
+    options = checked(
+        Options(common.get("loop", "auto"), common.get("duration"), verbose=debug, debug=debug, tell_drops=True)
+    )
+    stopper = Stopper()
+    stopper.last_words.append(ends.report_rest)
+    try:
+        with stopper.signals():
+            return execute(filter_.make, 1, options, stopper, streams=_STREAMS) or filter_.status
+    finally:
+        ends.report_rest()
+
+
+def _check(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> None:
+    """Raise ConfigurationError, with the option, when a parameter does not take its value."""
+    flags = {option.param: option.flags[-1] for option in table}
+    draft = construct(cls, "draft")
+    for name, value in params.items():
+        try:
+            draft.params.check({name: value})
+        except ConfigurationError as error:
+            cause = str(error).removeprefix(f"draft.{name} = ")
+            cause = cause.rpartition("; ")[0] if cause.endswith(" kept") else cause
+            raise ConfigurationError(f"{flags.get(name, _flag(name))} {cause}") from None
+
+
+def _flag(parameter: str) -> str:
+    return f"--{parameter.replace('_', '-')}"
+
+
+class _Filter:
+    """The system of one component, standard input and standard output."""
+
+    def __init__(
+        self, cls: type[Component], params: Mapping[str, Any], count: int | None, rate: float | None, ends: Ends
+    ) -> None:
+        self._cls = cls
+        self._rate = rate
+        self._ends = ends
+        self._params = params
+        self._count = count
+        self._input: StandardInput | FrameInput | None = None
+
+    @property
+    def status(self) -> int:
+        """The exit status: 1 after a bad line."""
+        return exits.FAILED if self._input is not None and self._input.bad > 0 else exits.DONE
+
+    async def make(self, kernel: Kernel) -> None:
+        """Create the components and connect them, readers before writers."""
+        component = await kernel.create(self._cls, **self._params)
+        ins = {port.name: port.type for port in component.ports.values() if isinstance(port, InPort)}
+        outs = outs_of(component)
+        parts: list[Component] = [component]
+        if outs:
+            sink = self._ends.sink(outs, count=self._count, done=kernel.request_stop)
+            await connect_output(kernel, component, sink)
+            parts.insert(0, sink)
+        if ins:
+            count = None if outs else self._count
+            self._input = await connect_input(kernel, component, self._ends, count=count)
+            parts.append(self._input)
+            _hint_terminal(ins)
+        fit = context_for(component, kernel.plugins, self._rate)
+        for part in parts:
+            with contextlib.suppress(ComponentError):  # it is in error, as it would be later on
+                await kernel.start(fit if part is component else EventContext(), part, activate=True)
+        end_with(kernel, component, self._input)
+
+
+def _hint_terminal(ins: Mapping[str, type]) -> None:
+    if sys.stdin is not None and sys.stdin.isatty():
+        ports = ", ".join(f"{name} ({type_name(cls)})" for name, cls in ins.items())
+        click.echo(f"aiorts: reading JSON lines for {ports} from this terminal; Ctrl-D ends", err=True)

@@ -1,0 +1,70 @@
+"""`aiorts graph SYSTEM.toml`: prints a drawing of a system, or writes it to a file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.errors import ConfigurationError
+from aiorts.system import GRAPH_FORMATS, graph, load
+
+_ENDINGS: Final = {
+    "": "mermaid",
+    ".mmd": "mermaid",
+    ".mermaid": "mermaid",
+    ".md": "mermaid",
+    ".svg": "svg",
+    ".dot": "dot",
+    ".gv": "dot",
+}
+
+
+@click.command("graph", short_help="Draw a system file.")
+@click.argument("file", metavar="SYSTEM.toml", type=click.Path(dir_okay=False))
+@click.option("--format", "language", type=click.Choice(GRAPH_FORMATS), help="Default: what -o ends in, else mermaid.")
+@click.option("-o", "--output", metavar="FILE", type=click.Path(), help="Write it there and not to standard output.")
+@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Draw it with this parameter.")
+@plugins_option
+def graph_command(
+    file: str, language: str | None, output: str | None, changes: tuple[str, ...], plugins: tuple[Path, ...]
+) -> int:
+    """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
+
+    mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run.
+    """
+    language = language or _language_of(output)
+    system = load(file, changes)
+    with quietly():
+        text = graph(system, language, catalogue_of(system, plugins))
+    if output is None or output == "-":
+        click.echo(text, nl=False)
+    else:
+        _write(Path(output), text)
+    return exits.DONE
+
+
+def _language_of(output: str | None) -> str:
+    ending = Path(output).suffix.lower() if output else ""
+    if ending not in _ENDINGS and not (output and Path(output).exists() and not Path(output).is_file()):
+        there = ", ".join(filter(None, _ENDINGS))
+        raise click.UsageError(f"-o {output}: no drawing ends in {ending}; there are {there}; or give --format")
+    return _ENDINGS.get(ending, "mermaid")
+
+
+def _write(path: Path, text: str) -> None:
+    """Write the whole text or nothing: an existing file is replaced when the new one is complete."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        if path.exists() and not path.is_file():
+            path.write_text(text, encoding="utf-8")  # a device, a pipe
+            return
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise ConfigurationError(f"-o {path}: cannot be written: {error.strerror or error}") from None

@@ -1,0 +1,117 @@
+"""`aiorts run`: runs a system file, or one component, until it ends; the exit status is its result."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from aiorts import exits
+from aiorts.cli.console.completion import targets
+from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
+from aiorts.cli.runtime.options import Options, checked, with_clock
+from aiorts.cli.runtime.service_options import RunCommand, chosen
+from aiorts.cli.runtime.session import execute, log_of, refuse
+from aiorts.cli.runtime.stopping import Stopper
+from aiorts.cli.runtime.target import errors_of, find_target
+from aiorts.errors import AiortsError, ComponentError
+
+
+@click.command(cls=RunCommand, short_help="Run a system file, or one component.")
+@click.argument("target", metavar="SYSTEM.toml|FILE.py:Class", shell_complete=targets)
+@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter; repeatable.")
+@click.option("--for", "duration", type=float, metavar="S", help="End after S seconds of the system's time.")
+@click.option("--duration", "duration_once", type=float, hidden=True)
+@click.option(
+    "--rate", type=float, metavar="HZ", help=f"Of a component alone; {DEFAULT_RATE:g} when it has no in-port."
+)
+@click.option("--speed", type=float, metavar="X", help="Run X times as fast as real time.")
+@click.option("--simulate", is_flag=True, help="Run in virtual time: exact, and as fast as possible.")
+@click.option("--lenient", is_flag=True, help="A component that ended in error makes the exit status no worse.")
+@click.option(
+    "--plugins",
+    "folders",
+    multiple=True,
+    type=Path,
+    metavar="DIR",
+    help="A folder with plugins that are not installed; repeatable.",
+)
+@click.option("--loop", type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop.")
+@click.option("--log-level", default="", metavar="LEVELS", help="Such as warning,pid0=debug.")
+@click.option("--log-file", type=Path, metavar="PATH", help="Append the log to a file.")
+@click.option("--log-format", type=click.Choice(["text", "json"]), default="text", help="json: an object in a line.")
+@click.option("-q", "--quiet", is_flag=True, help="Do not print the samples of a component alone.")
+@click.option("--no-status", is_flag=True, help="No status line on the terminal.")
+@click.option("-v", "--verbose", is_flag=True, help="Short for --log-level info.")
+@click.option("--debug", is_flag=True, help="Tracebacks, a debugger where a component failed; checks ports: slow.")
+def run(
+    target: str,
+    changes: tuple[str, ...],
+    folders: tuple[Path, ...],
+    rate: float | None,
+    duration_once: float | None,
+    quiet: bool,
+    no_status: bool,
+    **given: Any,
+) -> int:
+    """Run a system file, or one component alone.
+
+    A component is FILE.py:Class, package.module:Class, or the name of an installed one. Alone it runs on data, or
+    in the context that its class asks for (`alone`), else periodically when it has no in-port or --rate is given; --set
+    takes PARAM=VALUE. Its in-ports read JSON lines from standard input where that is a pipe or a file, as `aiorts NAME`
+    does, and the run ends with them (1 after a bad line). A terminal, /dev/null (systemd) or a socket is not read, nor
+    anything with --simulate or for a system file; a pipe that nobody writes to is waited for, and one that ends without
+    a line (cron) ends only a component that works on data, not one with a rate. Samples of one without in-ports, or
+    that is fed, go to standard output as JSON lines, unless --quiet; it waits for whoever reads them.
+
+    It ends when every source has finished, was removed, has stopped with its contexts, or is in error without recovery,
+    and no sample is on its way; when a component requests it, after --for, or on Ctrl-C; a second Ctrl-C ends it at
+    once. Exit status: that of the component's request; 1 when a component could not be created; 2 when the file or the
+    command line is wrong; 3 when a component ended in error without recovery, unless --lenient; 130 after Ctrl-C, 143
+    after SIGTERM, 129 after SIGHUP (`aiorts help` has all). Failures while the run stops count, too: 3 when a component
+    ended in error, or a task of it failed, and else 1, also with --lenient. SIGUSR1 prints state and stacks.
+    The log names the code that keeps the event loop from turning for 0.2 s; [watch_loop] of the file may end the run
+    for that. An on_initialize has 30 s. systemd gets readiness, status and keep-alives where NOTIFY_SOCKET is set.
+    With --log-file standard error gets warnings and errors only.
+    """
+    if given["duration"] is None:
+        given["duration"] = duration_once
+    services = chosen(given)
+    options = checked(Options(**given, status=not no_status, post_mortem=True))
+    stopper = Stopper()
+    with stopper.signals(), log_of(options, stopper) as log:
+        try:
+            fed = not options.simulate and input_is_given()
+            found = find_target(target, changes, folders, rate, services, quiet=quiet or sys.stdout is None, fed=fed)
+        except AiortsError as error:
+            status = exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
+            return refuse(log, error, errors_of(target, changes, folders), status)
+        log.levels.check(found.names)
+        options = with_clock(options, found.clock)
+        if found.streams and sys.stdout is not None and sys.stdout.isatty():
+            options = replace(options, status=False)  # its samples are what is looked at, and go past the line
+        if log.levels.default <= logging.WARNING:
+            for text in found.doubts:
+                log.tell("W-OPTION", text, level="warning")
+        ends = found.ends
+        if ends is not None:
+            stopper.last_words.append(ends.report_rest)
+        status = execute(
+            found.make,
+            len(found.names),
+            options,
+            stopper,
+            log=log,
+            catalogue=found.catalogue,
+            unfed_advice=found.unfed,
+            streams=found.streams,
+            errors=lambda: errors_of(target, changes, folders),
+        )
+        if ends is None:
+            return status
+        ends.report_rest()
+        return status or (exits.FAILED if ends.bad else exits.DONE)

@@ -1,0 +1,305 @@
+"""The codes of messages, E- for errors, W- and N- for `aiorts check`: meaning, usual cause and remedy.
+
+A test compares the table with the source, so that it has every code and no other.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Code(NamedTuple):
+    """The explanation of a code."""
+
+    meaning: str
+    cause: str
+    remedy: str
+
+
+CODES: Final[dict[str, Code]] = {
+    "E-ABANDONED": Code(
+        "A hook ignored every cancellation; its component is abandoned and never runs again.",
+        "The hook catches CancelledError and goes on, or shields what it waits for.",
+        "Let CancelledError pass in the hook it names; blocking code belongs in a ThreadContext.",
+    ),
+    "E-AIORTS": Code(
+        "Something that aiorts refuses and that has no code of its own.",
+        "An extension raises AiortsError itself.",
+        "Read the line; the author of the extension should give its errors a code.",
+    ),
+    "E-BUSY": Code(
+        "Two tasks use what only one can use at a time.",
+        "Two tasks read the same in-port, or a system is run twice at once.",
+        "Let one task read and pass the samples on.",
+    ),
+    "E-CLOSED": Code(
+        "The kernel, connector or port was closed, or never bound.",
+        "It was removed while in use, or super().__init__() was not called.",
+        "Use it before it is removed; call super().__init__() in the component's __init__.",
+    ),
+    "E-COMPONENT": Code(
+        "A component's own code failed.",
+        "An exception came out of its constructor or one of its hooks; the line names the hook.",
+        "Run again with --debug to see the traceback; the component can be reset.",
+    ),
+    "E-CONFIG": Code(
+        "A parameter or an option does not exist, or its value is not allowed.",
+        "A misspelt name, a value out of its range, a map, port or constant that does not follow its grammar.",
+        "aiorts inspect NAME shows what is allowed; a mark stands under the mistake.",
+    ),
+    "E-CONFORM": Code(
+        "An extension does not keep a promise of its kind.",
+        "A conformance suite of aiorts.testing found it.",
+        "Read which promise; the suite's test of that name shows how it is tried.",
+    ),
+    "E-CONNECT": Code(
+        "Two ports cannot be connected, or not with these options.",
+        "Other types, units or shapes, two out-ports, a port that is not there, a policy that does not exist.",
+        "Compare the ports with aiorts inspect; put a FlexiFilter between them.",
+    ),
+    "E-CONVERT": Code(
+        "A value cannot be converted without changing it silently.",
+        "A number out of range of the target, text that is no number.",
+        "Scale it, or choose what happens: --overflow saturate, --round floor, --nan 0.",
+    ),
+    "E-DAMAGED": Code(
+        "Bytes of a recording are not those that were written; nothing behind the place is read.",
+        "The disk, a copy or a power failure lost something; the line names the byte.",
+        "aiorts log salvage FILE NEW copies everything that is whole, and reports what is lost.",
+    ),
+    "E-DECLARE": Code(
+        "A component class or a record type is written wrongly.",
+        "A hook with other arguments, a default outside its bounds, a field that cannot travel.",
+        "Correct the class and attribute that the line names.",
+    ),
+    "E-EXTRA": Code(
+        "Something optional is needed that is not installed.",
+        "A plot or a comparison needs a package that aiorts does without.",
+        "Run the pip command of the line.",
+    ),
+    "E-FDS": Code(
+        "This process, or the whole system, has no descriptor left: it can open no file, socket, pipe or timer.",
+        "A low limit (ulimit -n), a great many contexts, or code that opens files and does not close them.",
+        "Raise it with ulimit -n 4096; aiorts doctor shows the limit, ls /proc/PID/fd what is open.",
+    ),
+    "E-FRAME": Code(
+        "A frame on standard input is bad; the others go on, and the exit status is 1.",
+        "The writer uses another codec, or what it wrote was cut.",
+        "Give both filters the same --codec.",
+    ),
+    "E-HOOK-TIMEOUT": Code(
+        "A hook did not return within its deadline.",
+        "It waits for something that does not come, blocks its thread, or takes longer than its context allows.",
+        "Wait with a time-out inside the hook, block in a thread context only, or give a longer deadline.",
+    ),
+    "E-INTERFACE": Code(
+        "Two service ports do not match: one requires what the other does not provide.",
+        "A method is missing, or has other parameters or another result.",
+        "The line names both ports and the difference; compare them with aiorts inspect.",
+    ),
+    "E-LINE": Code(
+        "A line of standard input is no sample for the port; the other lines are processed.",
+        "No JSON, another type, a value out of range; the line is named by its number.",
+        'Write {"port": "input0", "data": 1.5} or the bare data; aiorts inspect TYPE shows a line.',
+    ),
+    "E-LOG": Code(
+        "Lines of the log are lost: its file cannot be opened or written, or a handler or filter of logging raised.",
+        "Another process holds the file, its disk is full, or its folder cannot be written; or the handler is faulty.",
+        "The line has the cause; choose another --log-file, make room, or repair the handler.",
+    ),
+    "E-NAME": Code(
+        "A name or path has a character or structure that is not allowed.",
+        "Blanks, dots or slashes in a name, or one of more than 100 characters.",
+        "Use letters, digits, '_' and '-'; a port is COMPONENT.PORT.",
+    ),
+    "E-OUTPUT": Code(
+        "Standard output took nothing any more; its last lines are lost.",
+        "The disk is full, or the stream was closed.",
+        "Make room and run again.",
+    ),
+    "E-PLUGIN": Code(
+        "An extension cannot be found, loaded or used.",
+        "A misspelt name, a package that is not installed, an import that fails.",
+        "aiorts plugins lists what there is; aiorts plugins --check imports each and shows what is wrong.",
+    ),
+    "E-READ-TIMEOUT": Code(
+        "No sample arrived in time.",
+        "The writer is not active, or sends more rarely than the reader waits.",
+        "Look at the writer's state and connection; wait longer.",
+    ),
+    "E-RECORD": Code(
+        "A value does not fit the field it was given for.",
+        "A wrong type, a number out of range, an unknown or missing field.",
+        "aiorts inspect TYPE shows the fields; the line has what was expected and got.",
+    ),
+    "E-RECORDING": Code(
+        "A recording cannot be read, made or continued.",
+        "It is no recording, exists already, another recorder writes it, or the disk is full.",
+        "The line names the file and the reason; aiorts log info FILE shows what a recording holds.",
+    ),
+    "E-SELECT": Code(
+        "A selection names an input that FlexiSelect does not have.",
+        "A selector below 0, or not below the number of inputs.",
+        "Correct its sender, or choose --out-of-range hold or none.",
+    ),
+    "E-SERVICE": Code(
+        "A service call could not be made as requested.",
+        "The port is bound to several providers, or to none that fits.",
+        "Call one of its proxies, or connect it to one provider.",
+    ),
+    "E-SERVICE-CYCLE": Code(
+        "Components wait for each other's answer in a circle; the call that closes it is refused.",
+        "A provider calls back to a component that waits for it.",
+        "Declare one of the provided interfaces with concurrent=True.",
+    ),
+    "E-SERVICE-FAILED": Code(
+        "The provider of a service raised, or answered with a wrong type.",
+        "Its own code; the line has its message.",
+        "Look at the provider; it is not in error because of it.",
+    ),
+    "E-SERVICE-TIMEOUT": Code(
+        "A service call was not answered within its deadline.",
+        "The provider was busy with its own hooks, or its method takes longer.",
+        "Give the call more time with within(seconds), or provide it with concurrent=True.",
+    ),
+    "E-SERVICE-UNAVAILABLE": Code(
+        "No provider can answer a service call.",
+        "The provider is absent, not active, in error or being removed, or the port is not connected.",
+        "Activate or reset the provider; wait_bound() waits for a connection.",
+    ),
+    "E-STATE": Code(
+        "The request does not fit the state of a component, context or kernel.",
+        "Something is used before it is added, or after it is closed.",
+        "The line names both: bring it into the state it needs first.",
+    ),
+    "E-STOP": Code(
+        "Not everything ended in time; the process ended nevertheless.",
+        "A thread or a hook that cannot be cancelled was still busy 4.8 s after the stop.",
+        "Look for code that blocks; give its waits a time-out.",
+    ),
+    "E-SYSTEM": Code(
+        "A system file is wrong.",
+        "No valid TOML, an unknown key, a name that refers to nothing.",
+        "Correct the place the line names; it suggests what may have been meant.",
+    ),
+    "E-THREAD": Code(
+        "A call came from a thread that may not make it.",
+        "Code in a thread of its own uses the kernel directly.",
+        "Use loop.call_soon_threadsafe, or a ThreadContext's blocking reads and writes.",
+    ),
+    "E-TOO-LARGE": Code(
+        "A frame is larger than its limits allow.",
+        "An array or text beyond the limits, or bytes that are no frame.",
+        "Send less at once, or give the codec other limits.",
+    ),
+    "E-TRANSITION": Code(
+        "A lifecycle request did not take effect in time.",
+        "A hook of the component is still running; or what its start waits for (start.after) did not come about.",
+        "Look at what the hook waits for, and whether the components it waits for are active; give a longer time-out.",
+    ),
+    "E-TYPE": Code(
+        "A value of the wrong type or shape was written to a port; nothing was sent.",
+        "The port was declared for another record, or its shape has another length.",
+        "Write the record that aiorts inspect shows for the port.",
+    ),
+    "E-UNKNOWN-TYPE": Code(
+        "No record type or component has this name, or more than one has.",
+        "A misspelt name, or a module of types that is not imported.",
+        "aiorts types and aiorts plugins list them; --type-mod MODULE imports yours.",
+    ),
+    "E-UNREAD": Code(
+        "The system ended while samples were left unread; the exit status is 1.",
+        "A reader took none of them for a second: it is inactive, or waits for another input.",
+        "Look at the reader that the line names.",
+    ),
+    "E-USAGE": Code(
+        "The command line is wrong; nothing was run.",
+        "An unknown command or option, a value missing or out of range, an option given twice.",
+        "aiorts COMMAND --help shows what it takes.",
+    ),
+    "E-WIRE": Code(
+        "Bytes are not a valid frame.",
+        "The sender is no aiorts, or of another version.",
+        "Look at the sender.",
+    ),
+    "E-WRITE-TIMEOUT": Code(
+        "Readers with full = block had no room in time; the others have the sample.",
+        "A reader is slower than the writer, or has stopped.",
+        "Look at the reader that the line names; choose another policy or a longer buffer.",
+    ),
+    "N-COPY": Code(
+        "A port's type is mutable: aiorts check notes that each write makes a snapshot.",
+        "The dataclass is not frozen.",
+        "Write @dataclass(frozen=True), or @record.",
+    ),
+    "N-OPEN": Code(
+        "A port has no connection: a note of aiorts check.",
+        "Nothing in the system file names it.",
+        "Connect it, or leave it so.",
+    ),
+    "N-PORTS": Code(
+        "The ports of a component are known only when it runs: a note of aiorts check.",
+        "Its on_initialize adds ports, and no hook runs while a file is checked.",
+        "Add them in a method make_ports that on_initialize calls.",
+    ),
+    "W-AWAIT": Code(
+        "A coroutine was made and never awaited: it did nothing.",
+        "A hook without async calls write or read, or await was forgotten.",
+        "Use write_nowait in a plain hook, or make the hook async def and await.",
+    ),
+    "W-BLOCK": Code(
+        "A writer may wait for a reader of its own context, which runs only after it.",
+        "full = block without a time-out, and a buffer shorter than what one cycle writes.",
+        "Make the buffer longer, set a timeout, or put the reader into another context.",
+    ),
+    "W-DROPPED": Code(
+        "A connection was to deliver every sample and did not, or as aiorts check sees, cannot.",
+        "The reader takes the newest alone (.latest), or is slower than the writer.",
+        "Read with drain() or read(); give the connection a longer length or full = block, or subscription = new.",
+    ),
+    "W-EMPTY": Code(
+        "The system file has no components: there is nothing to run.",
+        "It was only begun, or the tables have other names.",
+        "Write [components.NAME] with a type.",
+    ),
+    "W-EXPORT": Code(
+        "A composite of a system file exports a pattern that no port of a member fits.",
+        "A misspelt component or port, or a port that was renamed.",
+        "Correct the pattern, or remove it.",
+    ),
+    "W-LOOP": Code(
+        "A cycle of components that all run on events keeps itself busy.",
+        "Each writes whenever it reads, and no context of the cycle has a rate.",
+        "Put one of them into a periodic context, which paces the rest.",
+    ),
+    "W-UNFED": Code(
+        "A component alone waits for data that cannot come: none of its in-ports has a connection.",
+        "aiorts run feeds a component alone from standard input where that is a pipe or a file, and it is neither.",
+        "Pipe JSON lines into it, run it in a system file, or periodically with --rate.",
+    ),
+    "W-OPTION": Code(
+        "A connection has an option that does nothing.",
+        "It is written wrongly, belongs to another middleware, or another option leaves it nothing to choose.",
+        "Write it as the message shows, or remove it.",
+    ),
+    "W-START": Code(
+        "The time of --for was over before everything was started.",
+        "What a component's start waits for (start.after, start.wait) takes longer.",
+        "Give --for more seconds, or look at why those named first are not active.",
+    ),
+    "W-TRANSPORT": Code(
+        "A connection has options that are about OpenRTM's transports and do nothing here.",
+        "It comes from a file of OpenRTM's tools: interface_type, marshaling_type, sync_readwrite, an empty policy.",
+        "Leave them for those tools, or remove them; each is reported once.",
+    ),
+    "W-TURNED": Code(
+        "A connection of a system file names the in-port first.",
+        "from and to were exchanged.",
+        "Write the out-port under from.",
+    ),
+    "W-UNUSED": Code(
+        "A component of a system file is in no context and never runs.",
+        "No context names it among its members.",
+        "Name it among the members of a context, or remove it.",
+    ),
+}

@@ -1,0 +1,63 @@
+"""Prints to standard output: text without control characters, tables, strict JSON."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from enum import Enum
+from typing import Any
+
+from aiorts.cli.console.quote import cells_of
+from aiorts.cli.console.report import printed
+
+
+def say(text: str) -> None:
+    """Print lines; characters that do not print, or that the encoding lacks, as numbers.
+
+    Raises:
+        OSError: standard output takes nothing any more.
+    """
+    stream = sys.stdout
+    if stream is None:
+        return
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    shown = "\n".join(printed(line) for line in text.split("\n"))
+    stream.write(f"{shown}\n".encode(encoding, "backslashreplace").decode(encoding))
+
+
+def say_json(value: Any) -> None:
+    """Print one JSON document: strict, and in ASCII, so that it survives any encoding."""
+    from json import dumps
+
+    say(dumps(plain(value), indent=1, allow_nan=False))
+
+
+def plain(value: Any) -> Any:
+    """A value that JSON can carry: numbers that are not finite and enumerations by name, everything else as text."""
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {math.inf: "Infinity", -math.inf: "-Infinity"}.get(value, "NaN")
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, os.PathLike) else repr(value)
+
+
+def table(rows: Iterable[Sequence[str]], *, indent: str = "  ") -> str:
+    """Format rows in columns; empty columns are left out, and the last one is not padded."""
+    cells = [[printed(cell) for cell in row] for row in rows]
+    count = max((len(row) for row in cells), default=0)
+    cells = [[*row, *[""] * (count - len(row))] for row in cells]
+    kept = [column for column in range(count) if any(row[column] for row in cells)]
+    widths = {column: max(cells_of(row[column]) for row in cells) for column in kept}
+    lines = []
+    for row in cells:
+        padded = [row[column] + " " * (widths[column] - cells_of(row[column])) for column in kept]
+        lines.append(f"{indent}{'  '.join(padded)}".rstrip())
+    return "\n".join(lines)

@@ -1,0 +1,98 @@
+"""Resolves a name of the command line: a type as text (`kernel/extensions/type_names.py`) or a record type.
+
+It imports the module with that name, creates nothing and runs no hook.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+
+from aiorts import Catalogue, Component
+from aiorts.cli.console.plugins_option import catalogue_of
+from aiorts.errors import PluginError, UnknownTypeError
+from aiorts.kernel.extensions.type_names import extension_of, split_type
+from aiorts.late import dataclass
+from aiorts.types import all_types, find_type
+
+_MOST_LISTED = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """A class, and its origin: "package NAME VERSION", "folder PATH", "file PATH" or "module NAME"."""
+
+    cls: type
+    source: str
+    command: str = ""
+    """The name of an installed component as an `aiorts` command."""
+
+    @property
+    def is_component(self) -> bool:
+        """Whether it is a component, else it is a record type."""
+        return issubclass(self.cls, Component)
+
+
+def find_subject(name: str, folders: Iterable[Path] = ()) -> Subject:
+    """The component or record type of this name.
+
+    Raises:
+        UnknownTypeError: there is none (the message has near names), or several types have the name.
+        PluginError: it cannot be loaded.
+    """
+    catalogue = catalogue_of(folders)
+    if ":" in name or name.endswith(".py"):
+        extension = extension_of(name, catalogue)
+        try:
+            cls = extension.load_class(object)
+        except PluginError as error:
+            if isinstance(error.__cause__, AttributeError):
+                raise UnknownTypeError(str(error)) from error.__cause__
+            raise
+        home, folder = split_type(extension.target)[0], extension.folder
+        return Subject(cls, f"module {home}" if folder is None or not home.endswith(".py") else f"file {folder / home}")
+    components = catalogue.extensions("components")
+    known = {other.lower(): other for other in components}
+    if (found := name if name in components else known.get(name)) is not None:
+        extension = catalogue.find("components", found)
+        return Subject(extension.load_class(Component), extension.source, found.lower())
+    return _of_type(name, catalogue)
+
+
+def _of_type(name: str, catalogue: Catalogue) -> Subject:
+    offered = catalogue.extensions("types")
+    if name in offered:
+        found = catalogue.find("types", name)
+        loaded = found.load()
+        if isinstance(loaded, type):
+            return Subject(loaded, found.source)
+    try:
+        cls = find_type(name)
+    except UnknownTypeError as error:
+        if "more than once" in str(error):
+            raise
+        raise _unknown(name, catalogue) from None
+    return Subject(cls, _home(cls))
+
+
+def _unknown(name: str, catalogue: Catalogue) -> UnknownTypeError:
+    components = list(catalogue.extensions("components"))
+    types = [full.rpartition(".")[2] for full in all_types()]
+    # By the last word of ROS's names, which others take when they have the same.
+    named = sorted((*types, *components), key=lambda one: "/" not in one)
+    lowered = {one.lower().rpartition("/")[2]: one for one in named}
+    near = get_close_matches(name[:100].lower().rpartition("/")[2], lowered, n=3, cutoff=0.6)
+    hint = f"did you mean {' or '.join(lowered[one] for one in near)}? " if near else ""
+    listed = ", ".join(components[:_MOST_LISTED]) or "none"
+    return UnknownTypeError(
+        f"no component or type named {name[:60]!r}; {hint}components: {listed}; types: see aiorts types"
+    )
+
+
+def _home(cls: type) -> str:
+    if cls.__module__.startswith("aiorts.types."):
+        from aiorts import __version__
+
+        return f"package aiorts {__version__}"
+    return "Python itself" if cls.__module__ == "builtins" else f"module {cls.__module__}"

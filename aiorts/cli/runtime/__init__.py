@@ -1,0 +1,1 @@
+"""What a command does while a system runs: signals, status line, log, dump, the end."""

@@ -1,0 +1,140 @@
+"""What SIGUSR1 prints: the stacks of all threads, the state of the system, the tasks; it changes nothing.
+
+The stacks come from the interpreter itself, at once, whatever blocks it. The rest follows when Python runs again,
+between two instructions of whoever runs: nothing here takes a lock or counts anything, so that figures of a connector
+that is being used at this moment may be torn.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import faulthandler
+import io
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from aiorts.cli.console.report import printed
+from aiorts.kernel.service import reports
+
+if TYPE_CHECKING:
+    from aiorts import Component, Connector, Context, Kernel
+
+
+def dump(kernel: Kernel | None, loop: asyncio.AbstractEventLoop | None) -> None:
+    """Write the state on standard error, past the streams: a signal may have come in the middle of a write."""
+    lines = [*_thread_stacks(), *(state_of(kernel) if kernel is not None else ["no system runs yet"])]
+    if loop is not None:
+        lines += _tasks(loop)
+    data = "".join(f"aiorts: {printed(line)}\n" for line in lines).encode("utf-8", "backslashreplace")
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        descriptor = sys.stderr.fileno()
+        while data:
+            data = data[os.write(descriptor, data) :]
+
+
+@contextlib.contextmanager
+def dumping_stacks() -> Iterator[None]:
+    """Have the interpreter print every thread's stack at SIGUSR1, before Python's own handler is called."""
+    try:
+        if not hasattr(faulthandler, "register"):
+            raise ValueError
+        faulthandler.register(signal.SIGUSR1, sys.stderr, all_threads=True, chain=True)
+    except (OSError, ValueError, AttributeError, RuntimeError):  # no such signal, or no real standard error
+        yield
+        return
+    try:
+        yield
+    finally:
+        faulthandler.unregister(signal.SIGUSR1)
+
+
+def state_of(kernel: Kernel) -> list[str]:
+    """Components, contexts and connectors of a kernel, a line each."""
+    return [
+        repr(kernel),
+        *map(_component, tuple(kernel.components.values())),
+        *map(_context, tuple(kernel.contexts.values())),
+        *map(_connector, tuple(kernel.connectors.values())),
+        *(f"service {name}: {_listed(told)}" for name, told in reports(kernel.services).items()),
+    ]
+
+
+def _listed(told: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in told.items())
+
+
+def _component(component: Component) -> str:
+    states = ", ".join(f"{state.value} in {context}" for context, state in component.states.items())
+    error = component.last_error
+    last = "" if error is None else f"; last error {type(error).__name__}: {error}"
+    return f"component {component.name} ({type(component).__name__}): {states or 'in no context'}{last}"
+
+
+def _context(context: Context) -> str:
+    figures = context.statistics
+    rate = "" if context.rate is None else f" {context.rate:g} Hz"
+    late = (
+        ""
+        if not figures.policy
+        else f", {figures.overruns} overruns, {figures.skipped} ticks left out, "
+        f"late {figures.lateness_max_ns / 1e6:.3f} ms at worst"
+    )
+    blame = "" if figures.last_blame is None else f"; last blame: {figures.last_blame}"
+    return f"context {context.name} ({context.kind}{rate}): {figures.cycles} cycles{late}{blame}"
+
+
+def _connector(connector: Connector) -> str:
+    written, buffered, dropped = connector.glance()
+    drops = ", ".join(f"{count} dropped {reason}" for reason, count in dropped.items()) or "0 dropped"
+    delivered = written - buffered - sum(dropped.values())
+    return f"connector {connector.name}: {written} written, {delivered} delivered, {buffered} buffered, {drops}"
+
+
+def _thread_stacks() -> Iterable[str]:
+    """Who is who among the stacks above."""
+    for thread in threading.enumerate():
+        if thread.ident is not None:
+            yield f"thread 0x{thread.ident:016x} is {thread.name}"
+
+
+def _tasks(loop: asyncio.AbstractEventLoop) -> Iterable[str]:
+    try:
+        tasks = asyncio.all_tasks(loop)
+        running = asyncio.current_task(loop)
+    except RuntimeError:  # they change too fast
+        return
+    for task in sorted(tasks, key=lambda task: task.get_name()):
+        if task is running:
+            yield f"task {task.get_name()}: runs now, in the main thread"
+            continue
+        text = io.StringIO()
+        task.print_stack(file=text, limit=5)
+        lines = [line.strip() for line in text.getvalue().splitlines()[1:]]
+        yield f"task {task.get_name()}: {' | '.join(lines) or 'not begun'}"
+
+
+def where_now() -> str:
+    """The line that the main thread runs, with words before it; empty when it waits for events."""
+    found = _outside(sys._current_frames().get(threading.main_thread().ident or 0))
+    if found is None:
+        return ""
+    return (
+        f": {os.path.basename(found.f_code.co_filename)}, line {found.f_lineno}, in {found.f_code.co_name} still runs"
+    )
+
+
+def _outside(frame: FrameType | None) -> FrameType | None:
+    """The innermost frame of a component's code: below it is a hook's caller, and above it only what it called."""
+    while frame is not None:
+        name: Any = frame.f_globals.get("__name__") or ""
+        top = str(name).partition(".")[0]
+        if top not in sys.stdlib_module_names and top not in ("aiorts", "uvloop", "click", "__main__", "anyio"):
+            return frame
+        frame = frame.f_back
+    return None

@@ -1,0 +1,85 @@
+"""The ends of a filter: what feeds its in-ports and takes from its out-ports, as JSON lines or as frames of a codec."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TextIO
+
+from aiorts.cli.console.report import report
+from aiorts.errors import ConfigurationError
+from aiorts.system import FrameInput, FrameOutput, StandardInput, StandardOutput
+from aiorts.wire import find_codec
+
+if TYPE_CHECKING:
+    from aiorts.wire import Codec
+
+_SINGLY = 10
+"""Bad lines of one reason that are told one by one."""
+_REASONS = 100
+"""That are counted side by side."""
+
+
+class Ends:
+    """Standard input and standard output in one form.
+
+    Args:
+        codec: the name of a codec; None is JSON lines. PluginError when there is no such codec.
+    """
+
+    def __init__(self, codec: str | None) -> None:
+        self._codec: Codec | None = None if codec is None else find_codec(codec)
+
+        self.bad = False
+        """Whether anything was."""
+        self._told: dict[str, list[int]] = {}
+        """By reason: how many were bad for it, how many of them were told, and the number of the last."""
+
+    def source(self, ports: Mapping[str, type], **how: Any) -> StandardInput | FrameInput:
+        """What feeds these in-ports. ConfigurationError for frames from a terminal."""
+        if self._codec is None:
+            return StandardInput("stdin", ports, self._complain, **how)
+        _check(sys.stdin, "input")
+        return FrameInput("stdin", ports, self._codec, self._complain, **how)
+
+    def _complain(self, number: int, why: str) -> None:
+        """Tell of a bad one. Of many that are bad for one reason the first are told, then how many there are by now."""
+        self.bad = True
+        if len(self._told) >= _REASONS and why not in self._told:
+            self.report_rest()
+        told = self._told.setdefault(why, [0, 0, 0])
+        told[0] += 1
+        told[2] = number
+        if told[0] <= _SINGLY:
+            told[1] += 1
+            self._report(f"{number}: {why}")
+        elif told[0] >= 10 * told[1]:
+            self._report_more(why, told)
+
+    def report_rest(self) -> None:
+        """Say how many more there were than has been told."""
+        for why, told in self._told.items():
+            if told[0] > told[1]:
+                self._report_more(why, told)
+        self._told.clear()
+
+    def _report_more(self, why: str, told: list[int]) -> None:
+        count, before, last = told
+        told[1] = count
+        self._report(f"{last}: and {count - before - 1} before it, {count} in all: {why}")
+
+    def _report(self, what: str) -> None:
+        code, item = ("E-LINE", "line") if self._codec is None else ("E-FRAME", "frame")
+        report(code, f"standard input, {item} {what}")
+
+    def sink(self, ports: Mapping[str, type], **how: Any) -> StandardOutput | FrameOutput:
+        """What takes from these out-ports. ConfigurationError for frames to a terminal."""
+        if self._codec is None:
+            return StandardOutput("stdout", ports, **how)
+        _check(sys.stdout, "output")
+        return FrameOutput("stdout", ports, self._codec, **how)
+
+
+def _check(stream: TextIO | None, what: str) -> None:
+    if stream is not None and stream.isatty():
+        raise ConfigurationError(f"--codec: binary frames are nothing for a terminal; redirect standard {what}")

@@ -1,0 +1,154 @@
+"""The options of `aiorts run` that services bring; no service is imported before somebody asks what there is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from aiorts.cli.console.plugins_option import catalogue_of
+from aiorts.cli.runtime.target import is_file
+from aiorts.errors import AiortsError
+from aiorts.kernel.extensions.arguments import OPTION_TYPES, option_flag, options_of
+from aiorts.kernel.service import load_service
+from aiorts.system import load
+
+_KEY: Final = "aiorts.service options"
+"""Where a context of click keeps the options by service, once somebody asked for them."""
+_ARGS: Final = "aiorts.arguments"
+"""Where it keeps the arguments of the command line, which lead to plugins."""
+
+
+class RunCommand(click.Command):
+    """A command with the options of services, found for its help or where an option is none of its own."""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Its own, and those of services as far as they were asked for."""
+        found: Mapping[str, list[click.Option]] = ctx.meta.get(_KEY, {})
+        return [*super().get_params(ctx), *(option for options in found.values() for option in options)]
+
+    def make_parser(self, ctx: click.Context) -> Any:
+        """The parser; an option that it does not know may be a service's."""
+        parser: Any = super().make_parser(ctx)
+        parse = parser.parse_args
+
+        def parse_args(args: list[str]) -> Any:
+            ctx.meta[_ARGS] = tuple(args)
+            try:
+                return parse(list(args))
+            except click.NoSuchOption:
+                ctx.meta[_KEY], faults = _found(args, super(RunCommand, self).get_params(ctx))
+            try:
+                return super(RunCommand, self).make_parser(ctx).parse_args(args)
+            except click.NoSuchOption as error:
+                if fault := faults.get(error.option_name):
+                    raise click.UsageError(fault, ctx) from None
+                raise
+
+        vars(parser)["parse_args"] = parse_args
+        return parser
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Its own options, and those of each service under the service's name."""
+        ctx.meta.pop(_KEY, None)
+        super().format_options(ctx, formatter)
+        found, faults = _found(ctx.meta.get(_ARGS, ()), super().get_params(ctx))
+        for name, options in found.items():
+            rows = [row for option in options if (row := option.get_help_record(ctx)) is not None]
+            with formatter.section(f"Options of the service {name}"):
+                formatter.write_dl(rows)
+        if faults:
+            with formatter.section("Options of services that cannot be used"):
+                formatter.write_dl(list(faults.items()))
+
+
+def chosen(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The settings among what a command line gave, by service; they are taken out of it."""
+    found: dict[str, dict[str, Any]] = {}
+    for word in [word for word in given if "." in word]:
+        value = given.pop(word)
+        if value not in (None, ()):
+            service, _, key = word.partition(".")
+            found.setdefault(service, {})[key] = value
+    return found
+
+
+def option_faults(service: str, settings: type, own: Iterable[click.Parameter]) -> dict[str, str]:
+    """By its flag: what keeps an option of a service from being one of the command that has the options `own`."""
+    return _sorted_out({service: settings}, own)[1]
+
+
+def _found(args: Iterable[str], own: Iterable[click.Parameter]) -> tuple[dict[str, list[click.Option]], dict[str, str]]:
+    """The options of each service that has some, and what is wrong with others by their flags.
+
+    Of what is installed, and of the folders that `args` lead to.
+    """
+    catalogue = catalogue_of(_folders(list(args)))
+    settings = {}
+    for name in catalogue.extensions("services"):
+        try:
+            settings[name] = load_service(catalogue.find("services", name)).settings
+        except AiortsError:
+            continue  # `aiorts plugins --check` says what is wrong with it
+    return _sorted_out(settings, own)
+
+
+def _sorted_out(
+    settings: Mapping[str, type[Any]], own: Iterable[click.Parameter]
+) -> tuple[dict[str, list[click.Option]], dict[str, str]]:
+    """The options that can be used by service, and by its flag why another cannot."""
+    owners = {flag: ["`aiorts run` itself"] for option in own for flag in _flags(option)}
+    faults: dict[str, str] = {}
+    made: dict[str, list[click.Option]] = {}
+    for service, cls in settings.items():
+        kinds = options_of(cls)
+        for field in dataclasses.fields(cls):
+            if field.name in kinds and kinds[field.name] is None:
+                flag = option_flag(service, field)
+                faults[flag] = f"{flag}: {field.name} of the service {service} cannot be an option: use {OPTION_TYPES}"
+            elif field.name in kinds:
+                option = _option(service, field, kinds[field.name])
+                made.setdefault(service, []).append(option)
+                for flag in _flags(option):
+                    owners.setdefault(flag, []).append(f"{field.name} of the service {service}")
+    twice = {flag: f"{flag} is of {' and of '.join(who)}; rename one" for flag, who in owners.items() if len(who) > 1}
+    usable = {
+        service: left
+        for service, options in made.items()
+        if (left := [option for option in options if not twice.keys() & {*_flags(option)}])
+    }
+    return usable, {**faults, **twice}
+
+
+def _flags(option: click.Parameter) -> tuple[str, ...]:
+    return (*option.opts, *option.secondary_opts) if isinstance(option, click.Option) else ()
+
+
+def _folders(args: Sequence[str]) -> list[Path]:
+    """Where a command line says that plugins are: after --plugins, and beside a system file."""
+    folders = [Path(after) for word, after in pairwise(args) if word == "--plugins"]
+    folders += [Path(word.removeprefix("--plugins=")) for word in args if word.startswith("--plugins=")]
+    for word in args:
+        if is_file(word):
+            try:
+                folders += load(word).plugin_paths
+            except AiortsError:
+                continue  # the run says what is wrong with it
+    return folders
+
+
+def _option(service: str, field: dataclasses.Field[Any], kind: Any) -> click.Option:
+    flag, several = option_flag(service, field), kind is tuple
+    if isinstance(kind, tuple):
+        kind = click.Choice(kind)
+    elif kind is bool:
+        flag, kind = f"{flag}/--no-{flag[2:]}", None
+    elif several:
+        kind = str
+    option = click.Option([flag], type=kind, multiple=several, help=field.metadata["doc"], default=None)
+    option.name = f"{service}.{field.name}"  # no argument of a function: `chosen` takes it out
+    return option

@@ -1,0 +1,308 @@
+"""Running a system to its end: what `aiorts run` and the filters have in common, signals, log and exit status."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import gc
+import logging
+import os
+import select
+import stat
+import sys
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import click
+
+import aiorts
+from aiorts import Catalogue, Kernel, LifecycleState, ScaledClock, exits
+from aiorts.cli.console.report import ADVICE, cause_of
+from aiorts.cli.runtime.failures import Failures
+from aiorts.cli.runtime.hints import dropped, unawaited_reported, unfed
+from aiorts.cli.runtime.log import Log
+from aiorts.cli.runtime.options import Options, checked
+from aiorts.cli.runtime.stopping import Stopper
+from aiorts.cli.runtime.terminal import on_terminal
+from aiorts.errors import (
+    ComponentError,
+    ConfigurationError,
+    DeclarationError,
+    HookAbandoned,
+    InvalidNameError,
+    PluginError,
+    UnknownTypeError,
+    WiringError,
+)
+from aiorts.events import ComponentAdded, ContextStarted, HookFailed
+from aiorts.kernel.loop.origins import in_brackets, origin_of
+from aiorts.late import dataclass
+from aiorts.system import Ending, Finding
+
+__all__ = ("Construct", "Options", "checked", "execute", "log_of")
+
+Construct: TypeAlias = Callable[[Kernel], Coroutine[Any, Any, None]]
+"""Makes the system in a kernel."""
+_INITIALIZE_SECONDS = 30.0
+"""What a component may take to be initialised: one that hangs is told of, and not waited for till somebody looks."""
+_FULL = (errno.ENOSPC, errno.EIO)
+_FILE_FAULTS = (ConfigurationError, DeclarationError, InvalidNameError, PluginError, UnknownTypeError, WiringError)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """What belongs to one run."""
+
+    construct: Construct
+    components: int
+    options: Options
+    stopper: Stopper
+    log: Log
+    catalogue: Catalogue | None
+    unfed_advice: str
+    streams: tuple[str, ...]
+    errors: Callable[[], Sequence[Finding]]
+
+    def warn(self, code: str, message: str) -> None:
+        """A line of the command itself, unless only errors are asked for."""
+        if self.log.levels.default <= logging.WARNING:
+            self.log.tell(code, message, level="warning")
+
+
+def execute(
+    construct: Construct,
+    components: int,
+    options: Options,
+    stopper: Stopper,
+    *,
+    log: Log | None = None,
+    catalogue: Catalogue | None = None,
+    unfed_advice: str = "",
+    streams: tuple[str, ...] = (),
+    errors: Callable[[], Sequence[Finding]] = tuple,
+) -> int:
+    """Open a kernel, have the system made in it, run it to its end; the exit status.
+
+    Args:
+        components: how many there will be: once they are there the garbage collector looks at them for the last time.
+        log: the run's log, which its caller has begun; by default it has one of its own.
+        catalogue: where the kernel has types from that are asked for by name.
+        unfed_advice: for a component alone, what to do when it waits for data that cannot come.
+        streams: components that are the command's own standard streams.
+        errors: asked when the system cannot be made: all that is wrong with its file.
+    """
+    with contextlib.ExitStack() as stack:
+        if log is None:
+            log = stack.enter_context(log_of(options, stopper))
+        try:
+            run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors)
+            with unawaited_reported(run.warn):
+                return _run(run)
+        finally:
+            gc.unfreeze()
+
+
+def log_of(options: Options, stopper: Stopper) -> Log:
+    """The log of a run; what a component could not write ends it, or makes it fail."""
+    return Log(options, lambda error: _output_error(error, stopper))
+
+
+def refuse(log: Log, error: BaseException, found: Sequence[Finding], status: int) -> int:
+    """Tell why a system cannot be made, with all that is wrong with its file; the exit status.
+
+    Args:
+        status: where the file itself is not wrong: a component that cannot be constructed is none of its mistakes.
+    """
+    log.refused(error, found)
+    return exits.REFUSED if any(one.code != ComponentError.code for one in found) else status
+
+
+def _run(run: _Run) -> int:
+    options = run.options
+    if options.simulate:
+        from aiorts.testing import simulate
+
+        return int(simulate(_session(run)))
+    try:
+        return aiorts.run(lambda: _session(run), loop=options.loop)
+    except ImportError as error:
+        raise click.UsageError(f"--loop {options.loop}: {error}; pip install uvloop, or take --loop auto") from None
+
+
+async def _session(run: _Run) -> int:
+    options, stopper = run.options, run.stopper
+    clock = None if options.speed is None else ScaledClock(options.speed)
+    kernel = Kernel(
+        clock=clock,
+        debug=options.debug,
+        contain_interrupts=True,
+        initialize_timeout=_INITIALIZE_SECONDS,
+        plugins=run.catalogue,
+    )
+    status = exits.DONE
+    left: list[HookFailed] = []
+
+    def note(event: HookFailed) -> None:
+        if issubclass(type(event.error), HookAbandoned):
+            left.append(event)
+
+    kernel.bus.subscribe(HookFailed, note)
+    _freeze_when_made(kernel, run.components)
+    async with contextlib.AsyncExitStack() as stack:
+        await stack.enter_async_context(kernel)
+        debugger = stack.enter_context(on_terminal(kernel, options, stopper))
+        stopper.attach(kernel)
+        run.log.attach(kernel)
+        failures, ending = Failures(kernel), Ending(kernel)
+        over = _over(kernel, options.duration)
+        stack.callback(over.cancel)
+        built, error = await _unless_stopped(kernel, run.construct(kernel), over)
+        if error is not None:
+            found = run.errors() if isinstance(error, (*_FILE_FAULTS, ComponentError)) else ()
+            status = exits.REFUSED if isinstance(error, _FILE_FAULTS) else exits.FAILED
+            status = refuse(run.log, error, found, status)
+            if debugger is not None:
+                debugger.look("", error)
+        elif built:
+            gc.freeze()  # what activation made; without a collection, since contexts run by now
+            may_wait = options.duration is None and not failures.in_error
+            if run.unfed_advice and may_wait and (hint := unfed(kernel, run.unfed_advice)):
+                run.warn("W-UNFED", hint)
+            status = await _until_end(kernel, run, over, ending)
+            for line in dropped(kernel, every=options.tell_drops or run.log.levels.default <= logging.INFO):
+                run.warn("W-DROPPED", line)
+        elif over.done() and not over.cancelled():
+            run.warn("W-START", f"--for {options.duration:g}: over before everything was started; {_not_yet(kernel)}")
+        failures.end()
+        stopper.watch(kernel.exit_status or _status(status, error, failures, run))
+    _report_failed(failures.in_error, run)
+    status = kernel.exit_status or _status(status, error, failures, run)
+    status = status if stopper.status is None else stopper.status
+    if left:
+        stopper.end_now(status)
+    return status
+
+
+def _freeze_when_made(kernel: Kernel, components: int) -> None:
+    """Have the garbage collector look once at what the system is made of, before any context runs, and never again.
+
+    A collection of a million live objects takes 20 ms and more, in which no deadline is met. The process is ours.
+    """
+    left = components
+
+    def freeze() -> None:
+        gc.collect()
+        gc.freeze()
+
+    def count(event: ComponentAdded) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            asyncio.get_running_loop().call_soon(freeze)  # not an observer's time, which is looked at
+
+    kernel.bus.subscribe(ComponentAdded, count)
+
+
+def _over(kernel: Kernel, duration: float | None) -> asyncio.Future[None]:
+    """Done `duration` seconds after the first context runs: what a start waits for counts, what is made before not."""
+    running = asyncio.Event()
+    unsubscribe = kernel.bus.subscribe(ContextStarted, lambda _event: running.set())
+
+    async def count() -> None:
+        try:
+            await running.wait()
+        finally:
+            unsubscribe()
+        if duration is None:
+            await asyncio.Event().wait()
+        else:
+            await kernel.sleep(duration)
+            kernel.request_stop(kernel.exit_status)  # contexts that are never idle leave turns to the end from now on
+
+    return asyncio.ensure_future(count())
+
+
+def _not_yet(kernel: Kernel) -> str:
+    names = [name for name, one in kernel.components.items() if LifecycleState.INACTIVE in one.states.values()]
+    return f"not active: {', '.join(names[:10]) or 'none'}"
+
+
+async def _unless_stopped(kernel: Kernel, work: Any, over: asyncio.Future[None]) -> tuple[bool, BaseException | None]:
+    """Whether the work was done before the end was asked for or the time was over, and what it raised."""
+    doing = asyncio.ensure_future(work)
+    stopping = asyncio.ensure_future(kernel.wait_stop_requested())
+    await asyncio.wait({doing, stopping, over}, return_when=asyncio.FIRST_COMPLETED)
+    done = doing.done()
+    if stopping.done():
+        over.cancel()  # that the end takes a while is not told as a start that did
+    for task in (doing, stopping):
+        task.cancel()
+    await asyncio.wait({doing, stopping}, timeout=2.5)
+    error = doing.exception() if doing.done() and not doing.cancelled() else None
+    return done and error is None, error
+
+
+async def _until_end(kernel: Kernel, run: _Run, over: asyncio.Future[None], ending: Ending) -> int:
+    """Wait until it ends, or is to end; it has failed when samples were lost at its end."""
+    finishing = asyncio.ensure_future(ending.wait())
+    waiting: set[asyncio.Future[Any]] = {finishing, asyncio.ensure_future(kernel.wait_stop_requested()), over}
+    done, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+    for task in waiting - done:
+        task.cancel()
+    await asyncio.wait(waiting)
+    if finishing in done and (unread := finishing.result()):
+        names = ", ".join(connector.name for connector in unread)
+        run.log.tell("E-UNREAD", f"{names}: the reader left samples unread for a second; it is waited for no longer")
+        return exits.FAILED
+    return exits.DONE
+
+
+def _status(status: int, error: BaseException | None, failures: Failures, run: _Run) -> int:
+    """What the run ends with by what is known of it now; a failure at the end counts as much as one before."""
+    failed = failures.in_error
+    if failed and error is None and not run.options.lenient:
+        return exits.IN_ERROR if any(_is_dead(*one, run) for one in failed.items()) else exits.FAILED
+    return status or (exits.FAILED if run.stopper.output_failed or failures.unfinished else exits.DONE)
+
+
+def _is_dead(name: str, error: BaseException | None, run: _Run) -> bool:
+    """Whether a component failed, and not a stream of the command, which has none to write to or read from any more."""
+    return name not in run.streams and getattr(error, "code", "") != "E-OUTPUT"
+
+
+def _report_failed(failed: Mapping[str, BaseException | None], run: _Run) -> None:
+    """Name each that ended in error once more, if its own line was long ago; one alone ends with its line."""
+    for name, error in failed.items():
+        if not run.log.has_failed(name, just_now=run.components > 1):
+            cause = "" if error is None else f": {cause_of(error)}{in_brackets(origin_of(error, installed=True))}"
+            run.log.tell("E-COMPONENT", f"ended in error{cause}{'' if run.options.debug else ADVICE}", component=name)
+
+
+def _output_error(error: OSError, stopper: Stopper) -> bool:
+    """What is to be done when a component could not write; True when there is nothing to say of it.
+
+    A reader of standard output that has gone ends the run quietly; a full disk is a failure of the run.
+    """
+    if isinstance(error, BrokenPipeError) and _reader_has_gone():
+        stopper.request(exits.BROKEN_PIPE)
+        return True
+    if error.errno in _FULL and error.filename is None:
+        stopper.output_failed = True
+    return False
+
+
+def _reader_has_gone() -> bool:
+    if sys.stdout is None:
+        return False
+    try:
+        descriptor = sys.stdout.fileno()
+        if not hasattr(select, "poll"):
+            return True
+        if not (stat.S_ISFIFO(os.fstat(descriptor).st_mode) or stat.S_ISSOCK(os.fstat(descriptor).st_mode)):
+            return False
+    except (OSError, ValueError):
+        return True
+    poll = select.poll()
+    poll.register(descriptor, select.POLLOUT)
+    return any(events & (select.POLLERR | select.POLLHUP) for _, events in poll.poll(0))

@@ -1,0 +1,271 @@
+"""What `aiorts run` is asked to run: a system file, or one component alone in a context that fits it.
+
+Everything is loaded and checked here, before a kernel is opened.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import click
+
+from aiorts import Catalogue, Component, EventContext, Kernel
+from aiorts.cli.console.plugins_option import catalogue_of
+from aiorts.cli.runtime.alone import (
+    check_rate,
+    connect_input,
+    connect_output,
+    context_for,
+    end_with,
+    outs_of,
+    takes_data,
+)
+from aiorts.cli.runtime.ends import Ends
+from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
+from aiorts.kernel.declarations import declarations
+from aiorts.kernel.extensions.type_names import extension_of
+from aiorts.kernel.extensions.type_names import shown as in_quotes
+from aiorts.kernel.service import plan_service
+from aiorts.late import dataclass
+from aiorts.model.options import doubts
+from aiorts.system import ClockEntry, Finding, StandardOutput, SystemFile, build, construct, load, prepare
+from aiorts.system.checks.whole import NOTHING_RUNS
+from aiorts.system.file.places import Key
+
+Settings: TypeAlias = Mapping[str, Mapping[str, Any]]
+"""What services are to go by, by the service's name and the setting's."""
+_SYSTEM_CLOCK: Final = ClockEntry()
+_INPUT: Final = "stdin"
+_OUTPUT: Final = "stdout"
+"""The names of what reads and writes the samples of a component alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What is run: made in a kernel by `make`."""
+
+    names: tuple[str, ...]
+    """Of the components."""
+    catalogue: Catalogue
+    make: Callable[[Kernel], Any]
+    clock: ClockEntry = _SYSTEM_CLOCK
+    unfed: str = ""
+    """Of a component alone: what to do when it waits for data that cannot come."""
+    doubts: tuple[str, ...] = ()
+    """Of a system file: what it says that does nothing."""
+    streams: tuple[str, ...] = ()
+    """Components that are the command's own: what reads and writes the samples of a component alone."""
+    ends: Ends | None = None
+    """Of a component alone that standard input feeds: they say at the end what was bad about it."""
+
+
+def find_target(
+    text: str,
+    changes: Sequence[str],
+    folders: Sequence[Path],
+    rate: float | None,
+    services: Settings,
+    *,
+    quiet: bool = True,
+    fed: bool = False,
+) -> Target:
+    """The system file or component that `text` names, loaded and checked.
+
+    Args:
+        changes: parameters as "component.param=value"; for a component alone also "param=value".
+        folders: plugins that are not installed.
+        rate: Hz, for a component alone.
+        quiet: whether the samples of a component alone are left alone, in place of written to standard output.
+        services: what options say, by service.
+        fed: whether a component alone reads standard input.
+
+    Raises:
+        AiortsError: says what is wrong with it. click.UsageError: options that do not go together.
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise ConfigurationError(f"--plugins {folder}: no such folder; name one with plugins in it")
+    if text.endswith(".py") and Path(text).is_file():
+        raise ConfigurationError(f"{text}: no system file; {_give_class(Path(text))}")
+    if is_file(text):
+        if rate is not None:
+            raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
+        return _system(text, changes, folders, services)
+    catalogue = catalogue_of(folders)
+    catalogue.make_default()
+    if ":" not in text and text not in catalogue.extensions("components"):
+        raise ConfigurationError(f"{in_quotes(text)}: {_no_such(text, catalogue)}")
+    cls = extension_of(text, catalogue).load_class(Component)
+    return _alone(cls, changes, catalogue, rate, _fed_by(text, folders), services, shown=not quiet, fed=fed)
+
+
+def _fed_by(text: str, folders: Sequence[Path]) -> str:
+    """How this component gets data."""
+    plugins = "".join(f"--plugins {shlex.quote(str(folder))} " for folder in folders)
+    return f"feed it JSON lines: ... | aiorts run {plugins}{shlex.quote(text)}"
+
+
+def is_file(text: str) -> bool:
+    """Whether this word of a command line is a system file."""
+    if text.endswith(".toml") or not text:
+        return True
+    try:
+        return ":" not in text and Path(text).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _give_class(path: Path) -> str:
+    names = [one.name for one in Catalogue((path.parent,)).defined_in(path)]
+    if not names:
+        return f"give {path}:CLASS; it has no component"
+    return f"give {path}:{names[0] if len(names) == 1 else 'CLASS'}; it has {', '.join(names[:10])}"
+
+
+def _no_such(text: str, catalogue: Catalogue) -> str:
+    components = catalogue.extensions("components")
+    try:
+        files = [path.name for path in Path().iterdir() if path.suffix == ".toml" and path.name != text]
+    except OSError:
+        files = []
+    near = get_close_matches(text[:100], [*files, *components], n=1)
+    if not near:  # `pid` for `pid.toml`, and `flexiconst` for `FlexiConst`
+        near = [one for one in (*files, *components) if one.lower().removesuffix(".toml") == text.lower()]
+    hint = f"did you mean {near[0]!r}?" if near else "give SYSTEM.toml, FILE.py:Class or package.module:Class"
+    return f"no system file and no installed component; {hint}"
+
+
+def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings) -> Target:
+    try:
+        system = load(text, changes)
+    except SystemFileError as error:
+        if f"{text}: --set " in str(error):
+            raise ConfigurationError(str(error)).like(error) from None
+        raise
+    catalogue = catalogue_of((*folders, *system.plugin_paths))
+    plan = prepare(system, catalogue, _settings(_activated(system), system.services, services))
+    if not system.components:
+        raise SystemFileError(
+            f"{text}: there are no components, and nothing to run; write [components.NAME] with a type"
+        )
+    if not any(context.members for context in system.contexts.values()):
+        raise SystemFileError(f"{system.path}: {NOTHING_RUNS}")
+    return Target(
+        (*system.components, *system.composites),
+        catalogue,
+        lambda kernel: build(kernel, plan),
+        system.clock,
+        doubts=tuple(f"{system.at(*key, of_key=True)}: {text}" for key, text in _doubts(system)),
+    )
+
+
+def errors_of(text: str, changes: Sequence[str], folders: Sequence[Path]) -> tuple[Finding, ...]:
+    """All that is wrong with what `text` names, if that is a system file that can be read."""
+    if not is_file(text) or text.endswith(".py"):
+        return ()
+    from aiorts.system import check  # late: only a file that cannot run is looked at in this way
+
+    with contextlib.redirect_stdout(sys.stderr):  # what its components print when they are made once more
+        found = check(text, changes, catalogue_of(folders).folders)
+    wrong = [one for one in found if one.severity == "error"]
+    # What `--set` says is no mistake of the file.
+    return tuple(replace(one, code=ConfigurationError.code) if one.where.startswith("--set") else one for one in wrong)
+
+
+def _doubts(system: SystemFile) -> Iterator[tuple[Key, str]]:
+    for connection in system.connections:
+        for option, text in doubts(connection.options):
+            yield ("connections", connection.number - 1, *option.split(".")), f"{connection.place}: {text}"
+
+
+def _activated(system: SystemFile) -> Sequence[str]:
+    """Who is made active when the system is built; where nobody is, all that somebody else may make active."""
+    members = [(name, context.activate) for context in system.contexts.values() for name in context.members]
+    started = [entry.name for entry in system.components.values() if entry.start is not None]
+    active = [name for name, activate in members if activate]
+    return list(dict.fromkeys((*active, *started))) or [name for name, _ in members]
+
+
+def _settings(ready: Sequence[str], file: Settings, options: Settings) -> Settings:
+    """What services are to go by besides the file: those of every run, and what options say."""
+    always: Settings = {"watch_loop": {}, "supervision": {"ready": ready}}
+    return {
+        name: {key: value for key, value in always.get(name, {}).items() if key not in file.get(name, {})}
+        | dict(options.get(name, {}))
+        for name in (*always, *options)
+    }
+
+
+# -- one component -----------------------------------------------------------------------------------------------------
+
+
+def _alone(
+    cls: type[Component],
+    changes: Iterable[str],
+    catalogue: Catalogue,
+    rate: float | None,
+    unfed: str,
+    services: Settings,
+    *,
+    shown: bool,
+    fed: bool,
+) -> Target:
+    name = cls.__name__.lower()
+    draft = construct(cls, name)
+    params = _params(draft, changes)
+    sends = outs_of(draft) or "ports_for" in declarations(cls).overrides
+    fed = fed and takes_data(draft)
+    shown = shown and bool(sends) and (fed or not takes_data(draft))
+    ends = Ends(None) if fed else None
+    check_rate(rate)
+    plans = [plan_service(catalogue, *one) for one in _settings((name,), {}, services).items()]
+
+    async def make(kernel: Kernel) -> None:
+        for plan in plans:
+            plan.attach(kernel)
+        try:
+            component = await kernel.create(cls, name, **params)
+        except BaseException as error:
+            error.add_note(name)
+            raise
+        for service in kernel.services:
+            service.starting()
+        context = context_for(component, catalogue, rate)
+        if shown and (outs := outs_of(component)):
+            sink = StandardOutput(_OUTPUT, outs)
+            await connect_output(kernel, component, sink)
+            await kernel.start(EventContext(), sink, activate=True)
+        source = None
+        if ends is not None and takes_data(component):
+            source = await connect_input(kernel, component, ends, optional=context.kind != "event")
+        with contextlib.suppress(ComponentError):  # its on_activated failed: it is in error, as it would be later on
+            await kernel.start(context, component, activate=True)
+        if source is not None:
+            await kernel.start(EventContext(), source, activate=True)
+            end_with(kernel, component, source)
+
+    streams = (*((_INPUT,) if fed else ()), *((_OUTPUT,) if shown else ()))
+    return Target((name,), catalogue, make, unfed="" if fed else unfed, streams=streams, ends=ends)
+
+
+def _params(draft: Component, changes: Iterable[str]) -> Mapping[str, Any]:
+    """What `--set` says of it, checked; ConfigurationError names every mistake."""
+    params: dict[str, Any] = {}
+    name = draft.name
+    for text in changes:
+        where, equals, value = text.partition("=")
+        component, dot, param = where.strip().rpartition(".")
+        if not equals or not param:
+            raise ConfigurationError(f"--set {text[:80]!r}: expected PARAM=VALUE, such as gain=2.0")
+        if dot and component != name:
+            raise ConfigurationError(f"--set {text[:80]!r}: the component is called {name!r}; write {param}=VALUE")
+        params[param] = value
+    draft.params.check(params)
+    return params

@@ -1,0 +1,14 @@
+"""Components made of functions: parameters are in-ports, the result is the out-port, a generator is a source.
+
+`component(function)` reads the signature and makes the class. The kernel runs it as any other component.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.functions.function import component
+
+_late(globals(), {"aiorts.functions.function": "component"})

@@ -1,0 +1,338 @@
+"""What the kernel keeps on a component: one object, which the component holds in its one private attribute.
+
+Whoever needs something of it asks `cell(component)`. In a reload the new instance gets the old one's cell
+(`exchange_cells`), since ports, connectors and members know that very object. A component may stand for others: then
+there is a `Group` in its cell, and who runs in its place is known by that alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
+
+from aiorts.errors import StateError
+from aiorts.kernel.execution.entry_lock import EntryLock
+from aiorts.kernel.loop.log import LogFields
+from aiorts.kernel.ports import Port, Turns
+from aiorts.kernel.ports.host import KernelSide as PortKernelSide
+from aiorts.kernel.ports.host import PortHost
+
+if TYPE_CHECKING:
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.execution.deadline_timer import DeadlineTimer
+    from aiorts.kernel.execution.member import Member, Visit
+    from aiorts.kernel.loop.bus import Bus
+    from aiorts.kernel.loop.deadlines import StopBudget
+    from aiorts.kernel.loop.log import ComponentLog
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.model.configuration.sets import ConfigurationState
+    from aiorts.model.lifecycle import LifecycleState
+
+ATTRIBUTE: Final = "_rt"
+"""The one attribute of a component that is not its writer's."""
+_NOTHING: Final[Mapping[Any, Any]] = MappingProxyType({})
+
+
+class ComponentSide(Protocol):
+    """A component, as a context sees it."""
+
+    _rt: Cell
+
+    @property
+    def name(self) -> str: ...
+
+    """The instance's name."""
+
+    @property
+    def log(self) -> ComponentLog: ...
+
+    """Its logger."""
+
+    @property
+    def ports(self) -> Mapping[str, Port[Any]]: ...
+
+    """Its ports, by name."""
+
+    @property
+    def contexts(self) -> tuple[Context, ...]: ...
+
+    """The contexts it is in."""
+
+    @property
+    def states(self) -> Mapping[str, LifecycleState]: ...
+
+    """Its lifecycle state in each of them."""
+
+
+class Configured(ComponentSide, Protocol):
+    """A component, as a change of its configuration sees it."""
+
+    def check_configuration(self, values: Mapping[str, Any]) -> Callable[[], object] | None:
+        """See `Component.check_configuration`."""
+
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """See `Component.ports_for`."""
+        ...
+
+
+class KernelSide(PortKernelSide, Protocol):
+    """A kernel, as a context sees it: more than the host of a port does."""
+
+    bus: Bus
+    _contain_interrupts: bool
+    _stop_due: bool
+    call_at: Callable[[int, Callable[[], None]], Cancellable]
+    _call_later: Callable[[float, Callable[[], None]], Cancellable]
+    registry: Any
+    closing: asyncio.Future[StopBudget]
+    """Resolved, with the time that is left, once it begins to close."""
+
+    @property
+    def components(self) -> Mapping[str, ComponentSide]: ...
+
+    """Those that belong to it, by name."""
+
+    @property
+    def contexts(self) -> Mapping[str, Context]: ...
+
+    """Those that run, by name."""
+
+    @property
+    def services(self) -> Sequence[Any]: ...
+
+    """Those that are attached to it, in the order they were."""
+
+    def check_thread(self, what: str) -> None:
+        """Raise ThreadError unless this is the thread of the kernel's loop."""
+
+    def check_mine(self, component: Any, what: str) -> None:
+        """Raise StateError unless it is a component of this kernel."""
+
+    def monitor_deadlines(self, context: Context) -> DeadlineTimer | None: ...
+
+    """Who finds out why a context is late."""
+
+    def call_on_loop(self, callback: Callable[[], object]) -> None:
+        """Call on the loop: now if this is its thread, soon otherwise."""
+
+    def pass_on_interrupt(self, error: BaseException) -> None:
+        """A hook raised a KeyboardInterrupt. From any thread."""
+
+    def _faulted(self) -> None:
+        """The kernel's own code has failed. From any thread."""
+
+    def _context_ended(self, context: Context) -> None:
+        """A context has stopped."""
+
+
+class Cell(PortHost):
+    """What is kept on one component. What few components ever have stands in the class until then: it costs nothing."""
+
+    __slots__ = ("configuration", "entry_lock", "hook_kinds", "judged", "members", "named")
+
+    if TYPE_CHECKING:
+        kernel: KernelSide | None  # pyright: ignore[reportIncompatibleVariableOverride] # the whole of it
+
+    last_error: BaseException | None = None
+    abandoned: BaseException | None = None
+    """Why it never runs again: a hook ignored every cancellation and still runs."""
+    failed_in: tuple[Member, str] | None = None
+    """The hook whose failure is being logged."""
+    log: ComponentLog | None = None
+    deadlines: Mapping[str, float] | None = None
+    """Seconds that single hooks may take."""
+    group: Group | None = None
+    """The group that it is a member of."""
+    stands_for: Group | None = None
+    """Whom it stands for, where it is itself a group."""
+    previous_placements: tuple[Any, ...] = ()
+    """Where it ran before it ran with that group, as the group keeps it."""
+    own: Mapping[Any, Any] = _NOTHING
+    """What kinds of components keep on it, each under its own class."""
+    port_group: Mapping[str, Port[Any]] = _NOTHING
+    """The ports that its `ports_for` returned."""
+    port_maker: Any = None
+    """While it is made to take another one's place: what makes its ports."""
+    successor: Any = None
+    """The instance that has its place now, while that is not final: requests to this one go to that."""
+    changes_queued: int = 0
+    """Changes of its parameters that wait for the end of a cycle."""
+
+    def __init__(self, name: str, named: bool, hook_kinds: dict[str, int], configuration: ConfigurationState) -> None:
+        super().__init__(name, Turns())
+        self.named = named
+        """Whether the user named it, not the kernel."""
+        self.hook_kinds = hook_kinds
+        """How each hook is to be run: a `HookKind` by the hook's name."""
+        self.configuration = configuration
+        """Parameters, sets and the values in force."""
+        self.judged = False
+        """Whether the component's own checks have seen the values in force."""
+        self.members: list[Member] = []
+        """The component in each of its contexts."""
+        self.entry_lock = EntryLock()
+
+    @property
+    def running(self) -> Member | Visit | None:
+        """The member whose hook runs now, or the call that is served."""
+        lock = self.entry_lock
+        if lock.inside is None and not lock.shared and self.members:
+            # In one context its hooks may pass by the lock.
+            return self.members[0] if self.members[0].runs else None
+        return cast("Member | Visit | None", lock.inside)
+
+    def rename(self, name: str) -> None:
+        """It has this name from now on; only before it belongs to a kernel."""
+        self.name = name
+        self.named = True
+
+    @property
+    def standing(self) -> tuple[Any, ...]:
+        """What is known of a component whichever instance it is: last error, deadlines, group, previous placements."""
+        return self.last_error, self.deadlines, self.group, self.previous_placements
+
+    @standing.setter
+    def standing(self, standing: tuple[Any, ...]) -> None:
+        self.last_error, self.deadlines, self.group, self.previous_placements = standing
+
+
+_OF_THE_CODE: Final = ("abandoned", "configuration", "failed_in", "hook_kinds", "judged", "log", "own", "port_group")
+"""What an instance takes along when it gets another cell; the rest belongs to the place: contexts, ports, kernel."""
+
+
+def cell(component: ComponentSide) -> Cell:
+    """What the kernel keeps on this component; AttributeError before `Component.__init__` has run."""
+    return component._rt
+
+
+def exchange_cells(one: ComponentSide, other: ComponentSide) -> None:
+    """Put each of two instances in the other's place: it gets the other's cell, with what belongs to its own code."""
+    first, second = cell(one), cell(other)
+    for name in _OF_THE_CODE:
+        mine, others = getattr(first, name), getattr(second, name)
+        setattr(first, name, others)
+        setattr(second, name, mine)
+    one._rt, other._rt = second, first
+
+
+def has_cell(component: object) -> bool:
+    """Whether this is a component, and `Component.__init__` has run."""
+    return isinstance(getattr(component, ATTRIBUTE, None), Cell)
+
+
+def log_fields(component: ComponentSide) -> LogFields:
+    """What a record that this component logs now says of kernel, hook and tick."""
+    here = cell(component)
+    kernel = "" if here.kernel is None else here.kernel.name
+    if here.failed_in is not None:
+        member, hook = here.failed_in
+        return LogFields(kernel, here.name, hook, member.tick)
+    running = here.running
+    if running is not None:
+        return LogFields(kernel, here.name, running.hook, running.tick)
+    return LogFields(kernel, here.name)
+
+
+# -- components that stand for others ------------------------------------------------------------------------------
+
+
+class Group(Protocol):
+    """A component that stands for others, as the kernel sees it."""
+
+    @property
+    def name(self) -> str: ...
+
+    """The component's name."""
+
+    @property
+    def holds(self) -> bool: ...
+
+    """Whether its members run with it, or are about to; else they may run where they like."""
+
+    @staticmethod
+    async def start(
+        kernel: Any, context: Context, components: Sequence[Any], *, activate: bool, timeout: float | None
+    ) -> None:
+        """Start a context with groups among its components."""
+
+    @staticmethod
+    async def join(context: Context, components: Sequence[Any], timeout: float | None) -> None:
+        """Components, groups among them, join a running context."""
+
+    @staticmethod
+    async def leave(context: Context, components: Sequence[Any], timeout: float | None) -> None:
+        """Components, groups among them, leave a running context."""
+
+    @property
+    def parts(self) -> tuple[ComponentSide, ...]: ...
+
+    """Who runs in its place, in order of execution."""
+
+    def check_startable(self) -> None:
+        """Raise StateError when it runs already."""
+
+    def runs_apart(self, member: Any) -> bool: ...
+
+    """Whether this member of it is a group with a schedule of its own."""
+
+    async def added(self) -> None:
+        """It is being added to the kernel."""
+
+    async def dissolve(self) -> None:
+        """It is about to leave the kernel: its members go back where they were."""
+
+    def removed(self) -> None:
+        """It has left the kernel."""
+
+    def member_removed(self, member: Any) -> None:
+        """A member of it has left the kernel."""
+
+    def check_context(self, component: Any, context: Context) -> None:
+        """Raise StateError when a member of it cannot run in this context."""
+
+    def member_entered(self, member: Member) -> None:
+        """A member has another state; in the thread of its context."""
+
+    def member_replaced(self, old: Any, new: Any) -> None:
+        """Another instance has a member's place."""
+
+    def check_ports(self) -> None:
+        """Raise WiringError when the group cannot show the ports that its members have now."""
+
+    def check_new_port(self, member: Any, port: Port[object]) -> None:
+        """Raise WiringError when the group cannot show a port that a member has got."""
+
+    def ports_changed(self) -> None:
+        """A member has other ports."""
+
+
+def as_group(component: ComponentSide) -> Group | None:
+    """Whom the component stands for; None where it stands for itself alone."""
+    return cell(component).stands_for
+
+
+def group_among(components: Sequence[ComponentSide]) -> Group | None:
+    """The first of these that stands for others."""
+    return next(filter(None, map(as_group, components)), None)
+
+
+def flattened(components: Sequence[ComponentSide]) -> tuple[ComponentSide, ...]:
+    """The components that run: the parts of each group in its place."""
+    found: list[ComponentSide] = []
+    for component in components:
+        group = as_group(component)
+        found += (component,) if group is None else group.parts
+    return tuple(found)
+
+
+def check_free(components: Sequence[ComponentSide], what: str) -> None:
+    """Raise StateError when one is a member of a composite, which alone says where it runs."""
+    for component in components:
+        outer = cell(component).group
+        if outer is not None and outer.holds and not outer.runs_apart(component):
+            raise StateError(
+                f"{component.name}: cannot {what}: it is a member of {outer.name}; "
+                f"await {outer.name}.remove_members({component.name!r}) first"
+            )

@@ -1,0 +1,292 @@
+"""What every execution context is: members in order, the cycle, statistics, a start and an end.
+
+A context is a logical thread. It decides when a cycle runs and for whom (`_next_cause`, `_begin_cycle`,
+`_end_cycle`); what happens in a cycle is the same for all (`cycle.py`), and so are what contains a hook
+(`task_driver.py`) and what runs it and takes what is asked of it (`runner.py`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, ClassVar, Final
+
+from aiorts.errors import ConfigurationError, StateError
+from aiorts.kernel.execution.cell import as_group, cell, check_free, group_among
+from aiorts.kernel.execution.cycle import Action, Wait
+from aiorts.kernel.execution.member import Member, is_open
+from aiorts.kernel.execution.runner import Runner
+from aiorts.kernel.execution.task_driver import TaskDriver
+from aiorts.kernel.loop.deadlines import StopBudget
+from aiorts.kernel.ports import InPort
+from aiorts.kernel.ports.in_port import set_open
+from aiorts.model.lifecycle import Event as Transition
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.names import check_name
+from aiorts.model.profile import ContextProfile, ContextStatistics, HookStatistics
+
+if TYPE_CHECKING:
+    from aiorts.kernel.execution.cell import ComponentSide, KernelSide
+    from aiorts.kernel.execution.cycle import Driver, PassSteps
+    from aiorts.kernel.ports import Port
+
+_NO_HOOKS: Final[Mapping[str, HookStatistics]] = MappingProxyType({})
+
+
+class Context:
+    """Base of all execution contexts. Given to `Kernel.start`; ends with `stop` or with its kernel.
+
+    Args:
+        name: unique in its kernel; the kernel gives one ("periodic0") where there is none.
+        deadline: seconds of the kernel's clock that a hook may take; None is unlimited. A hook over it is cancelled and
+            its component goes to error; one that blocks the loop goes there when it returns. The time counts whoever
+            uses it up, another one that blocks the loop, too. On a simulated clock code that blocks takes no time.
+        timing: take the execution time of every hook for `statistics`.
+    """
+
+    kind: ClassVar[str] = ""
+    exclusive: ClassVar[bool] = False
+    """Whether a member can be in no other context."""
+    suspends: ClassVar[bool] = True
+    """Whether hooks may wait for something: not in a thread, which has no event loop."""
+    _member_class: ClassVar[type[Member]] = Member
+    # What few contexts ever have stands in the class until then: an instance without it is smaller.
+    _divided: PassSteps | None = None
+    """How a pass goes over the members where some run side by side."""
+    _faults = 0
+    """Faults of the kernel's own, about no member, that it went on after."""
+    _ended_by: BaseException | None = None
+    """The one that it ends for."""
+
+    def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
+        self.name = check_name(name, "context") if name else ""
+        if deadline is not None and (not isinstance(deadline, int | float) or not 0 < deadline < math.inf):
+            raise ConfigurationError(f"{name or self.kind}: deadline = {deadline!r}: expected seconds above 0, or None")
+        self.deadline = deadline
+        self.timing = timing
+        self.ticks = 0
+        self._kernel: KernelSide | None = None
+        self._members: list[Member] = []
+        self._updating = 0
+        """How many members the second pass of a cycle is for."""
+        self._actions: deque[Action] | None = None
+        """What is to be done between cycles; None when there is nothing. Taken by `Life.next_action`."""
+        self.runner = Runner(self, named=bool(name))
+        """What carries it out: for services and for kinds of contexts, not for applications."""
+        self._last_hooks = _NO_HOOKS
+        self._stopping = False
+        self._order = 0
+        self._began: asyncio.Future[None] | None = None
+        self._now_ns: Callable[[], int] = self._no_time
+        """The time on the kernel's clock: its own function, since every hook asks it."""
+
+    # -- what tools see --------------------------------------------------------------------------------------------
+
+    @property
+    def members(self) -> tuple[ComponentSide, ...]:
+        """The components in this context, in order of execution."""
+        return tuple(member.component for member in self._members)
+
+    def state(self, component: ComponentSide) -> LifecycleState:
+        """The lifecycle state of a member; StateError when the component is not one."""
+        return self.runner.member(component).state
+
+    @property
+    def running(self) -> bool:
+        """Whether the context runs: started and not stopped."""
+        return self.runner.driver is not None
+
+    @property
+    def rate(self) -> float | None:
+        """Hz, for contexts that have a rate."""
+        return None
+
+    @property
+    def statistics(self) -> ContextStatistics:
+        """What this context has done so far."""
+        return ContextStatistics(cycles=self.ticks, hooks=self._hook_statistics())
+
+    def _hook_statistics(self) -> Mapping[str, HookStatistics]:
+        """Of the members there are; once the context has stopped, of those it had then."""
+        if self.runner.driver is None:
+            return self._last_hooks
+        # Copied before they are walked: a thread may run a hook for the first time meanwhile.
+        return MappingProxyType(
+            {
+                f"{member.component.name}.{hook}": HookStatistics(times.count, times.total_ns, times.max_ns)
+                for member in tuple(self._members)
+                for hook, times in tuple(member.times.items())
+            }
+        )
+
+    @property
+    def profile(self) -> ContextProfile:
+        """What this context is, frozen."""
+        members = tuple(member.component.name for member in self._members)
+        return ContextProfile(self.name, self.kind, self.rate, self.running, members)
+
+    def __repr__(self) -> str:
+        members = ", ".join(f"{m.component.name}: {m.state}" for m in self._members)
+        rate = "" if self.rate is None else f" {self.rate} Hz"
+        how = "running" if self.running else "stopped"
+        return f"<{type(self).__name__} {self.name or '?'}{rate} {how} [{members}]>"
+
+    # -- requests --------------------------------------------------------------------------------------------------
+
+    async def activate(self, *components: ComponentSide, timeout: float | None = 5.0) -> None:
+        """Activate these members, or every inactive one. Takes effect between two cycles, at once when none is running.
+
+        Awaited from a hook of this context it is queued and returns at once.
+
+        Raises:
+            StateError: a component named is not inactive, or not a member.
+            ComponentError: `on_activated` raised; the cause is chained.
+            TransitionTimeout: it did not begin within `timeout` seconds and was withdrawn, or did not end.
+        """
+        await self._request(Transition.ACTIVATE, LifecycleState.INACTIVE, components, timeout)
+
+    async def deactivate(self, *components: ComponentSide, timeout: float | None = 5.0) -> None:
+        """Deactivate these members, or every active one, as `activate`."""
+        await self._request(Transition.DEACTIVATE, LifecycleState.ACTIVE, components, timeout)
+
+    async def reset(self, *components: ComponentSide, timeout: float | None = 5.0) -> None:
+        """Take these members, or all that are, out of error into inactive, as `activate`."""
+        await self._request(Transition.RESET, LifecycleState.ERROR, components, timeout)
+
+    async def add(self, *components: ComponentSide, timeout: float | None = 5.0) -> None:
+        """Add components at the end of the order, between two cycles.
+
+        Raises:
+            StateError: one is a member already, or cannot run here.
+        """
+        runner = self.runner
+        runner.check("add")
+        if (group := group_among(components)) is not None:
+            await group.join(self, components, timeout)
+            return
+        for component in components:
+            runner.check_may_join(component)
+        members = [self._new_member(component) for component in components]
+        await runner.ask([runner.joining(member) for member in members], timeout)
+
+    async def remove(self, *components: ComponentSide, timeout: float | None = 5.0) -> None:
+        """Remove components between two cycles: they are deactivated and shut down first.
+
+        Raises:
+            StateError: one is not a member.
+        """
+        self.runner.check("remove")
+        check_free(components, "leave")
+        if (group := group_among(components)) is not None:
+            await group.leave(self, components, timeout)
+        else:
+            await self.runner.release(components, timeout)
+
+    async def stop(self) -> None:
+        """End this context: members are deactivated and shut down in reverse order, hooks get 2 s and then grace steps.
+
+        Awaited from a hook of this context it is queued and returns at once.
+        """
+        if self.runner.driver is None:
+            return
+        kernel = self.runner.check("stop")
+        await self.runner.end(StopBudget(kernel.loop))
+
+    async def _request(
+        self, event: Transition, state: LifecycleState, components: tuple[ComponentSide, ...], timeout: float | None
+    ) -> None:
+        runner = self.runner
+        runner.check(event.value)
+        members = [] if components else [member for member in self._members if member.state is state]
+        for component in components:
+            if (group := as_group(component)) is None:
+                members.append(runner.member(component))
+            else:  # of those that it stands for, who can take part
+                members += [member for member in map(runner.member, group.parts) if member.state is state]
+        await runner.ask([runner.transition(member, event) for member in members], timeout)
+
+    # -- for the kinds of context ----------------------------------------------------------------------------------
+
+    def _next_cause(self) -> Wait | None:
+        """None when a cycle is due, else what to wait for."""
+        raise NotImplementedError
+
+    def _alone(self) -> Member | None:
+        """Woken: the one member whose `on_execute` is all there is to do, its cycle begun; as `Life` would, sooner."""
+        return None
+
+    def _begin_cycle(self) -> Sequence[Member]:
+        """A cycle begins now: who takes part in it."""
+        return tuple(self._members)
+
+    def _end_cycle(self, members: Sequence[Member]) -> None:
+        """The cycle is over."""
+
+    def _life_began(self) -> None:
+        """Every `on_startup` has run."""
+        self.runner.began()
+
+    def _life_ended(self, error: BaseException | None) -> None:
+        """The last step was carried out, or the kernel's own code failed."""
+        self.runner.ended(error)
+
+    def _request_came(self) -> None:
+        """There is something to do between two cycles. From any thread."""
+
+    def _member_aborted(self, member: Member) -> None:
+        """A member is in error now."""
+
+    def _set_rate_now(self, rate: float) -> None:
+        raise StateError(f"{self.name}: a context of kind {self.kind} has no rate")
+
+    def _check_can_add(self, component: ComponentSide) -> None:
+        """Raise StateError when the component cannot run here."""
+        here = cell(component)
+        if any(member.context is self for member in here.members):
+            raise StateError(f"{component.name}: is in {self.name} already")
+        if here.group is not None:
+            here.group.check_context(component, self)
+        if here.abandoned is not None:
+            raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
+        if here.kernel is not None:
+            here.kernel.registry.check_settled(component)
+        for other in component.contexts:
+            if other.exclusive or self.exclusive:
+                raise StateError(f"{component.name}: is in {other.name}; a member of a thread context is in no other")
+
+    def _make_driver(self, kernel: KernelSide) -> Driver:
+        return TaskDriver(self, self.runner.life.steps(), kernel.loop, kernel.call_at, kernel._call_later, kernel.bus)
+
+    def _new_member(self, component: ComponentSide) -> Member:
+        self._order += 1
+        member = self._member_class(component, self, self._order)
+        if self.runner.driver is not None:
+            self.runner.driver.limit_anew(member)
+        return member
+
+    def _port_added(self, member: Member, port: Port[object]) -> None:
+        """A member has another port; it is open when the component is."""
+        if isinstance(port, InPort):
+            member.in_ports.append(port)
+            takes = is_open(member.component)
+            set_open(port, takes)
+
+    def _port_removed(self, member: Member, port: Port[object]) -> None:
+        """A member lost a port, or the port lost its member."""
+        if isinstance(port, InPort) and port in member.in_ports:
+            member.in_ports.remove(port)
+
+    def _set_ports_open(self, member: Member) -> None:
+        """In-ports take samples while the component is active somewhere, or is in no context at all."""
+        takes = is_open(member.component)
+        for port in member.component.ports.values():
+            if isinstance(port, InPort):
+                set_open(port, takes)
+
+    # -- for the drivers -------------------------------------------------------------------------------------------
+
+    def _no_time(self) -> int:
+        return self.runner.kernel.clock.monotonic_ns()

@@ -1,0 +1,293 @@
+"""A member: one component in one execution context, with its lifecycle state and everything that hangs on the pair.
+
+A `Visit` is its counterpart for code of a component that runs beside its hooks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import StateError
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.hooks import HookKind
+from aiorts.kernel.ports import InPort
+from aiorts.model.lifecycle import LifecycleState
+
+if TYPE_CHECKING:
+    from aiorts.kernel.execution.cell import ComponentSide
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.ports import Port
+
+_ABSENT: Final[tuple[int, Callable[..., Any]]] = (HookKind.ABSENT, lambda *_error: None)
+"""For every hook that the class does not define."""
+
+# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+_ACTIVE, _ERROR = LifecycleState.ACTIVE, LifecycleState.ERROR
+
+
+class HookTimes:
+    """How often a hook ran and how long it took, in nanoseconds."""
+
+    __slots__ = ("count", "last_ns", "max_ns", "total_ns")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.total_ns = 0
+        self.max_ns = 0
+        self.last_ns = 0
+
+    def add(self, elapsed_ns: int) -> None:
+        """One more run."""
+        self.count += 1
+        self.total_ns += elapsed_ns
+        self.last_ns = elapsed_ns
+        if elapsed_ns > self.max_ns:
+            self.max_ns = elapsed_ns
+
+
+class Member:
+    """One component in one context."""
+
+    __slots__ = (
+        "_abandoned",
+        "_failure",
+        "_left",
+        "_state",
+        "awaits",
+        "cell",
+        "component",
+        "context",
+        "entry_lock",
+        "execute",
+        "execute_times",
+        "finishing",
+        "hook",
+        "hooks",
+        "in_ports",
+        "order",
+        "started",
+        "stopped_for",
+        "times",
+        "updates",
+    )
+
+    def __init__(self, component: ComponentSide, context: Context, order: int) -> None:
+        self.component = component
+        self.context = context
+        self.cell = cell(component)
+        """What is kept on the component; the same object when a reload puts another instance in its place."""
+        self.entry_lock = self.cell.entry_lock
+        self.order = order
+        """Position in the order of addition."""
+        self._state = LifecycleState.INACTIVE
+        self._failure: BaseException | None = None
+        self._abandoned = self._left = False
+        self.hooks: dict[str, tuple[int, Callable[..., Any]]] = {}
+        """What `hook_of` has found already."""
+        self.awaits = self.cell.hook_kinds["on_execute"] == HookKind.ASYNC
+        self.execute: Callable[..., Any] | None = None
+        """`on_execute` where nothing is unusual: it exists, the member is active, the component in no other context."""
+        self.execute_times: HookTimes | None = None
+        """How long those runs took."""
+        self.updates = False
+        """Whether the second pass of a cycle is for it; see `settle_updates`."""
+        self.hook = "on_execute"
+        """The hook that runs now, while one runs."""
+        self.finishing = False
+        self.started = False
+        self.stopped_for: frozenset[str] = frozenset()
+        """The components for whose error its composite deactivated it."""
+        self.in_ports: list[InPort[Any]] = []
+        self.times: dict[str, HookTimes] = {}
+
+    # -- what decides whether it is executed: set, each of these lays out anew what a cycle looks at ---------------
+
+    @property
+    def state(self) -> LifecycleState:
+        """The lifecycle state in this context."""
+        return self._state
+
+    @state.setter
+    def state(self, state: LifecycleState) -> None:
+        self._state = state
+        self.settle()
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What it is in error for, or about to be."""
+        return self._failure
+
+    @failure.setter
+    def failure(self, failure: BaseException | None) -> None:
+        self._failure = failure
+        self.settle()
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether one of the component's hooks was left behind: none runs again."""
+        return self._abandoned
+
+    @abandoned.setter
+    def abandoned(self, abandoned: bool) -> None:
+        self._abandoned = abandoned
+        self.settle()
+
+    @property
+    def left(self) -> bool:
+        """Whether it is no longer in the context."""
+        return self._left
+
+    @left.setter
+    def left(self, left: bool) -> None:
+        self._left = left
+        self.settle()
+
+    def settle(self) -> None:
+        """Lay out anew what a cycle looks at."""
+        self.execute = None
+        if self.active and not self._left and not self.entry_lock.shared and self.cell.deadlines is None:
+            kind, function = self.hook_of("on_execute")
+            if kind != HookKind.ABSENT:
+                self.execute = function
+
+    def settle_updates(self) -> None:
+        """Lay out anew whether the second pass is for it: it wrote an `on_state_update`, or observers hear of hooks."""
+        wrote = self.cell.hook_kinds["on_state_update"] != HookKind.ABSENT
+        updates = wrote or self.context.runner.kernel.bus.hooks_wanted
+        self.context._updating += updates - self.updates
+        self.updates = updates
+
+    @property
+    def where(self) -> str:
+        """In which context and hook, for messages."""
+        return f"{self.context.name}, in {self.hook}"
+
+    @property
+    def tick(self) -> int:
+        """The cycle of its context."""
+        return self.context.ticks
+
+    @property
+    def active(self) -> bool:
+        """Whether it is executed: active and not about to go to error."""
+        return self._state is _ACTIVE and self._failure is None and not self._abandoned
+
+    @property
+    def may_run_at_once(self) -> bool:
+        """Whether only its entry lock keeps `on_execute` from the quick way: it has no deadline of its own."""
+        return self.entry_lock.shared and self.cell.deadlines is None
+
+    # -- causes to run, and what is known of its runs --------------------------------------------------------------
+
+    def hook_of(self, hook: str) -> tuple[int, Callable[..., Any]]:
+        """Kind and method of a hook, bound when it first runs: most components have two or three of the twelve."""
+        if hook in self.hooks:
+            return self.hooks[hook]
+        kind = self.cell.hook_kinds[hook]
+        if kind == HookKind.ABSENT:
+            return _ABSENT
+        try:
+            bound = self.hooks[hook] = kind, getattr(self.component, hook)
+        except BaseException as error:  # noqa: BLE001 - the component's own `__getattribute__`: as if the hook raised it
+            return kind, partial(_raise, error)
+        return bound
+
+    @property
+    def runs(self) -> bool:
+        """Whether a hook of it runs now."""
+        return self.context.runner.current is self
+
+    def update_for_sharing(self) -> None:
+        """Its hook, which runs now, is to let others in when it ends."""
+        if self.context.runner.driver is not None:
+            self.context.runner.driver.update_for_sharing()
+
+    def limit_anew(self) -> None:
+        """The component has other deadlines, for the hook of it that runs now, too."""
+        self.settle()
+        if self.context.runner.driver is not None:
+            self.context.runner.driver.limit_anew(self)
+
+    def port_added(self, port: Port[Any]) -> None:
+        """The component has another port; it is open when the component is."""
+        self.context._port_added(self, port)
+
+    def port_removed(self, port: Port[Any]) -> None:
+        """The component lost a port."""
+        self.context._port_removed(self, port)
+
+    def open_ports(self) -> None:
+        """Have the in-ports take samples while the component is active somewhere, or is in no context at all."""
+        self.context._set_ports_open(self)
+
+    def finish(self) -> None:
+        """Deactivate after this cycle."""
+        if not self.finishing:
+            self.finishing = True
+            self.context.runner.finished(self)
+
+    def timed(self, hook: str) -> HookTimes:
+        """The times of a hook, from the first run on."""
+        times = self.times.get(hook)
+        if times is None:
+            times = self.times[hook] = HookTimes()
+            if hook == "on_execute":
+                self.execute_times = times
+        return times
+
+
+class Visit:
+    """A call that a component serves, or what a reload asks of it; in messages it stands where a hook would."""
+
+    __slots__ = ("component", "hook")
+
+    def __init__(self, component: Any, hook: str) -> None:
+        self.component = component
+        self.hook = hook
+        """Port and method, such as "brake.stop": what stands in logs where a hook would."""
+
+    @property
+    def where(self) -> str:
+        """For messages."""
+        return f"a call of {self.hook}"
+
+    @property
+    def tick(self) -> int:
+        """A call belongs to no cycle."""
+        return 0
+
+    @property
+    def context(self) -> Context:
+        """The component's context; StateError where it has none or several."""
+        contexts: tuple[Context, ...] = self.component.contexts
+        if len(contexts) == 1:
+            return contexts[0]
+        raise StateError(f"{self.component.name}: is in {len(contexts)} contexts and serves {self.hook}; say which")
+
+    @property
+    def state(self) -> LifecycleState | None:
+        """The component's state: active where it is active in any context."""
+        states = tuple(self.component.states.values())
+        return LifecycleState.ACTIVE if LifecycleState.ACTIVE in states else states[0] if states else None
+
+    def finish(self) -> None:
+        """The component said, in a method that others call, that it has nothing more."""
+        for context in self.component.contexts:
+            context.runner.member(self.component).finish()
+
+
+def _raise(error: BaseException, *_args: Any) -> None:
+    raise error
+
+
+def is_open(component: ComponentSide) -> bool:
+    """Whether a component's in-ports take samples: it is active somewhere, or in no context at all.
+
+    Once its kernel closes the second does not count: nobody would read, and writers with full = block would wait.
+    """
+    here = cell(component)
+    if not here.members:
+        return here.kernel is None or not here.kernel.closed
+    return any(m.state is _ACTIVE or (m.state is _ERROR and m in here.trial) for m in here.members)

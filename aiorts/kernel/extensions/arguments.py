@@ -1,0 +1,153 @@
+"""What the class of a context, or of a service's settings, takes, read from its signature; it makes none.
+
+Values that are given by name, in a system file or to `Kernel(services=...)`, are checked here one by one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import types
+import typing
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from aiorts.errors import AiortsError
+
+T = TypeVar("T")
+OPTION_TYPES: Final = "bool, int, float, str, Path or a Literal of texts, each also with None, or tuple[str, ...]"
+"""What a field of settings that is an option may be."""
+_PLAIN: Final = (bool, int, float, str, Path)
+WORDS: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "text", list: "a list"}
+
+
+def arguments_of(cls: type) -> dict[str, tuple[type, ...]]:
+    """By the name of each argument that a system file may set: the kinds of value it takes; () is any."""
+    init: Any = cls.__init__  # type: ignore[misc] # of this very class, as its signature is
+    hints = _hints(init)
+    return {name: _kinds(hints.get(name)) for name in inspect.signature(cls).parameters if name != "name"}
+
+
+def needs_rate(cls: type) -> bool:
+    """Whether it has a rate with a number as default.
+
+    In a program a default is seen by whoever completes the call; in a file nobody sees what does not stand there.
+    """
+    rate = inspect.signature(cls).parameters.get("rate")
+    return rate is not None and isinstance(rate.default, float)
+
+
+def unfit(value: Any, kinds: tuple[type, ...]) -> str:
+    """What was expected in place of a value; "" when it fits."""
+    kind = list if type(value) is tuple else str if isinstance(value, Path) else type(value)
+    if not kinds or kind in kinds or (kind is int and float in kinds):
+        return ""
+    return f"expected {' or '.join(WORDS[kind] for kind in kinds)}, got {value!r:.80}"
+
+
+def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] = ()) -> Iterator[tuple[str, str, bool]]:
+    """What keeps `cls(**given)` from being made: the key ("" is all of them), what is wrong, whether the key itself is.
+
+    All are tried together first. An error is about the key that it begins with, "KEY: ", or that fails alike alone;
+    that one is left out, and the others are tried again, so that each that is wrong is named.
+
+    Args:
+        also: keys that may have been meant by an unknown one, besides its own.
+    """
+    known = arguments_of(cls)
+    rest = dict(given)
+    for key, value in given.items():
+        if key not in known:
+            near = get_close_matches(key[:100], [*known, *also], n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known) or 'none'}"
+            yield key, f"unknown key {key[:80]!r}; {hint}", True
+        elif what := unfit(value, known[key]):
+            yield key, what, False
+        else:
+            continue
+        del rest[key]
+    while what := _refused(cls, rest):
+        about = (key for key in rest if what.startswith(f"{key}: ") or _refused(cls, {key: rest[key]}) == what)
+        key = next(about, "")
+        if key or len(rest) == len(given):
+            yield key, what.removeprefix(f"{key}: "), not key
+        if not key:
+            return
+        del rest[key]
+
+
+def settings_of(cls: type[T], given: Mapping[str, Any]) -> T:
+    """What `cls` makes of values that were found right; lists, as a system file has them, become tuples."""
+    return cls(**{key: tuple(value) if isinstance(value, list) else value for key, value in given.items()})
+
+
+def options_of(settings: type) -> dict[str, type | tuple[str, ...] | None]:
+    """By the name of each field that is an option: the type of its values, or the texts that it takes.
+
+    `tuple` for one that is repeated, each a text; None for a field that cannot be an option (`OPTION_TYPES`).
+    """
+    hints = _hints(settings)
+    found: dict[str, type | tuple[str, ...] | None] = {}
+    for field in dataclasses.fields(settings):
+        if field.metadata.get("option", False) is False:
+            continue
+        parts = _parts(hints.get(field.name, type(field.default)))
+        kind = parts[0] if len(parts) == 1 else None
+        words = tuple(field.metadata["schema"].get("enum", () if kind in _PLAIN else typing.get_args(kind)))
+        if kind == tuple[str, ...]:
+            found[field.name] = tuple
+        elif words and set(_types(kind)) == {str}:
+            found[field.name] = words
+        else:
+            found[field.name] = kind if kind in _PLAIN else None
+    return found
+
+
+def path_settings(settings: type) -> frozenset[str]:
+    """The fields of settings that are paths."""
+    return frozenset(name for name, hint in _hints(settings).items() if _parts(hint) == [Path])
+
+
+def option_flag(service: str, field: dataclasses.Field[Any]) -> str:
+    """The option of `aiorts run` that a field of a service's settings is."""
+    word = field.metadata.get("option")
+    parts = (service, field.name if word is True else word)
+    return f"--{'-'.join(filter(None, parts))}".replace("_", "-")
+
+
+def _hints(of: Any) -> dict[str, Any]:
+    """Its annotations as types; {} where a name in them is not known."""
+    try:
+        return typing.get_type_hints(of)
+    except (NameError, TypeError):
+        return {}
+
+
+def _refused(cls: type, given: Mapping[str, Any]) -> str:
+    """Why it cannot be made of these values; "" when it can."""
+    try:
+        settings_of(cls, given)
+    except AiortsError as error:
+        return str(error)
+    except Exception as error:  # noqa: BLE001 - a plugin's border
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def _kinds(hint: Any) -> tuple[type, ...]:
+    parts = [str if one is Path else one for part in _parts(hint) for one in _types(part)]
+    known = [part if part in WORDS else list for part in parts if part in WORDS or typing.get_origin(part) is not None]
+    return tuple(known) if len(known) == len(parts) else ()
+
+
+def _parts(hint: Any) -> list[Any]:
+    """What a value may be but None."""
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    return [part for part in (typing.get_args(hint) if union else (hint,)) if part is not types.NoneType]
+
+
+def _types(part: Any) -> Iterable[Any]:
+    """The part itself; of a Literal, the types of what it lists."""
+    return dict.fromkeys(map(type, typing.get_args(part))) if typing.get_origin(part) is typing.Literal else (part,)

@@ -1,0 +1,142 @@
+"""What a port needs of the component and the kernel it belongs to, and nothing else of them.
+
+A component has one host from its construction on; the kernel fills in the rest when the component is added.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+from aiorts.clock import to_ns
+from aiorts.errors import ClosedError, StateError, ThreadError
+
+if TYPE_CHECKING:
+    from aiorts.clock import Clock
+    from aiorts.kernel.loop.blocking import Blocking, PortLock
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.kernel.ports import Port, Turns
+
+
+class KernelSide(Protocol):
+    """What the kernel gives to a component's host."""
+
+    debug: bool
+    name: str
+    closed: bool
+    _clock_ns: Callable[[], int]
+    _timers: Any
+
+    @property
+    def clock(self) -> Clock: ...
+
+    """The clock that all periods and time-outs go by."""
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop: ...
+
+    """The loop it was opened on."""
+
+    def time_ns(self) -> int: ...
+
+    @property
+    def connections(self) -> Any: ...
+
+    def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable: ...
+
+    def on_loop_thread(self) -> bool: ...
+
+    def html_of(self, thing: Any) -> str | None: ...
+
+
+class PortHost:
+    """The owner of ports: a name, a share of uninterrupted turns, and the way to the kernel's loop and clock."""
+
+    __slots__ = ("__dict__", "kernel", "name", "ports", "retired", "thread_id", "turns")
+
+    # What few components ever have stands in the class until then: a host without it is smaller.
+    alive: bool = True
+    threaded: bool = False
+    """Whether the component runs in a thread of its own."""
+    locked: bool = False
+    """Whether its ports have locks: such a thread uses them, or is about to."""
+    realtime: bool = False
+    """Whether the component runs in a real-time thread, which never waits."""
+    prepare: Callable[[Any], None] | None = None
+    """What such a thread has done to an in-port that its component reads or writes to."""
+    trial: tuple[object, ...] = ()
+    """Members whose component takes samples even in error: new code that failed, until the old one is back."""
+    stopping: bool = False
+    """Whether that thread is to end: what blocks there gives up."""
+    blocking: Blocking | None = None
+    """How that thread waits at a port; None until it runs."""
+
+    def __init__(self, name: str, turns: Turns) -> None:
+        self.name = name
+        self.turns = turns
+        self.ports: dict[str, Port[Any]] = {}
+        self.kernel: KernelSide | None = None
+        self.retired = False
+        """Whether the component has left its last context: plain code may read its ports, no writer waits for it."""
+        self.thread_id: int | None = None
+        """The thread of a ThreadContext that this component runs in; None means the kernel's loop."""
+
+    @property
+    def debug(self) -> bool:
+        """Whether every port call is checked (the test kit's debug mode)."""
+        return self.kernel is not None and self.kernel.debug
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        """The kernel's loop."""
+        return self._kernel().loop
+
+    def on_loop_thread(self) -> bool:
+        """Whether this is the thread of the kernel's loop."""
+        return self.kernel is None or self.kernel.on_loop_thread()
+
+    def time_ns(self) -> int:
+        """The kernel clock's time, nanoseconds since the epoch."""
+        return self._kernel().time_ns()
+
+    def call_later(self, seconds: float, callback: Callable[[], None]) -> Cancellable:
+        """Call back on the kernel's clock."""
+        return self._kernel().call_later(seconds, callback)
+
+    def deadline_ns(self, seconds: float | None) -> int | None:
+        """`seconds` from now on the kernel's clock; None is never."""
+        return None if seconds is None else self._kernel().clock.monotonic_ns() + to_ns(seconds)
+
+    def wait_in_thread(self, lock: PortLock, ready: Callable[[], bool], deadline_ns: int | None) -> bool:
+        """Block this thread, which is not the loop's, until `ready`; False when the deadline has passed before."""
+        blocking = self.blocking
+        if blocking is None:
+            raise StateError(f"{self.name}: only a hook of a ThreadContext may block, in that context's thread")
+        with lock:
+            return blocking.until(lock, ready, deadline_ns)
+
+    def check_loop_thread(self, what: str) -> None:
+        """Raise ThreadError unless this is the thread of the kernel's loop."""
+        if not self.on_loop_thread():
+            raise ThreadError(
+                f"{what} asked for in thread {threading.current_thread().name!r}; ask on the kernel's loop"
+            )
+
+    def check_port_thread(self, path: str) -> None:
+        """Raise ThreadError unless this is the thread that the component runs in."""
+        allowed = self.thread_id
+        if allowed is None and self.on_loop_thread():
+            return
+        if allowed is not None and allowed == threading.get_ident():
+            return
+        raise ThreadError(
+            f"{path}: used from thread {threading.current_thread().name!r}; "
+            "a port is used in the thread of its component's context only"
+        )
+
+    def _kernel(self) -> KernelSide:
+        if self.kernel is None:
+            raise ClosedError(f"{self.name}: not added to a kernel yet; await kernel.add(...) first")
+        return self.kernel

@@ -1,0 +1,227 @@
+"""The reading end of a stream.
+
+`InPort` is what users hold; `read` and `read_nowait` write the common case out in full: one connector, no lock, nobody
+who waits for room. Its `Receiver` (`receiver.py`) does the rest; another kind replaces it when a real-time thread or a
+listener comes or goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+
+from anyio import WouldBlock
+
+from aiorts.errors import ClosedError, ReadTimeout, StateError
+from aiorts.kernel.ports.port import NOTHING, OFF, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.ports.receiver import Receiver
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.host import PortHost
+
+
+T = TypeVar("T")
+
+
+class InPort(Port[T]):
+    """The reading end of a stream: one bounded queue for each connector, read in the order of arrival.
+
+    One task waits on an in-port at a time. Args: see `Port`; and
+
+        length: where every sample is wanted, how many a connector holds unless the connection says otherwise.
+    """
+
+    __slots__ = ("_before", "_last", "_receiver", "length")
+
+    direction: ClassVar[str] = "in"
+    is_tap: ClassVar[bool] = False
+    """Whether a service reads here, and no component."""
+    _receiver: Receiver
+
+    def __init__(
+        self,
+        type: type[T],  # noqa: A002 - the word users expect
+        *,
+        unit: str | None = None,
+        shape: tuple[int, ...] | None = None,
+        doc: str = "",
+        name: str | None = None,
+        max_connectors: int | None = None,
+        length: int | None = None,
+    ) -> None:
+        super().__init__(type, unit=unit, shape=shape, doc=doc, name=name, max_connectors=max_connectors)
+        self.length = length
+        self._last: T = NOTHING
+        """The sample read last, in this cycle of an event context: `NotifiedPorts` makes it `_before` in the next."""
+        self._before: T | None = None
+        self._receiver = Receiver(self)
+
+    def bind(self, host: PortHost, name: str) -> InPort[T]:
+        """A live port of `host` made after this declaration."""
+        limits: dict[str, Any] = {"max_connectors": self.max_connectors, "length": self.length}
+        port = InPort(self.type, unit=self.unit, shape=self.shape, doc=self.doc, **limits)
+        port._attach(host, name)
+        return port
+
+    def read_nowait(self) -> T:
+        """The oldest unread sample.
+
+        Raises:
+            WouldBlock: there is none.
+        """
+        try:
+            sample = self._last = self._fast.popleft()
+            return sample
+        except IndexError:
+            pass
+        sample = self._last = cast("T", self._receiver.read())
+        return sample
+
+    async def read(self) -> T:
+        """The oldest unread sample, waiting for one. A cancelled read takes nothing.
+
+        Raises:
+            BusyError: another task waits on this port.
+            ClosedError: the port was removed.
+        """
+        turns = self._turns
+        if turns.left:
+            turns.left -= 1
+        else:
+            turns.left = UNSUSPENDED
+            await give_turn()
+        while True:
+            if queue := self._fast:
+                sample = self._last = queue.popleft()
+                return sample
+            receiver = self._receiver
+            if receiver.unread():
+                try:
+                    sample = self._last = receiver.read()
+                    return sample
+                except WouldBlock:
+                    continue  # gone in this moment, as may be where threads meet without a lock
+            await receiver.wait()
+
+    @property
+    def latest(self) -> T | None:
+        """The newest unread sample, dropping older ones; the same until the next arrives; None before the first."""
+        queue = self._fast
+        if len(queue) == 1:
+            sample = self._last = queue.popleft()
+            return sample
+        if queue or queue is OFF:
+            sample = self._receiver.read_newest()
+            if sample is not NOTHING:
+                self._last = sample
+                return sample
+        return self._kept()
+
+    def peek(self) -> T | None:
+        """The oldest unread sample, which stays unread; None when there is none."""
+        return cast("T | None", self._receiver.peek())
+
+    def drain(self) -> list[T]:
+        """Every unread sample, oldest first."""
+        self._bound()
+        if queue := self._fast:
+            samples = list(queue)
+            queue.clear()
+        else:
+            samples = self._receiver.drain()
+        if samples:
+            self._last = samples[-1]
+        return samples
+
+    @property
+    def is_new(self) -> bool:
+        """Whether there is an unread sample; with a pull connector, whether the writer has one."""
+        queue = self._fast
+        if queue is not OFF:
+            return bool(queue)
+        self._bound()
+        return self._receiver.unread()
+
+    @property
+    def last_source(self) -> Connector | None:
+        """The connector that the sample read last came through; None before the first."""
+        return self._receiver.last_source
+
+    def read_blocking(self, timeout: float | None = None) -> T:
+        """`read` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds (None: for ever).
+
+        Raises:
+            ReadTimeout: no sample arrived in time.
+            ClosedError: the port was removed or its context is stopping.
+        """
+        host = self._bound()
+        if host.on_loop_thread():
+            raise StateError(f"{self.path}: read_blocking would block the event loop; await read() here")
+        lock = self._receiver.lock
+        if lock is None or not host.threaded:
+            raise StateError(f"{self.path}: read_blocking is for components of a ThreadContext")
+        deadline_ns = host.deadline_ns(timeout)
+        with lock:
+            while host.wait_in_thread(lock, lambda: self._receiver.unread() or self._is_over(), deadline_ns):
+                try:
+                    sample = self._last = cast("T", self._receiver.read())
+                    return sample
+                except WouldBlock:
+                    self._raise_if_over()  # else as in `read`
+            self._receiver.gave_up()
+            raise ReadTimeout(f"{self.path}: no sample within {timeout} s")
+
+    def __aiter__(self) -> AsyncIterator[T]:
+        return _Samples(self)
+
+    def _kept(self) -> T | None:
+        return self._before if self._last is NOTHING else self._last
+
+    def _is_over(self) -> bool:
+        return self._bound().stopping or self._removed()
+
+    def _raise_if_over(self) -> None:
+        self._raise_if_removed()
+        if self._bound().stopping:
+            raise ClosedError(f"{self.path}: its context stops")
+
+    def _wake_waiter(self) -> None:
+        self._receiver.wake_waiter()
+
+    def _make_locked(self) -> None:
+        self._receiver.make_locked()
+
+    def _refresh(self) -> None:
+        self._receiver.refresh()
+
+
+class _Samples(AsyncIterator[T]):
+    """The samples of a port as they come; it ends when the port is closed."""
+
+    __slots__ = ("_port",)
+
+    def __init__(self, port: InPort[T]) -> None:
+        self._port = port
+
+    async def __anext__(self) -> T:
+        try:
+            return await self._port.read()
+        except ClosedError:
+            raise StopAsyncIteration from None
+
+
+def receiver_of(port: InPort[Any]) -> Receiver:
+    """What stands behind an in-port now; ask each time, it may be replaced."""
+    return port._receiver
+
+
+def set_open(port: InPort[Any], is_open: bool) -> None:
+    """Take samples from now on, with empty buffers, or drop what is unread as inactive and what comes after it."""
+    if port._receiver.open is not is_open:
+        port._receiver.set_open(is_open)
+
+
+def in_ports_at(port: Port[Any]) -> tuple[InPort[Any], ...]:
+    """The in-ports that a thread uses which has this port: itself, or those that it writes to."""
+    return (port,) if isinstance(port, InPort) else tuple(dict.fromkeys(each.in_ for each in port._connectors))

@@ -1,0 +1,115 @@
+"""Logs that a connector with default options loses samples: the first one with the reason, then counts, ever rarer.
+
+Such a connector drops the oldest sample when its reader is too slow. How many more it has dropped is logged after 10 s,
+after twice as long each time while it goes on, and when it ends; after a time without a loss it begins anew. One look
+names 8 connectors at the most. Where `connect` (`full`, `length`, `push`) or the port's own length chose what is lost,
+nothing is logged: the ledger has every count.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from aiorts.kernel.loop.guarded import KernelLog
+
+if TYPE_CHECKING:
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.host import KernelSide
+
+_LOG = KernelLog()
+_FIRST_LOOK: Final = 10.0
+_LAST_LOOK: Final = 3600.0
+"""Seconds of the kernel's clock between two looks at connectors that lose samples."""
+_MOST_NAMED: Final = 8
+
+
+class Losses:
+    """What one kernel's connectors have lost and was not reported yet."""
+
+    __slots__ = ("_kernel", "_named", "_reported", "_timer", "_unnamed", "_wait")
+
+    def __init__(self, kernel: KernelSide) -> None:
+        self._kernel = kernel
+        self._reported: dict[Connector, int] = {}
+        """The connectors that lose samples, with how many were reported."""
+        self._timer: Cancellable | None = None
+        self._wait = _FIRST_LOOK
+        self._named = self._unnamed = 0
+
+    def listen(self, connector: Connector) -> None:
+        """Hear of the next sample that it loses."""
+        connector._transport.losses = self
+        connector.out._refresh()
+
+    def begin(self, connector: Connector) -> None:
+        """It has lost a sample, in this thread: report it soon, and from now on only counted."""
+        connector._transport.losses = False
+        connector.out._refresh()
+        self._kernel.loop.call_soon_threadsafe(self._begun, connector)
+
+    def end(self, connector: Connector) -> None:
+        """It is closed: report what was not reported yet."""
+        reported = self._reported.pop(connector, None)
+        if reported is not None:
+            self._report_more(connector, reported)
+
+    def close(self) -> None:
+        """All connectors have ended."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._report_unnamed()
+
+    def _begun(self, connector: Connector) -> None:
+        self._reported[connector] = lost = _lost(connector)
+        self._report(
+            "%s -> %s: %s lost so far: overwritten, the reader is slower than the writer; say at connect what is right:"
+            ' a longer length, push = "new" or full = "block"; from now on they are counted (connector.statistics)',
+            connector.out.path,
+            connector.in_.path,
+            _samples(lost),
+        )
+        if connector.closed:
+            self.end(connector)
+        elif self._timer is None and not self._kernel.closed:
+            self._timer = self._kernel.call_later(self._wait, self._look)
+
+    def _look(self) -> None:
+        self._timer = None
+        self._report_unnamed()
+        for connector, reported in tuple(self._reported.items()):
+            lost = self._report_more(connector, reported)
+            if lost == reported:
+                del self._reported[connector]
+                self.listen(connector)
+            else:
+                self._reported[connector] = lost
+        self._wait = min(2 * self._wait, _LAST_LOOK) if self._reported else _FIRST_LOOK
+        if self._reported:
+            self._timer = self._kernel.call_later(self._wait, self._look)
+
+    def _report_more(self, connector: Connector, reported: int) -> int:
+        lost = _lost(connector)
+        if lost > reported:
+            self._report("%s -> %s: %s more lost", connector.out.path, connector.in_.path, _samples(lost - reported))
+        return lost
+
+    def _report(self, line: str, *what: object) -> None:
+        if self._named < _MOST_NAMED:
+            self._named += 1
+            _LOG.warning(line, *what)
+        else:
+            self._unnamed += 1
+
+    def _report_unnamed(self) -> None:
+        unnamed, self._unnamed, self._named = self._unnamed, 0, 0
+        if unnamed:
+            _LOG.warning("%s: %s more connectors lost samples; kernel.connectors has each", self._kernel.name, unnamed)
+
+
+def _lost(connector: Connector) -> int:
+    return connector.glance()[2].get("overwritten", 0)
+
+
+def _samples(count: int) -> str:
+    return "1 sample" if count == 1 else f"{count} samples"

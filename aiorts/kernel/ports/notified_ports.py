@@ -1,0 +1,82 @@
+"""The in-ports of one member of an event context: which have notified it, and whether it took what came."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Final
+
+from aiorts.kernel.ports.in_port import InPort
+from aiorts.kernel.ports.port import NOTHING, OFF
+
+_UNKNOWN: Final[deque[Any]] = deque((None,))
+"""Stands for a queue that cannot be looked at directly: the receiver knows."""
+
+
+class NotifiedPorts(list[InPort[Any]]):
+    """The in-ports of a member, in the order in which they were added."""
+
+    __slots__ = ("notified", "queue")
+
+    def __init__(self) -> None:
+        self.notified: list[InPort[Any]] = []
+        """Those with a sample since they were enabled to notify."""
+        self.queue: deque[Any] = OFF
+        """Empty when nothing is left for `left_unread` to find after this cycle."""
+
+    def begin_alone(self) -> bool:
+        """Begin a cycle where one port has notified and its one connector has data; False: it is not so simple."""
+        # Written out: this stands between a sample and the hook it is for.
+        notified = self.notified
+        if len(notified) != 1:
+            return False
+        receiver = notified[0]._receiver
+        queue = receiver.direct
+        if not queue:
+            return False
+        receiver.notify_enabled = True
+        notified.clear()
+        for port in self:
+            if port._last is not NOTHING:
+                port._before, port._last = port._last, NOTHING
+        self.queue = queue if len(self) == 1 else _UNKNOWN
+        return True
+
+    def begin(self) -> None:
+        """Begin a cycle that was triggered, or for data that came some other way."""
+        if self.notified:
+            self.enable_notify()
+        for port in self:
+            if port._last is not NOTHING:
+                port._before, port._last = port._last, NOTHING
+        self.queue = _UNKNOWN
+
+    def left_unread(self) -> bool:
+        """Whether a sample was read in this cycle and there are more."""
+        for port in self:  # no generator: that is a call for each port, in each cycle that leaves something unread
+            if port._last is not NOTHING:
+                break
+        else:
+            return False
+        for port in self:
+            receiver = port._receiver
+            if receiver.direct or (receiver.direct is OFF and receiver.unread()):
+                return True
+        return False
+
+    def enable_notify(self) -> None:
+        """Let the next sample at each that has notified do so again."""
+        for port in self.notified:
+            port._receiver.enable_notify()
+        self.notified.clear()
+
+    def find_data(self) -> bool:
+        """Enable all that have notified again; whether one of them still has data: it counts as having notified."""
+        # Enabled before looked at: what a thread writes in between notifies again, and is not left lying.
+        notified, self.notified = self.notified, []
+        for port in notified:
+            port._receiver.enable_notify()
+        for port in notified:
+            if port.is_new:
+                self.notified.append(port)  # asked again before the cycle begins, the answer is the same
+                return True
+        return False

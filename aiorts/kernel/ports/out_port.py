@@ -1,0 +1,450 @@
+"""The writing end of a stream.
+
+`write` and `write_nowait` write the common case out in full: one connector, one reader, open, room. A Python call
+costs 25-40 ns, so a chain port -> connector -> buffer does not fit the budget. `_deliver` does the same for a full
+buffer and for any number of connectors. `_update_fast_path` decides at the first write after a change what goes which
+way; nothing on these paths asks again.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+
+from anyio import WouldBlock
+
+from aiorts.errors import ClosedError, DeclarationError, PortTypeError, RecordError, StateError, WriteTimeout
+from aiorts.kernel.ports.port import OFF, UNSUSPENDED, Port, give_turn
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections import deque
+    from collections.abc import Callable
+
+    from aiorts.kernel.ports.connector import Connector, LossListener, Transport, Waiting
+    from aiorts.kernel.ports.host import PortHost
+    from aiorts.kernel.ports.receiver import Receiver
+
+T = TypeVar("T")
+
+
+class OutPort(Port[T]):
+    """The writing end of a stream.
+
+    Args:
+        type, unit, shape, doc, name, max_connectors: see `Port`.
+        stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is what the writer said.
+    """
+
+    __slots__ = (
+        "_blocking",
+        "_class",
+        "_fan",
+        "_look",
+        "_merged",
+        "_others",
+        "_receiver",
+        "_room",
+        "_sent",
+        "_shapes",
+        "_shared",
+        "_stale",
+        "stamp",
+    )
+
+    direction: ClassVar[str] = "out"
+
+    def __init__(
+        self,
+        type: type[T],  # noqa: A002
+        *,
+        unit: str | None = None,
+        shape: tuple[int, ...] | None = None,
+        doc: str = "",
+        name: str | None = None,
+        max_connectors: int | None = None,
+        stamp: str | None = None,
+    ) -> None:
+        super().__init__(type, unit=unit, shape=shape, doc=doc, name=name, max_connectors=max_connectors)
+        if stamp not in (None, "write"):
+            raise DeclarationError(f'{name or "out-port"}: stamp is "write" or None, got {stamp!r}')
+        self.stamp = stamp
+        self._class: Any = _NoClass
+        """The class of the samples that need no check; none while there must be one."""
+        self._look: Callable[[Any], Any] | None = None
+        """The only check that samples of the port's very class need; None while they need none, or another."""
+        self._receiver: Receiver | None = None
+        self._room = 0
+        self._sent = 0
+        """Samples written to all direct connectors at once; each of them counts them as its own."""
+        self._stale = True
+        """Whether the connectors changed since the path was chosen."""
+        self._shared: tuple[Transport, ...] = ()
+        """The direct transports, which `_sent` counts for."""
+        self._fan: tuple[tuple[deque[Any], int, bool | LossListener, Receiver], ...] = ()
+        """Of the direct transports those whose reader has no other: it is the receiver's `sole`."""
+        self._merged: tuple[_Way, ...] = ()
+        """The direct transports whose reader has several, and keeps the order of arrival."""
+        self._others: tuple[Transport, ...] = ()
+        """The transports that have to choose, stamp or lock."""
+        self._blocking: tuple[_Way, ...] = ()
+        """The direct transports with full = block."""
+        self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
+        """Shapes that a sample must have, and which port says so: this one or a reader."""
+
+    def bind(self, host: PortHost, name: str) -> OutPort[T]:
+        """A live port of `host` made after this declaration."""
+        port = OutPort(
+            self.type,
+            unit=self.unit,
+            shape=self.shape,
+            doc=self.doc,
+            max_connectors=self.max_connectors,
+            stamp=self.stamp,
+        )
+        port._attach(host, name)
+        if port.stamp is not None and not port._type.has_tm:
+            raise DeclarationError(
+                f"{port.path}: stamp = {port.stamp}: {port.type.__name__} has no field tm to put it in"
+            )
+        port._refresh()
+        return port
+
+    @property
+    def connectors(self) -> tuple[Connector, ...]:
+        """The live connectors of this port, in order of connection; taps of services are none of the system's."""
+        found = self._connectors
+        while found and found[-1].in_.is_tap:
+            found = found[:-1]
+        return found
+
+    def write_nowait(self, sample: T) -> bool:
+        """Send `sample` to every reader, without waiting.
+
+        Returns:
+            False when a connector with full = reject had no room (its statistics say which one), else True.
+
+        Raises:
+            WouldBlock: a reader with full = block has no room; nobody got the sample.
+            PortTypeError: the sample is not of the port's type or shape; nothing was sent.
+            RecordError: a field of a dataclass is not what it says; nothing was sent.
+            ThreadError: called in a foreign thread, which cannot wake a reader that sleeps; the sample lies unread.
+        """
+        if sample.__class__ is self._class:
+            queue = self._fast
+            if len(queue) < self._room:
+                queue.append(sample)
+                self._sent += 1
+                if self._receiver.notify_enabled:  # type: ignore[union-attr] # set where there is room
+                    self._receiver.notify()  # type: ignore[union-attr]
+                return True
+        return self._write_general(sample)
+
+    async def write(self, sample: T) -> bool:
+        """Send `sample` to every reader, waiting for those with full = block.
+
+        Readers with room have the sample at once; the others are waited for together, each to its timeout. A
+        cancelled write wrote nothing to the connectors it was still waiting for.
+
+        Returns:
+            False when a connector with full = reject had no room, else True.
+
+        Raises:
+            WriteTimeout: names the connectors that had no room in time.
+            PortTypeError: the sample is not of the port's type or shape; nothing was sent.
+        """
+        turns = self._turns
+        if turns.left:
+            turns.left -= 1
+        else:
+            turns.left = UNSUSPENDED
+            await give_turn()
+        if sample.__class__ is self._class:
+            queue = self._fast
+            if len(queue) < self._room:
+                queue.append(sample)
+                self._sent += 1
+                if self._receiver.notify_enabled:  # type: ignore[union-attr] # set where there is room
+                    self._receiver.notify()  # type: ignore[union-attr]
+                return True
+        if self._stale:
+            self._update_fast_path()
+        if sample.__class__ is not self._class:
+            sample = self._checked(sample)
+        if (self._blocking or self._others) and self._without_room() is not None:
+            return await self._write_waiting(sample)
+        return self._deliver(sample)
+
+    def write_blocking(self, sample: T, timeout: float | None = None) -> bool:
+        """`write` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds or each
+        connector's own.
+
+        Raises:
+            WriteTimeout: names the connectors that had no room in time.
+        """
+        host = self._bound()
+        if host.on_loop_thread():
+            raise StateError(f"{self.path}: write_blocking would block the event loop; await write() here")
+        if not host.threaded:
+            raise StateError(f"{self.path}: write_blocking is for components of a ThreadContext")
+        done, entries = self._offer(self._checked(sample), None)
+        waits = []
+        for entry in entries:
+            limit = entry.connector.profile.timeout if timeout is None else timeout
+            waits.append((entry, limit, host.deadline_ns(limit)))
+        late = []
+        try:
+            for entry, limit, until_ns in waits:
+                if not self._wait_in_thread(entry, until_ns) and _give_up(entry):
+                    entry.connector._transport.time_out(entry.sample)
+                    late.append((entry.connector, limit))
+        finally:
+            for entry in entries:
+                if not entry.done:
+                    _give_up(entry)
+        _raise_late(self.path, late)
+        return done
+
+    # -- the general path ------------------------------------------------------------------------------------------
+
+    def _write_general(self, sample: T) -> bool:
+        if self._stale:
+            self._update_fast_path()
+        if sample.__class__ is not self._class:
+            sample = self._checked(sample)
+        if (self._blocking or self._others) and (full := self._without_room()) is not None:
+            raise WouldBlock(f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread)")
+        return self._deliver(sample)
+
+    def _without_room(self) -> Connector | None:
+        """A connector that a write would have to wait for."""
+        for queue, room, _, _, transport in self._blocking:
+            if len(queue) >= room:
+                return transport.connector
+        for transport in self._others:
+            if transport.must_wait():
+                return transport.connector
+        return None
+
+    def _deliver(self, sample: T) -> bool:
+        """To every connector; none has to be waited for. All have the sample before anybody is woken."""
+        done = True
+        notified: list[Receiver] = []
+        for queue, room, keeps, receiver in self._fan:
+            if len(queue) < room:
+                queue.append(sample)
+            else:
+                transport = receiver.sole
+                transport.displaced += 1  # type: ignore[union-attr] # the only one there
+                if keeps:
+                    if keeps is True:
+                        done = False
+                        continue
+                    keeps.begin(transport.connector)  # type: ignore[union-attr]
+                queue.popleft()
+                queue.append(sample)
+            if receiver.notify_enabled:
+                notified.append(receiver)
+        for queue, room, keeps, receiver, transport in self._merged:
+            if len(queue) < room:
+                queue.append(sample)
+                receiver.tokens.append(transport)  # type: ignore[union-attr] # it has several connectors
+            else:
+                transport.displaced += 1
+                if keeps:
+                    if keeps is True:
+                        done = False
+                        continue
+                    keeps.begin(transport.connector)
+                queue.popleft()
+                queue.append(sample)
+                receiver.tokens.append(transport)  # type: ignore[union-attr] # as above
+                transport.dead += 1
+                if transport.dead > room:
+                    receiver.bury(transport)
+            receiver.arrivals += 1
+            transport.arrived_at = receiver.arrivals
+            if receiver.notify_enabled:
+                notified.append(receiver)
+        self._sent += 1
+        for receiver in notified:
+            if receiver.notify_enabled:
+                receiver.notify()
+        for transport in self._others:
+            done &= transport.offer(sample)
+        return done
+
+    async def _write_waiting(self, sample: T) -> bool:
+        host = self._bound()
+        if host.realtime:  # its thread waits for nobody
+            return self._write_general(sample)
+        if self._blocking and len(self._connectors) == 1:
+            done, entries = True, [self._blocking[0][4].queue_up(sample, host.loop.create_future())]
+        else:
+            done, entries = self._offer(sample, host.loop)
+        if len(entries) == 1 and entries[0].connector.profile.timeout is None:
+            entry = entries[0]
+            try:
+                await entry.future  # type: ignore[misc] # made by the loop
+            finally:
+                if not entry.done:  # else the reader has moved it in: nothing is left to give up
+                    _give_up(entry)
+        elif entries:
+            await self._wait_for(entries)
+        return done
+
+    def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
+        """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""
+        done = True
+        entries = []
+        for connector in self._connectors:
+            transport = connector._transport
+            if transport.must_wait():
+                entry = transport.wait_for_room(sample, None if loop is None else loop.create_future())
+                if entry is not None:
+                    entries.append(entry)
+            else:
+                done &= transport.offer(sample)
+        return done, entries
+
+    async def _wait_for(self, entries: list[Waiting]) -> None:
+        """Wait until each entry was moved or its time is over; whatever happens, no entry is abandoned."""
+        host = self._bound()
+        late: list[tuple[Connector, float | None]] = []
+
+        def expire(entry: Waiting, limit: float) -> None:
+            if _give_up(entry):
+                entry.connector._transport.time_out(entry.sample)
+                late.append((entry.connector, limit))
+            if entry.future is not None and not entry.future.done():
+                entry.future.set_result(None)
+
+        timers = [
+            host.call_later(entry.connector.profile.timeout, partial(expire, entry, entry.connector.profile.timeout))
+            for entry in entries
+            if entry.connector.profile.timeout is not None
+        ]
+        try:
+            for entry in entries:
+                if entry.future is not None:
+                    await entry.future
+        finally:
+            for timer in timers:
+                timer.cancel()
+            for entry in entries:
+                if not entry.done:
+                    _give_up(entry)
+        _raise_late(self.path, late)
+
+    def _wait_in_thread(self, entry: Waiting, until_ns: int | None) -> bool:
+        """Block this thread until `entry` was moved; False when its time is over.
+
+        Raises:
+            ClosedError: the thread's context stops.
+        """
+        host, lock = self._bound(), entry.connector.in_._receiver.lock
+        assert lock is not None  # noqa: S101 - a connector of a threaded component has one
+        in_time = host.wait_in_thread(lock, lambda: entry.connector._transport.moved(entry) or host.stopping, until_ns)
+        if in_time and not entry.done:
+            raise ClosedError(f"{self.path}: its context stops")
+        return in_time
+
+    def _checked(self, sample: T) -> T:
+        """The sample as it will travel: of the port's type and shape, stamped, immutable."""
+        look = self._look
+        try:
+            if look is not None and sample.__class__ is self.type:
+                looked_at: T = look(sample)
+                return looked_at
+            return self._checked_in_full(sample)
+        except RecordError as error:
+            raise type(error)(f"{self.path}: {error}; nothing was sent") from None
+
+    def _checked_in_full(self, sample: T) -> T:
+        host = self._bound()
+        self._raise_if_removed()
+        port_type = self._type
+        if not isinstance(sample, self.type):
+            from aiorts.types import type_name
+
+            raise PortTypeError(
+                f"{self.path}: expected a {type_name(self.type)}, got {sample.__class__.__name__} ({_short(sample)}); "
+                "nothing was sent"
+            )
+        for port, shape in self._shapes:
+            try:
+                port_type.check_shape(sample, shape)
+            except RecordError as error:
+                reason = "" if port is self else f" (the shape of {port.path})"
+                raise PortTypeError(f"{self.path}: {error}{reason}; nothing was sent") from error
+        if host.debug:
+            sample = port_type.copy(sample)
+        elif port_type.look is not None or sample.__class__ is not self.type:
+            sample = port_type.snapshot(sample)
+        if self.stamp is None:
+            return sample
+        stamped: T = port_type.stamped(sample, host.time_ns())
+        return stamped
+
+    def _refresh(self) -> None:
+        """The connectors or their options have changed."""
+        # Only noted: with many connectors each change would else cost as much as all of them.
+        self._stale = True
+        self._class, self._look, self._fast, self._room = _NoClass, None, OFF, 0
+
+    def _update_fast_path(self) -> None:
+        """Decide which transports a write reaches directly, and whether the fast path is on."""
+        self._stale = False  # first: what another thread changes from here on marks it once more
+        self._class, self._look, self._fast, self._room = _NoClass, None, OFF, 0
+        host, connectors = self._host, self._connectors
+        if host is None:
+            return
+        transports = tuple(connector._transport for connector in connectors)
+        direct = frozenset(() if host.debug else (transport for transport in transports if transport.direct))
+        # Two connectors to one reader keep their order: both go the direct way or none does.
+        slow = {transport.receiver for transport in transports if transport not in direct}
+        direct = frozenset(transport for transport in direct if transport.receiver not in slow)
+        for transport in self._shared:
+            transport.share(transport in direct, self._sent)
+        for transport in direct:
+            transport.share(True, self._sent)
+        self._shared = tuple(direct)
+        ways = [(t.queue, t.room, t.when_full, t.receiver, t) for t in transports if t in direct]
+        self._fan = tuple(way[:4] for way in ways if way[3].tokens is None)
+        self._merged = tuple(way for way in ways if way[3].tokens is not None)
+        self._others = tuple(transport for transport in transports if transport not in direct)
+        self._blocking = tuple(way for way in ways if way[4].blocks)
+        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in connectors))
+        self._shapes = tuple((port, port.shape) for port in ports if port.shape is not None)
+        if not connectors or self.stamp is not None or self._shapes or host.debug:
+            return
+        if self._type.look is not None:
+            self._look = self._type.look
+            return
+        self._class = self.type
+        if len(connectors) == 1 and self._fan:
+            self._fast, self._room, _, self._receiver = self._fan[0]
+
+
+def _give_up(entry: Waiting) -> bool:
+    return entry.connector._transport.give_up(entry)
+
+
+class _NoClass:
+    """The class of no sample."""
+
+
+_Way: TypeAlias = "tuple[deque[Any], int, bool | LossListener, Receiver, Transport]"
+"""A direct transport: the queue, how many samples fit, whether it keeps them when full (or who is to hear of the first
+that it does not), who to wake, who counts."""
+
+
+def _raise_late(path: str, late: list[tuple[Connector, float | None]]) -> None:
+    if late:
+        names = ", ".join(f"{connector.in_.path} ({limit:g} s)" for connector, limit in late)
+        raise WriteTimeout(f"{path}: no room in time at {names}; the other readers have the sample")
+
+
+def _short(sample: object) -> str:
+    text = repr(sample)
+    return text if len(text) <= 60 else text[:57] + "..."

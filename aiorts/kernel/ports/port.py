@@ -1,0 +1,302 @@
+"""What in-ports and out-ports have in common: the declaration, the binding, the way to the kernel."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from types import coroutine
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Protocol, TypeVar
+
+from aiorts.errors import ClosedError, DeclarationError, WiringError
+from aiorts.kernel.ports.port_types import port_type
+from aiorts.model.profile import PortProfile
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.host import PortHost
+
+T = TypeVar("T")
+P = TypeVar("P", bound="Port[Any]")
+D = TypeVar("D", bound="PortDeclaration")
+
+UNSUSPENDED: Final = 255
+"""Awaited reads and writes that may follow one another without giving the loop a turn."""
+
+UNLOCKED: Final = nullcontext()
+
+OFF: Final[deque[Any]] = deque(maxlen=0)
+"""What a port has for a queue while its fast path is off: there is never anything in it."""
+
+NOTHING: Final[Any] = object()
+"""In the place of an in-port's sample read last, while a cycle of an event context has read none."""
+
+
+class Turns:
+    """What is left of a component's share of uninterrupted awaited reads and writes."""
+
+    __slots__ = ("left",)
+
+    def __init__(self) -> None:
+        self.left = UNSUSPENDED
+
+
+@coroutine
+def give_turn() -> Generator[None, None, None]:
+    """Let everything else that is ready run once; asyncio's `sleep(0)` without its wrapper."""
+    yield
+
+
+class PortDeclaration:
+    """What a class body may declare as a port: it knows how a component gets the live port."""
+
+    __slots__ = ()
+
+    name: str
+    """The port's name; "" where it is the attribute's."""
+
+    def check_declared(self, cls: type[Any], attribute: str) -> None:
+        """Raise DeclarationError when this class, or one derived from it, cannot have such a port."""
+
+    def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
+        """The profile of the port that this declares; `ports` are those of the declarations before it."""
+        raise NotImplementedError
+
+    def add_to(self: D, component: Any, host: PortHost, name: str) -> D:
+        """The live port, in `host.ports` from now on. WiringError: there is one of that name already."""
+        raise NotImplementedError
+
+    @property
+    def connecting(self) -> Connecting | None:
+        """Who connects ports of this kind; None: connectors of data ports."""
+        return None
+
+
+class Connecting(Protocol):
+    """Makes connectors that are none of data ports."""
+
+    def plan(self, kernel: Any, ports: Sequence[Any], options: Mapping[str, Any], /) -> Sequence[tuple[str, Any]]: ...
+
+    """A path and a plan for each connector to be made; each plan's `make(name)` makes it. All are possible."""
+
+    def renewed(self, kernel: Any, profile: Any, /) -> Any:
+        """The plan of a connector that was there before, from its profile."""
+
+    def end(self, connector: Any, /) -> None:
+        """Take the connector out of force."""
+
+
+class Port(PortDeclaration, Generic[T]):
+    """What in-ports and out-ports have in common. Unbound it is a declaration, bound it belongs to a component.
+
+    Args:
+        type: the record (or dataclass, or scalar type) that travels.
+        unit: unit of the data, such as "m/s"; unequal units are refused at connect.
+        shape: shape of the data, such as (3,), -1 for any length; checked at every write.
+        doc: one line for tools.
+        name: the port's name where it is not the attribute's.
+        max_connectors: connectors the port takes at the most; None is unlimited.
+    """
+
+    __slots__ = (
+        "_connectors",
+        "_fast",
+        "_host",
+        "_turns",
+        "_type",
+        "doc",
+        "max_connectors",
+        "name",
+        "shape",
+        "type",
+        "unit",
+    )
+
+    direction: ClassVar[str] = ""
+
+    def __init__(
+        self,
+        type: type[T],  # noqa: A002 - the word users expect
+        *,
+        unit: str | None = None,
+        shape: tuple[int, ...] | None = None,
+        doc: str = "",
+        name: str | None = None,
+        max_connectors: int | None = None,
+    ) -> None:
+        self.type = type
+        self.unit = unit
+        self.shape = shape
+        self.doc = doc
+        self.name = name or ""
+        self.max_connectors = max_connectors
+        self._host: PortHost | None = None
+        self._connectors: tuple[Connector, ...] = ()
+        self._fast: deque[T] = OFF
+        self._turns = Turns()
+
+    def check_declared(self, cls: type[Any], attribute: str) -> None:
+        if isinstance(self.type, str):
+            raise DeclarationError(
+                f"{cls.__qualname__}.{attribute}: {self.type!r:.60} is text; give the class itself, without quotes: "
+                f"{type(self).__name__}({self.type:.60})"
+            )
+
+    def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
+        return replace(self.profile, name=self.name or attribute)
+
+    def bind(self: P, host: PortHost, name: str) -> P:
+        """A live port of `host` made after this declaration."""
+        raise DeclarationError(f"{host.name}.{name}: expected InPort, OutPort, Provided or Required, got {self!r}")
+
+    def add_to(self: P, component: Any, host: PortHost, name: str) -> P:
+        if name in host.ports:
+            raise WiringError(f"{host.name}.{name}: there is a port of that name already")
+        bound = host.ports[name] = self.bind(host, name)
+        return bound
+
+    def _attach(self, host: PortHost, name: str) -> None:
+        self._host = host
+        self.name = name
+        try:
+            self._type = port_type(self.type)
+        except DeclarationError as error:
+            raise DeclarationError(f"{host.name}.{name}: {error}") from None
+        self._turns = host.turns
+
+    @property
+    def path(self) -> str:
+        """`component.port`, or the bare name of a declaration."""
+        return self.name if self._host is None else f"{self._host.name}.{self.name}"
+
+    @property
+    def connectors(self) -> tuple[Connector, ...]:
+        """The live connectors of this port, in order of connection."""
+        return self._connectors
+
+    @property
+    def profile(self) -> PortProfile:
+        """What this port is, frozen."""
+        from aiorts.types import type_name
+
+        return PortProfile(
+            self.name,
+            self.direction,
+            type_name(self.type),
+            self.unit,
+            self.shape,
+            self.doc,
+            tuple(connector.name for connector in self.connectors),
+        )
+
+    def __repr__(self) -> str:
+        extras = "".join(f" {word}={value!r}" for word, value in (("unit", self.unit), ("shape", self.shape)) if value)
+        count = "unbound" if self._host is None else f"{len(self._connectors)} connectors"
+        return f"<{self.__class__.__name__} {self.path or '?'} {self.type.__name__}{extras} {count}>"
+
+    def _repr_html_(self) -> str | None:
+        kernel = None if self._host is None else self._host.kernel
+        return None if kernel is None else kernel.html_of(self)
+
+    def _bound(self) -> PortHost:
+        host = self._host
+        if host is None:
+            raise ClosedError(
+                f"{self.name or self.__class__.__name__}: this port belongs to no component; "
+                "was super().__init__() called in the component's __init__?"
+            )
+        if host.debug:
+            host.check_port_thread(self.path)
+        return host
+
+    def _wake_waiter(self) -> None:
+        """Whoever waits at this port looks again."""
+
+    def _make_locked(self) -> None:
+        """From now on more than one thread uses this port."""
+
+    def _give_up_blocking(self) -> None:
+        """The thread of its component is to end: what blocks at this port, or at the far end, gives up."""
+        for connector in self._connectors:
+            connector.in_._wake_waiter()
+        self._wake_waiter()
+
+    def _vacate(self, leaving: bool = True) -> None:
+        """Its component is about to go, or stays after all."""
+
+    def _unanswerable(self) -> Iterator[str]:
+        """What this port offers that a thread, which has no event loop, cannot do."""
+        return iter(())
+
+    def _removed(self) -> bool:
+        """Whether this live port was taken away, or its component was."""
+        host = self._host
+        return host is not None and not (host.alive and host.ports.get(self.name) is self)
+
+    def _raise_if_removed(self) -> None:
+        if self._removed():
+            raise ClosedError(f"{self.path}: the port is closed: it or its component was removed")
+
+    def _on_loop(self, callback: Callable[[], object]) -> None:
+        """Run `callback` on the kernel's loop: now if this is its thread, soon otherwise."""
+        host = self._host
+        if host is None or host.on_loop_thread():
+            callback()
+        else:
+            host.loop.call_soon_threadsafe(callback)
+
+    def _refresh(self) -> None:
+        """The connectors or their options have changed."""
+        raise NotImplementedError
+
+
+# -- what the rooms that run components do with a port: no names that a user completes ---------------------------------
+
+
+def host_of(port: Port[Any]) -> PortHost | None:
+    """The owner of a live port; None for a declaration."""
+    return port._host
+
+
+def move_to(port: Port[Any], host: PortHost) -> None:
+    """Have another owner: the ports of new code are the old component's."""
+    port._host, port._turns = host, host.turns
+    port._refresh()
+
+
+def is_removed(port: Port[Any]) -> bool:
+    """Whether this live port was taken away, or its component was."""
+    return port._removed()
+
+
+def refresh(port: Port[Any]) -> None:
+    """Something that the port's fast path relies on has changed: it is chosen anew."""
+    port._refresh()
+
+
+def wake_waiter(port: Port[Any]) -> None:
+    """Wake all that wait at the port: it was removed."""
+    port._wake_waiter()
+
+
+def vacate(port: Port[Any], leaving: bool = True) -> None:
+    """The component of the port is about to go, or stays after all."""
+    port._vacate(leaving)
+
+
+def lock_all(port: Port[Any]) -> None:
+    """From now on more than one thread uses what hangs on the port."""
+    port._make_locked()
+    for connector in port._connectors:
+        connector.in_._make_locked()
+
+
+def give_up_blocking(port: Port[Any]) -> None:
+    """The thread of the component is to end: what blocks at the port, or at the far end, gives up."""
+    port._give_up_blocking()
+
+
+def unanswerable(ports: Iterable[Port[Any]]) -> tuple[str, ...]:
+    """What these ports offer that a thread, which has no event loop, cannot do."""
+    return tuple(name for port in ports for name in port._unanswerable())

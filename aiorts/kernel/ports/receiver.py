@@ -1,0 +1,535 @@
+"""What stands behind an in-port: one bounded queue for each connector, read in the order of arrival.
+
+With several connectors the receiver keeps one token, the transport, for each unread sample, so that reading in order
+costs the same at any number of them. The token of a sample that was overwritten is dead: the oldest tokens of a
+transport are, as many as it counts in `dead`, and who meets one passes over it. The new sample has a token of its own,
+at the end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from operator import attrgetter
+from threading import current_thread, get_ident
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from anyio import WouldBlock
+
+from aiorts.errors import BusyError, ThreadError
+from aiorts.kernel.loop.blocking import PortLock
+from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
+from aiorts.model.policy import Dataflow
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector, Transport, TransportKind
+    from aiorts.kernel.ports.in_port import InPort
+
+
+_PULL: Final = Dataflow.PULL
+_THE_READER: Final = (
+    "the reader, which sleeps on the kernel's loop, and the sample lies unread; "
+    "write with loop.call_soon_threadsafe(port.write_nowait, sample)"
+)
+_THE_WRITER: Final = "the writer, which waits on the kernel's loop for room, and nothing was read; read on that loop"
+
+
+class Receiver:
+    """The general path of an in-port: which sample is the next, who waits for it, who is notified.
+
+    The classes of a `TransportKind` derive from it. `replace` puts one of another kind in its place.
+    """
+
+    __slots__ = (
+        "arrivals",
+        "callback",
+        "direct",
+        "extra",
+        "lock",
+        "notify_enabled",
+        "open",
+        "plain",
+        "port",
+        "read_stamps",
+        "sole",
+        "sole_delivered",
+        "source",
+        "thread",
+        "tokens",
+        "waiter",
+    )
+
+    has_fast_path: ClassVar[bool] = True
+    """Whether a port of this kind may read straight from a queue."""
+
+    def __init__(self, port: InPort[Any]) -> None:
+        self.port = port
+        self.lock: PortLock | None = None
+        self.open = True
+        """Whether samples are taken: its component is active, or in no context."""
+        self.direct: deque[Any] = OFF
+        """The queue that the port's `_fast` is while no writer waits for room in it."""
+        self.plain = False
+        """Whether reading is the same at every connector: no lock, no stamp, no check."""
+        self.read_stamps = 0
+        """Connectors that stamp when a sample is read."""
+        self.tokens: deque[Transport] | None = None
+        self.arrivals = 0
+        """Samples that came while there were several connectors."""
+        self.source: Connector | None = None
+        self.sole: Transport | None = None
+        self.sole_delivered = 0
+        self.thread = 0
+        """The loop's: who waits at a port without a lock is woken there."""
+        self.waiter: asyncio.Future[None] | None = None
+        self.callback: Callable[[InPort[Any]], object] | None = None
+        """The callback: one, or `_Callbacks` for several. Most in-ports have one; a tuple would take 64 bytes."""
+        self.notify_enabled = False
+        """Whether the next sample wakes waiting readers and calls the callbacks."""
+        self.extra: Any = None
+        """What another kind of receiver keeps besides."""
+
+    def replace(self, kind: TransportKind, *, all_transports: bool) -> Receiver:
+        """Put a receiver of another kind in the place of this one, with all that it holds; and transports of that kind.
+
+        On the loop; the caller holds the lock, and calls `refresh_all` afterwards.
+        """
+        self.hand_over()
+        new = kind.receiver.__new__(kind.receiver)
+        new.take_over(self)
+        for transport in self.transports:
+            if all_transports:
+                transport.replace(kind, new)
+            else:
+                transport.receiver = new
+        self.port._receiver = new
+        return new
+
+    def hand_over(self) -> None:
+        """Bring what this holds into the form that every kind takes over."""
+
+    def take_over(self, old: Receiver) -> None:
+        """Be in the state of another receiver, which reads nothing any more."""
+        for name in Receiver.__slots__:
+            setattr(self, name, getattr(old, name))
+        self.extra = None
+
+    def exchange(self, old: Transport, new: Transport) -> None:
+        """One transport stands in the place of another."""
+        if self.sole is old:
+            self.sole = new
+        if self.tokens is not None:
+            self.tokens = deque(new if token is old else token for token in self.tokens)
+
+    @property
+    def transports(self) -> tuple[Transport, ...]:
+        """Of the port's connectors, in order of connection."""
+        return tuple(connector._transport for connector in self.port._connectors)
+
+    # -- reading ---------------------------------------------------------------------------------------------------
+
+    def check_thread(self) -> None:
+        """Raise ClosedError at a declaration; ThreadError, in debug mode, in a thread that is not the component's."""
+        host = self.port._host
+        if host is None or host.debug:
+            self.port._bound()
+
+    def empty(self) -> WouldBlock:
+        """What to raise where there is no sample. ClosedError: the port was removed."""
+        self.port._raise_if_removed()
+        return WouldBlock(f"{self.port.path}: no unread sample")
+
+    def guard(self) -> Any:
+        """The lock, where there is one."""
+        return self.lock or UNLOCKED
+
+    def unread(self) -> bool:
+        """Whether there is an unread sample."""
+        tokens = self.tokens
+        if tokens is not None:
+            return bool(tokens)
+        sole = self.sole
+        return sole is not None and bool(sole.queue)
+
+    def next(self) -> Transport | None:
+        """The transport whose sample is the oldest unread one; the caller holds the lock."""
+        tokens = self.tokens
+        if tokens is not None:
+            while tokens and tokens[0].dead:
+                tokens.popleft().dead -= 1
+            return tokens[0] if tokens else None
+        sole = self.sole
+        return sole if sole is not None and sole.queue else None
+
+    def newest(self) -> Transport | None:
+        """The transport whose sample arrived last of all that are unread; the caller holds the lock."""
+        # What a transport still holds ends with its last arrival: reading takes the oldest.
+        return max((one for one in self.transports if one.queue), key=attrgetter("arrived_at"), default=None)
+
+    def read(self) -> Any:
+        """The oldest unread sample. WouldBlock: there is none."""
+        if self.plain:
+            # Several connectors, or somebody waits for room: still no lock and nothing to stamp.
+            transport = self.sole
+            if tokens := self.tokens:
+                transport = tokens.popleft()
+                while transport.dead:
+                    transport.dead -= 1
+                    transport = tokens.popleft()
+                self.source = transport.connector
+            if transport is not None and (queue := transport.queue):
+                if transport.waiting and get_ident() != self.thread:
+                    raise self._cannot_wake(_THE_WRITER)
+                sample = queue.popleft()
+                if transport.waiting:
+                    transport.admit_waiting()
+                return sample
+        self.check_thread()
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.read()
+            self._check_writers()
+            transport = self.next()
+            if transport is None:
+                raise self.empty()
+            if self.tokens is not None:
+                self.tokens.popleft()
+            sample = transport.take()
+            self.source = transport.connector
+            return sample
+
+    def read_newest(self) -> Any:
+        """The newest unread sample, older ones superseded; NOTHING when there is none."""
+        self.check_thread()
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.read_newest()
+            self._check_writers()
+            transport = self.newest()
+            if transport is None:
+                return NOTHING
+            sample = transport.take_newest()
+            if self.tokens is not None:
+                for other in self.transports:
+                    if other is not transport:
+                        other.discard("superseded")
+                self.settle_tokens()
+            self.source = transport.connector
+            return sample
+
+    def peek(self) -> Any:
+        """The oldest unread sample, which stays unread; None when there is none."""
+        self.check_thread()
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.peek()
+            transport = self.next()
+            return None if transport is None else transport.queue[0]
+
+    def drain(self) -> list[Any]:
+        """Every unread sample, oldest first."""
+        samples: list[Any] = []
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.drain()
+            while self.unread():
+                samples.append(self.port.read_nowait())
+        return samples
+
+    def look(self) -> Any:
+        """The newest unread sample, which stays unread, else the one read last; None before the first."""
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.look()
+            transport = self.newest() or self.next()
+            return self.last_read if transport is None else transport.queue[-1]
+
+    @property
+    def last_read(self) -> Any:
+        """The sample read last; None before the first."""
+        return self.port._kept()
+
+    @property
+    def last_source(self) -> Connector | None:
+        """See `InPort.last_source`."""
+        sole = self.sole
+        # The fast path notes nothing; what it took from its one connector shows in that connector's ledger.
+        return self.source if sole is None or sole.delivered() == self.sole_delivered else sole.connector
+
+    def settle_tokens(self) -> None:
+        """Rebuild the order of arrival after samples left the queues other than one by one from the front."""
+        if self.tokens is None:
+            return
+        left = {id(transport): len(transport.queue) for transport in self.transports}
+        kept: deque[Transport] = deque()
+        for token in reversed(self.tokens):
+            if left.get(id(token), 0) > 0:
+                left[id(token)] -= 1
+                kept.appendleft(token)
+        self.tokens = kept
+        for transport in self.transports:
+            transport.dead = 0
+
+    def bury(self, transport: Transport) -> None:
+        """Take the dead tokens of `transport` away: it has more of them than it can have samples.
+
+        Only as far back as its oldest one lies, and with them those of others on the way.
+        """
+        tokens, kept = self.tokens, []
+        assert tokens is not None  # noqa: S101 - it has several connectors
+        met: dict[Transport, int] = {}
+        while transport.dead:
+            token = tokens.pop()
+            met[token] = met.get(token, 0) + 1
+            if met[token] > len(token.queue):
+                token.dead -= 1
+            else:
+                kept.append(token)
+        tokens.extend(reversed(kept))
+
+    # -- waiting for a sample --------------------------------------------------------------------------------------
+
+    async def wait(self) -> None:
+        """Wait until a sample is there, or the port is removed.
+
+        Raises:
+            BusyError: another task waits. ClosedError: the port was removed. WouldBlock: its thread waits for nobody.
+        """
+        port = self.port
+        port._raise_if_over()
+        host = port._bound()
+        if host.realtime and not host.on_loop_thread():
+            raise WouldBlock(f"{port.path}: no unread sample, and a hook of a real-time context cannot wait for one")
+        if self.waiter is not None:
+            raise BusyError(f"{port.path}: another task waits on this port; one at a time")
+        waiter = host.loop.create_future()
+        with self.guard():
+            # Enabled before looked at: what a writer in another thread writes in between wakes this up.
+            self.waiter = waiter
+            self.notify_enabled = True
+            there = self.unread()
+        try:
+            if not there:
+                await waiter
+        finally:
+            now = port._receiver
+            if now.waiter is waiter:
+                now.waiter = None
+                now.enable_notify()
+
+    def rest(self, wanted: Callable[[], bool], deadline_ns: int | None, *, for_data: bool) -> None:
+        """Block this thread, which has one of its own, until the port is removed, its context stops or `wanted`.
+
+        Or until there is data, where that is asked for; at most to the deadline.
+        """
+        host, lock = self.port._bound(), self.lock
+        if lock is not None:
+            with lock:
+                host.wait_in_thread(
+                    lock,
+                    lambda: (for_data and self.port._receiver.unread()) or self.port._is_over() or wanted(),
+                    deadline_ns,
+                )
+
+    def gave_up(self) -> None:
+        """A reader waited for nothing."""
+
+    def arrived(self, transport: Transport, displaced: bool) -> None:
+        """A sample of `transport` is in its queue, the oldest one out of it if that is `displaced`.
+
+        The writer holds the lock.
+        """
+        if self.tokens is not None:
+            self.arrivals += 1
+            transport.arrived_at = self.arrivals
+            self.tokens.append(transport)
+            if displaced:
+                transport.dead += 1
+                if transport.dead > transport.length:
+                    self.bury(transport)
+        if self.lock is not None:
+            self.lock.notify_all()
+        if self.notify_enabled and (self.waiter is not None or transport.connector.profile.dataflow is not _PULL):
+            self.notify_across() if self.lock is not None else self.notify()
+
+    def notify_across(self) -> None:
+        """Notify, from any thread."""
+        # One wake-up for all that is written until the reader runs: it enables the next.
+        self.notify_enabled = False
+        self.on_loop(lambda: self.port._receiver.notify())
+
+    def notify(self) -> None:
+        """Wake readers that wait for data and call the callbacks; reading on enables the next notification.
+
+        Raises:
+            ThreadError: called in another thread than the loop's, which would wake nobody; it stays enabled.
+        """
+        if get_ident() != self.thread:
+            raise self._cannot_wake(_THE_READER)
+        self.notify_enabled = False
+        waiter = self.waiter
+        if waiter is not None:
+            self.waiter = None
+            if not waiter.done():
+                waiter.set_result(None)
+        callback = self.callback
+        if callback is not None and callback(self.port):
+            self.notify_enabled = True
+
+    def add_callback(self, callback: Callable[[InPort[Any]], object]) -> None:
+        """Call `callback` with the port when a sample comes; again after `enable_notify`, or if it returns True.
+
+        Writes from another thread that come before the loop turns make one call together.
+        """
+        self._call_each((*self._callbacks, callback))
+
+    def remove_callback(self, callback: Callable[[InPort[Any]], object]) -> None:
+        """Call it no more."""
+        self._call_each(tuple(each for each in self._callbacks if each != callback))
+
+    @property
+    def _callbacks(self) -> tuple[Callable[[InPort[Any]], object], ...]:
+        callback = self.callback
+        return callback.each if isinstance(callback, _Callbacks) else () if callback is None else (callback,)
+
+    def _call_each(self, callbacks: tuple[Callable[[InPort[Any]], object], ...]) -> None:
+        self.callback = _Callbacks(callbacks) if len(callbacks) > 1 else callbacks[0] if callbacks else None
+        self.enable_notify()
+
+    def enable_notify(self) -> None:
+        """Let the next sample notify, where a reader waits or there is a callback."""
+        self.notify_enabled = self.waiter is not None or self.callback is not None
+
+    def end_waiting(self) -> None:
+        """Who waited and was woken waits no more, though it has not run yet: another may wait."""
+        if self.waiter is not None and self.waiter.done():
+            self.waiter = None
+            self.enable_notify()
+
+    def wake_waiter(self) -> None:
+        """Let a waiting read find out that the port is gone."""
+        self.wake_threads()
+        waiter, self.waiter = self.waiter, None
+        if waiter is not None and not waiter.done():
+            waiter.set_result(None)
+
+    def wake_threads(self) -> None:
+        """Let who sleeps at this port in a thread look again."""
+        if self.lock is not None:
+            with self.lock:
+                self.lock.notify_all()
+
+    def room_made(self) -> None:
+        """A queue has room again; the caller holds the lock."""
+        if self.lock is not None:
+            self.lock.notify_all()
+
+    def _check_writers(self) -> None:
+        """Raise ThreadError when a read in this thread would let a writer in and could not wake it."""
+        if self.lock is None and get_ident() != self.thread and any(one.waiting for one in self.transports):
+            raise self._cannot_wake(_THE_WRITER)
+
+    def _cannot_wake(self, whom: str) -> ThreadError:
+        thread = current_thread().name
+        return ThreadError(f"{self.port.path}: thread {thread!r} cannot wake {whom}, or use a ThreadContext")
+
+    # -- what changes ----------------------------------------------------------------------------------------------
+
+    @property
+    def has_threads(self) -> bool:
+        """Whether the component of this port, or one that writes to it, runs in a thread of its own."""
+        hosts = [self.port._host, *(connector.out._host for connector in self.port._connectors)]
+        return any(host is not None and (host.realtime or host.threaded) for host in hosts)
+
+    def on_loop(self, callback: Callable[[], object]) -> None:
+        """Run `callback` on the kernel's loop: now if this is its thread, soon otherwise."""
+        self.port._on_loop(callback)
+
+    def make_locked(self) -> None:
+        """From now on more than one thread uses this port's queues."""
+        if self.lock is None:
+            self.lock = PortLock()
+            self.refresh_all()
+
+    def fit(self, transport: Transport) -> None:
+        """A connector is new at this port: make its transport one of the receiver's kind."""
+
+    def connector_ended(self) -> None:
+        """A connector of this port has ended."""
+
+    def mute(self) -> None:
+        """Nobody can listen here from now on."""
+        for transport in self.transports:
+            transport.mute()
+
+    def set_open(self, is_open: bool) -> None:
+        """Open with empty buffers, or close and drop what is unread as inactive."""
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.set_open(is_open)
+            self.open = is_open
+            for transport in self.transports:
+                transport.suspend()
+                transport.dead = 0
+            if self.tokens is not None:
+                self.tokens.clear()
+            if is_open:
+                self.forget()
+            self.refresh()
+        self.refresh_writers()
+
+    def forget(self) -> None:
+        """Nothing has been read yet."""
+        port = self.port
+        port._last, port._before = NOTHING, None
+        self.source = self.sole = None
+
+    def refresh_all(self) -> None:
+        """The ways of this port and of all that write to it may be others now."""
+        self.refresh()
+        self.refresh_writers()
+
+    def refresh_writers(self) -> None:
+        """The ways of all that write to this port may be others now."""
+        for connector in self.port._connectors:
+            connector.out._refresh()
+
+    def refresh(self) -> None:
+        """The connectors or their options have changed."""
+        connectors = self.port._connectors  # of ten thousand none is looked at
+        self.source = self.last_source
+        self.sole = connectors[0]._transport if len(connectors) == 1 else None
+        self.sole_delivered = 0 if self.sole is None else self.sole.delivered()
+        if len(connectors) > 1 and self.tokens is None:
+            self.tokens = deque(transport for transport in self.transports for _ in transport.queue)
+        elif len(connectors) <= 1 and self.tokens is not None:
+            self.tokens = None
+            if self.sole is not None:
+                self.sole.dead = 0
+        self.update_fast_path()
+
+    def update_fast_path(self) -> None:
+        """Decide whether the port reads straight from a queue."""
+        port, sole = self.port, self.sole
+        port._fast = self.direct = OFF
+        host = port._host
+        self.plain = (
+            self.has_fast_path and self.lock is None and host is not None and not host.debug and not self.read_stamps
+        )
+        if self.plain and sole is not None:
+            self.direct = sole.queue
+            port._fast = OFF if sole.waiting else self.direct
+
+
+class _Callbacks:
+    """Several that are called as one."""
+
+    __slots__ = ("each",)
+
+    def __init__(self, each: tuple[Callable[[InPort[Any]], object], ...]) -> None:
+        self.each = each
+
+    def __call__(self, port: InPort[Any]) -> bool:
+        again = [callback(port) for callback in self.each]
+        return any(again)

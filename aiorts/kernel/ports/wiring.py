@@ -1,0 +1,196 @@
+"""Connecting ports: every check that says no stands here, before anything is changed.
+
+Either all connectors of one `connect` come into being or none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from threading import get_ident
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from aiorts.errors import WiringError
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.periodic_transport import PLAIN
+from aiorts.model.options import SERVICE_KEYS, connector_profile
+from aiorts.model.policy import Stamp
+from aiorts.model.profile import ConnectorProfile
+from aiorts.model.values import shown
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.host import KernelSide
+    from aiorts.kernel.ports.receiver import Receiver
+
+T = TypeVar("T")
+
+
+def plan(
+    kernel: KernelSide, ports: Sequence[Port[Any]], options: Mapping[str, Any]
+) -> list[tuple[OutPort[Any], InPort[Any], ConnectorProfile]]:
+    """What to connect, fully checked: each out-port with each in-port.
+
+    Raises:
+        WiringError: says which ports do not go together and why.
+    """
+    for text in ports:
+        if isinstance(text, str):
+            raise WiringError(f"connect({text!r}): a text is no port; give the port itself: kernel.find({text!r})")
+    outs = [port for port in ports if isinstance(port, OutPort)]
+    ins = [port for port in ports if isinstance(port, InPort)]
+    where = " -> ".join(getattr(port, "path", None) or shown(port) for port in ports)
+    if len(outs) + len(ins) != len(ports) or not outs or not ins:
+        raise WiringError(f"{where or 'connect()'}: expected at least one out-port and one in-port")
+    for port in ports:
+        _check_alive(kernel, port)
+    paths = tuple(port.path for port in ports)
+    for key in options:
+        if key.partition(".")[0] in SERVICE_KEYS:
+            raise WiringError(f"{where}: {key}: is an option of service ports, these are data ports")
+    base, limits = connector_profile(where, options, "", paths)
+    allow = limits.get("allow_duplicate", False)
+    pairs = [(out, in_) for out in outs for in_ in ins]
+    seen: set[tuple[OutPort[Any], InPort[Any]]] = set()
+    for out, in_ in pairs:
+        _check_pair(out, in_)
+        if allow:
+            continue
+        if (out, in_) in seen or _connected(out, in_):
+            raise WiringError(
+                f"{out.path} -> {in_.path}: connected already; allow_duplicate=True makes a second connector"
+            )
+        seen.add((out, in_))
+    _check_stamp(base, pairs)
+    for port, count in Counter(port for pair in pairs for port in pair).items():
+        _check_limit(port, count, limits)
+    profiles: dict[int | None, ConnectorProfile] = {None: base}
+    for in_ in ins:
+        if in_.length is not None and in_.length not in profiles:
+            profiles[in_.length], _ = connector_profile(where, options, "", paths, in_.length)
+    return [(out, in_, profiles[in_.length]) for out, in_ in pairs]
+
+
+def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> Connector:
+    """Make the connector and put it in force."""
+    hosts = [host for host in (out._host, in_._host) if host is not None]
+    if any(host.locked for host in hosts):
+        in_._make_locked()
+    for host in hosts:
+        if host.prepare is not None:
+            host.prepare(in_)
+    receiver = in_._receiver
+    connector = Connector(profile, out, in_)
+    connector._transport = PLAIN.of(profile)(connector, receiver, kernel)
+    receiver.fit(connector._transport)
+    several = receiver.tokens is not None
+    receiver.thread = get_ident()
+    with receiver.guard():
+        in_._connectors += (connector,)
+        receiver.read_stamps += profile.stamp is Stamp.READ
+        receiver.refresh()
+    shown = out.connectors  # without taps, which come last
+    out._connectors = (*shown, connector, *out._connectors[len(shown) :])
+    _refresh_writers(out, receiver, several)
+    return connector
+
+
+def unwire(connector: Connector) -> None:
+    """Take the connector out of force: what is queued in it is dropped, writers that wait go on."""
+    out, in_ = connector.out, connector.in_
+    out._connectors = _without(out._connectors, connector)
+    receiver = in_._receiver
+    several = receiver.tokens is not None
+    with receiver.guard():
+        unread = connector.unread
+        connector._transport.close()
+        in_._connectors = _without(in_._connectors, connector)
+        receiver.read_stamps -= connector.profile.stamp is Stamp.READ
+        if several and unread:
+            receiver.settle_tokens()
+        receiver.refresh()
+    _refresh_writers(out, receiver, several)
+    receiver.connector_ended()
+
+
+def _refresh_writers(out: OutPort[Any], receiver: Receiver, several: bool) -> None:
+    """The way of a write depends on its port's own connectors and on whether its reader has others."""
+    out._refresh()
+    if several is (receiver.tokens is None):
+        receiver.refresh_writers()
+
+
+def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:
+    """Of ten thousand the first or the last goes mostly: they end in the order they came, or in reverse."""
+    if those[-1] == one:
+        return those[:-1]
+    index = those.index(one)
+    return those[:index] + those[index + 1 :]
+
+
+def _check_alive(kernel: KernelSide, port: Port[Any]) -> None:
+    host = port._host
+    if host is None or host.kernel is not kernel:
+        whose = "is a declaration" if host is None else "belongs to another kernel, or to none yet"
+        raise WiringError(
+            f"{port.path or repr(port)}: {whose}; connect the ports of components that were added to this kernel"
+        )
+    if port._removed():
+        raise WiringError(f"{port.path}: this port or its component was removed")
+
+
+def _connected(out: OutPort[Any], in_: InPort[Any]) -> bool:
+    # A thousand may hang on one of the two.
+    if len(out.connectors) <= len(in_.connectors):
+        return any(connector.in_ is in_ for connector in out.connectors)
+    return any(connector.out is out for connector in in_.connectors)
+
+
+def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:
+    for fault in pair_faults(out, in_):
+        raise WiringError(fault)
+
+
+def pair_faults(out: OutPort[Any], in_: InPort[Any]) -> Iterator[str]:
+    """Why samples of one port cannot be taken by the other; nothing where they fit."""
+    where = f"{out.path} -> {in_.path}"
+    if not issubclass(out.type, in_.type):
+        from aiorts.types import type_name
+
+        yield (
+            f"{where}: types differ: {out.path} sends {type_name(out.type)}, {in_.path} takes {type_name(in_.type)}; "
+            "put a FlexiFilter between them"
+        )
+    if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
+        yield f"{where}: units differ: {out.unit!r} and {in_.unit!r}; put a FlexiFilter between them"
+    if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
+        yield f"{where}: shapes differ: {out.shape} and {in_.shape}; put a FlexiFilter between them"
+
+
+def _shapes_agree(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    return len(one) == len(other) and all(a == b or -1 in (a, b) for a, b in zip(one, other, strict=True))
+
+
+def _check_stamp(profile: ConnectorProfile, pairs: Sequence[tuple[OutPort[Any], InPort[Any]]]) -> None:
+    from aiorts.types import has_tm
+
+    if profile.stamp is None:
+        return
+    for out, in_ in pairs:
+        if not has_tm(out.type):
+            raise WiringError(
+                f"{out.path} -> {in_.path}: stamp = {Stamp(profile.stamp)}: "
+                f"{out.type.__name__} has no field tm to put it in"
+            )
+
+
+def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:
+    fan = limits.get("fan_out" if isinstance(port, OutPort) else "fan_in")
+    limit = limits.get("connection_limit")
+    candidates = [fan, limit if limit is not None and limit >= 0 else None, port.max_connectors]
+    allowed = [candidate for candidate in candidates if candidate is not None]
+    if allowed and len(port.connectors) + more > min(allowed):
+        raise WiringError(
+            f"{port.path}: takes {min(allowed)} connectors at the most, has {len(port.connectors)}, "
+            f"{more} more asked for; disconnect one or raise max_connectors"
+        )

@@ -1,0 +1,192 @@
+"""Services of a kernel: each is made at its first use, is notified of what comes and goes, and is closed.
+
+The microkernel runs components and knows no service. A service knows the microkernel, and brings its own part of
+everything: the class of its settings says what its table of a system file, `Kernel(services=...)` and options of
+`aiorts run` take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, TypeVar, get_args
+
+from aiorts.errors import ConfigurationError, PluginError, format_error
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.late import dataclass
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.extensions.catalogue import Catalogue, Extension
+    from aiorts.kernel.loop.deadlines import StopBudget
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+
+T = TypeVar("T")
+_LOG = KernelLog()
+
+
+def setting(default: T, doc: str, *, option: bool | str = False, **schema: Any) -> T:
+    """A field of a service's settings, which are a frozen dataclass.
+
+    Args:
+        doc: what it is for, with its unit; editors and `aiorts run --help` show it.
+        option: whether it is an option of `aiorts run`, too: `--SERVICE-FIELD`; a text is the word after `--SERVICE-`
+            in the place of the field's, and "" makes it `--SERVICE` itself, the service's main setting.
+        schema: what JSON Schema says of it beyond its type: `exclusiveMinimum=0`, `enum=["warn", "exit"]`.
+    """
+    from dataclasses import field
+
+    return field(default=default, metadata={"doc": doc, "option": option, "schema": schema})
+
+
+@dataclass(frozen=True, slots=True)
+class _NoSettings:
+    """Nothing can be set."""
+
+
+class KernelService:
+    """Base of all services: `kernel.service(Kind)` gives the one of that kind, and makes it at the first call.
+
+    Write the methods you need; all are called on the kernel's loop, services in the order in which they were made, at
+    the end in the reverse order. What one of them raises is logged, and the kernel goes on.
+
+    A plugin offers it as an entry point of the group `aiorts.services`. The name there is that of its table in a system
+    file, of its settings in `Kernel(services={name: {...}})`, and what its options of `aiorts run` begin with.
+
+    Args:
+        kernel: the one it is attached to, open, for good.
+    """
+
+    name: ClassVar[str] = ""
+    """The name it is offered under; "" for one that is found by its class alone."""
+    settings: ClassVar[type[Any]] = _NoSettings
+    """What can be set: a frozen dataclass whose fields all have a default (`setting`). Its `__post_init__` raises
+    ConfigurationError for a value that is wrong, "KEY: expected ..., got ..."."""
+
+    def __init__(self, kernel: Microkernel) -> None:
+        self.kernel = kernel
+
+    def configure(self, settings: Any) -> None:
+        """Go by these settings, an object of its class `settings`, from now on: before any component of a file is made.
+
+        What it raises ends the start of a run, or `Kernel.open()`.
+        """
+
+    def starting(self) -> None:
+        """A system was made and connected, and its contexts start next; not called where a program makes it by hand.
+
+        What it raises ends the start.
+        """
+
+    def report(self) -> Mapping[str, Any]:
+        """Its part of the kernel's profile and of what SIGUSR1 prints: figures and texts by name; {} for none.
+
+        A signal may come between any two instructions: it takes no lock and changes nothing.
+        """
+        return {}
+
+    def component_added(self, component: Component) -> None:
+        """A component came in; its `on_initialize` has run."""
+
+    def components_replaced(self, pairs: Mapping[Component, Component]) -> None:
+        """New instances (the values) have the places of old ones from now on; called between two cycles."""
+
+    def component_removed(self, component: Component) -> None:
+        """A component is gone; its `on_finalize` has run."""
+
+    def connector_made(self, connector: Connector) -> None:
+        """A connector of data ports came into being."""
+
+    def observers_changed(self) -> None:
+        """Whether anybody listens to hooks, or to what becomes of samples, has changed (`Bus.hooks_wanted`)."""
+
+    async def closing(self, budget: StopBudget) -> None:
+        """The kernel closes: contexts run on until this returns."""
+
+    async def ending(self, budget: StopBudget) -> None:
+        """All contexts have stopped: no hook sends anything more. Connectors and components are still there."""
+
+    def stopped(self) -> None:
+        """Contexts, connectors and components are gone; the bus still publishes."""
+
+    def closed(self) -> None:
+        """All was given up, the bus too."""
+
+
+class ServicePlan(NamedTuple):
+    """A service that is to be attached, and the settings it is to go by."""
+
+    kind: type[KernelService]
+    settings: Any
+
+    def attach(self, kernel: Microkernel) -> None:
+        """Attach it to an open kernel."""
+        kernel.service(self.kind).configure(self.settings)
+
+
+def load_service(extension: Extension) -> type[KernelService]:
+    """The class of a service. PluginError: it cannot be loaded, or its settings are no dataclass."""
+    kind = extension.load_class(KernelService)
+    if not hasattr(kind.settings, "__dataclass_fields__"):
+        raise PluginError(f"{extension.target}: its settings, {kind.settings!r:.80}, are no dataclass")
+    return kind
+
+
+def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> ServicePlan:
+    """The service that is offered as `name`, imported, with these settings.
+
+    Raises:
+        PluginError: nobody offers it, or it cannot be loaded. ConfigurationError: names each setting that is wrong.
+    """
+    from aiorts.kernel.extensions.arguments import (  # late: only who names a service needs it
+        settings_faults,
+        settings_of,
+    )
+
+    kind = load_service(catalogue.find("services", name))
+    if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(kind.settings, given)]:
+        raise ConfigurationError(f"service {name!r}: {'; '.join(faults)}")
+    return ServicePlan(kind, settings_of(kind.settings, given))
+
+
+Hook = Literal[
+    "component_added",
+    "components_replaced",
+    "component_removed",
+    "connector_made",
+    "observers_changed",
+    "stopped",
+    "closed",
+]
+HOOKS: Final[tuple[Hook, ...]] = get_args(Hook)
+"""The methods that notify a service at once; beside them `closing` and `ending` may take time."""
+
+
+def notify(services: Iterable[KernelService], hook: Hook, *args: object) -> None:
+    """Call this method of each service; what one raises is logged, and the next hears of it all the same."""
+    for service in services:
+        try:
+            getattr(service, hook)(*args)
+        except Exception as error:  # noqa: BLE001 - the border round a plugin's service
+            report_fault(service, hook, error)
+
+
+def report_fault(service: KernelService, hook: str, error: BaseException) -> None:
+    """Log that a method of a service raised."""
+    _LOG.error(
+        "service %s: %s failed: %s", service.name or type(service).__name__, hook, format_error(error), exc_info=error
+    )
+
+
+def reports(services: Iterable[KernelService]) -> Mapping[str, Mapping[str, Any]]:
+    """What each service that has a name says of itself, by that name; of one whose `report` raises, why."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for service in services:
+        try:
+            report = MappingProxyType(dict(service.report())) if service.name else {}
+        except Exception as error:  # noqa: BLE001 - the border round a plugin's service
+            report = MappingProxyType({"error": format_error(error)})
+        if report:
+            found[service.name] = report
+    return MappingProxyType(found)

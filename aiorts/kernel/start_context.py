@@ -1,0 +1,101 @@
+"""What concerns a component and its contexts together, and who would wait for himself if he waited for it.
+
+A hook that starts a context with its own component is in the way of what it asks for: it is not made to wait.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from aiorts.errors import DeclarationError, InvalidNameError, StateError
+from aiorts.kernel.execution.cell import as_group, check_free, flattened, group_among
+from aiorts.kernel.loop.deadlines import StopBudget
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of, see_through
+from aiorts.kernel.ports.port import give_turn
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.microkernel import Microkernel
+
+_LOG = KernelLog()
+
+
+def check_start(kernel: Microkernel, context: Context, components: Sequence[Component]) -> None:
+    """Everything that says no to a start, before anything is changed; the context has a name afterwards."""
+    from aiorts.kernel.execution.context import Context
+
+    if not isinstance(context, Context):
+        raise DeclarationError(f"{context!r}: expected an execution context such as PeriodicContext(rate=100.0)")
+    if context.running or (context.name and kernel.contexts.get(context.name) is context):
+        raise StateError(f"{context.name}: runs already")
+    for component in components:
+        kernel.check_mine(component, "start a context with")
+        if as_group(component) is None:
+            context.runner.check_can_add(component)
+    if group_among(components) is not None:
+        check_free(components, "start")
+        for group in filter(None, map(as_group, components)):
+            group.check_startable()
+    running = flattened(components)
+    if len(set(map(id, running))) != len(running) or len(set(map(id, components))) != len(components):
+        raise StateError(f"{context.name or context.kind}: a component was given twice")
+    if not context.runner.named and (context.name == "" or context.name in kernel.contexts):
+        context.name = kernel._free_name(context.kind or type(context).__name__)
+    if context.name in kernel.contexts:
+        raise InvalidNameError(f"{context.name}: there is a context of that name in {kernel.name}; choose another")
+
+
+async def start(
+    kernel: Microkernel, context: Context, components: Sequence[Component], *, activate: bool, timeout: float | None
+) -> None:
+    """Start a context that was checked; when the caller is cancelled, or it cannot begin, nothing of it stays."""
+    kernel._pool.look_out()
+    group = group_among(components)
+    beginning = _start if group is None else group.start
+    queued = owner_of(current_task()) in flattened(components)
+    steps = beginning(kernel, context, components, activate=activate, timeout=None if queued else timeout)
+    starting = kernel_task(kernel.loop, steps, f"aiorts start {context.name}")
+    if queued:
+        starting.add_done_callback(lambda task: _after_start(kernel, context, task))
+        await give_turn()
+        return
+    try:
+        await asyncio.shield(starting)
+    except asyncio.CancelledError:
+        await see_through(kernel_task(kernel.loop, _undo(kernel, context, starting), f"aiorts stop {context.name}"))
+        raise
+    finally:
+        _forget_unless_running(kernel, context)
+
+
+async def _start(
+    kernel: Microkernel, context: Context, components: Sequence[Component], *, activate: bool, timeout: float | None
+) -> None:
+    context.runner.divide(None)
+    await context.runner.begin(kernel, components, activate=activate, timeout=timeout)
+
+
+async def _undo(kernel: Microkernel, context: Context, starting: asyncio.Task[None]) -> None:
+    # It was made first, so it has taken its first step and has a driver, or it has failed.
+    await context.runner.end(StopBudget(kernel.loop))
+    await asyncio.wait([starting])
+    await context.runner.end(StopBudget(kernel.loop))  # members of composites had to leave others first
+    if not starting.cancelled():
+        starting.exception()
+
+
+def _after_start(kernel: Microkernel, context: Context, task: asyncio.Task[None]) -> None:
+    error = None if task.cancelled() else task.exception()
+    _forget_unless_running(kernel, context)
+    if error is not None:
+        _LOG.warning("%s: queued request to start %s failed: %s", kernel.name, context.name, error)
+
+
+def _forget_unless_running(kernel: Microkernel, context: Context) -> None:
+    if not context.running:
+        context.runner.let_go()
+        kernel._context_ended(context)

@@ -1,0 +1,209 @@
+"""Parameters as values: this file decides whether a value may be in force; it keeps no value and publishes nothing.
+
+A `ParameterSpec` is what a component declares; `check` converts one value or refuses it, `validate` does the same for
+several at once: all of them or none. What text becomes, from a command line or a system file, stands in
+`aiorts.model.values`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import InitVar, field, replace
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import ConfigurationError, DeclarationError
+from aiorts.late import dataclass
+from aiorts.model.configuration.constraints import Constraint
+from aiorts.model.names import check_name
+from aiorts.model.values import (
+    convert_value,
+    element_types,
+    infer_type,
+    is_path,
+    leaf_types,
+    shown,
+    type_text,
+    value_type,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ("WIDGETS", "Constraint", "ParameterSpec", "validate")
+
+_NOTHING: Final = object()
+
+WIDGETS: Final = {
+    "text": "",
+    "slider": "range",
+    "spin": "range",
+    "radio": "choices",
+    "checkbox": "choices",
+    "ordered_list": "choices",
+}
+"""What an editor can show, and what each needs to be declared. "slider.0.1" is a slider that moves in steps of 0.1."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One declared parameter.
+
+    `type` is bool, int, float, str, pathlib.Path, an Enum, tuple[X, ...], tuple[X, Y],
+    Mapping[str, X] or X | None; when it is None it
+    comes from the default. `owner` (the component class) only stands in messages. Raises DeclarationError when the
+    default does not fit, and InvalidNameError for the name.
+    """
+
+    name: str
+    default: Any
+    type: Any = None
+    unit: str = ""
+    doc: str = ""
+    constraint: Constraint = field(default_factory=Constraint)
+    widget: str = ""
+    validator: Callable[[Any], object] | None = None
+    """Asked by the core before a value comes into force; raising ValueError refuses it."""
+    owner: InitVar[str] = ""
+
+    def __post_init__(self, owner: str) -> None:
+        check_name(self.name, "parameter")
+        where = f"{owner}.{self.name}" if owner else self.name
+        try:
+            kind = infer_type(self.default) if self.type is None else self.type
+            leaf_types(kind)
+        except (TypeError, ValueError) as error:
+            raise DeclarationError(f"{where}: {error}") from None
+        object.__setattr__(self, "type", kind)
+        object.__setattr__(self, "constraint", _checked_constraint(where, kind, self.constraint))
+        try:
+            default = convert_value(self.default, kind)
+        except (TypeError, ValueError) as error:
+            raise DeclarationError(f"{where}: default {shown(self.default)}: {error}") from None
+        if (fault := self.constraint.fault(default)) is not None:
+            raise DeclarationError(f"{where}: default {shown(default)} {fault}")
+        object.__setattr__(self, "default", default)
+        if self.widget and (fault := _widget_fault(self.widget, self.constraint)):
+            raise DeclarationError(f"{where}: widget={self.widget!r}: {fault}")
+
+    @property
+    def type_text(self) -> str:
+        """The type as one writes it ("float", "tuple[int, ...]")."""
+        return type_text(self.type)
+
+    def check(self, value: object, *, owner: str = "", current: object = _NOTHING) -> Any:
+        """The value as the parameter holds it: immutable, of the parameter's type, inside its constraint.
+
+        `owner` (the component's name) and `current` (the value in force) only stand in the message. Raises
+        ConfigurationError ("pid0.gain = -1.0: must be >= 0.0; 2.0 kept").
+        """
+        checked, fault = self._judge(value)
+        if fault is None:
+            return checked
+        where = f"{owner}.{self.name}" if owner else self.name
+        kept = "" if current is _NOTHING else f"; {shown(current)} kept"
+        raise ConfigurationError(f"{where} = {shown(value)}: {fault}{kept}")
+
+    def _judge(self, value: object) -> tuple[Any, str | None]:
+        try:
+            checked = convert_value(value, self.type)
+        except (TypeError, ValueError) as error:
+            return None, str(error)
+        return checked, self.constraint.fault(checked)
+
+
+def validate(
+    specs: Mapping[str, ParameterSpec],
+    changes: Mapping[str, object],
+    *,
+    owner: str = "",
+    current: Mapping[str, object] | None = None,
+) -> dict[str, Any]:
+    """All changes converted and checked, in their order; or one ConfigurationError that names every bad one.
+
+    An unknown name is answered with near ones. Nothing is half done: the caller puts the result in force or keeps all.
+    """
+    check_mapping(changes, owner)
+    checked: dict[str, Any] = {}
+    refused: list[tuple[str, str]] = []
+    for name, value in changes.items():
+        spec = specs.get(name)
+        if spec is None:
+            refused.append((name, _unknown(name, specs)))
+            continue
+        result, fault = spec._judge(value)
+        if fault is None:
+            checked[name] = result
+        else:
+            kept = "" if current is None or name not in current else f"; {shown(current[name])} kept"
+            refused.append((name, f" = {shown(value)}: {fault}{kept}"))
+    if not refused:
+        return checked
+    listed = "\n  ".join(f"{owner}.{name}{why}" if owner else f"{name}{why}" for name, why in refused)
+    if len(changes) == 1:
+        raise ConfigurationError(listed)
+    count = f"{len(refused)} of {len(changes)} changes refused, none was made"
+    raise ConfigurationError(f"{owner + ': ' if owner else ''}{count}:\n  {listed}")
+
+
+def check_mapping(given: object, owner: str, expected: str = "values by parameter") -> None:
+    """Raise ConfigurationError unless something is given by name."""
+    if not isinstance(given, Mapping):
+        raise ConfigurationError(f"{owner}: expected {expected}, such as {{...}}, got {shown(given)}")
+
+
+def _unknown(name: object, specs: Mapping[str, ParameterSpec]) -> str:
+    near = get_close_matches(str(name), specs, n=3)
+    if near:
+        return f": no such parameter; did you mean {' or '.join(near)}?"
+    return f": no such parameter; there are {', '.join(specs)}" if specs else ": no such parameter; there are none"
+
+
+def _checked_constraint(where: str, kind: Any, constraint: Constraint) -> Constraint:
+    """The constraint with its choices converted to the parameter's type."""
+    if constraint.elements is not None:
+        kinds = element_types(kind, len(constraint.elements))
+        if kinds is None:
+            count = len(constraint.elements)
+            raise DeclarationError(f"{where}: constraints of {count} elements, the type is {type_text(kind)}")
+        parts = zip(kinds, constraint.elements, strict=True)
+        return Constraint(elements=tuple(_checked_constraint(where, *part) for part in parts))
+    if constraint.keys is not None:
+        item = value_type(kind)
+        if item is None:
+            raise DeclarationError(f"{where}: constraints of keys need a mapping, the type is {type_text(kind)}")
+        parts_by_key = constraint.keys.items()
+        return Constraint(keys={key: _checked_constraint(where, item, part) for key, part in parts_by_key})
+    leaf_kinds = leaf_types(kind)
+    if constraint.bounded and not all(leaf in (int, float) for leaf in leaf_kinds):
+        raise DeclarationError(f"{where}: a bound ({constraint}) needs numbers, the type is {_names(leaf_kinds)}")
+    if constraint.pattern is not None and not all(leaf is str or is_path(leaf) for leaf in leaf_kinds):
+        raise DeclarationError(f"{where}: pattern={constraint.pattern!r} needs text, the type is {_names(leaf_kinds)}")
+    if constraint.choices is None:
+        return constraint
+    if len(set(leaf_kinds)) != 1:
+        raise DeclarationError(f"{where}: choices need one element type, the type has {_names(leaf_kinds)}")
+    try:
+        choices = tuple(convert_value(choice, leaf_kinds[0]) for choice in constraint.choices)
+    except (TypeError, ValueError) as error:
+        raise DeclarationError(f"{where}: choices={constraint.choices!r}: {error}") from None
+    return replace(constraint, choices=choices)
+
+
+def _names(kinds: tuple[Any, ...]) -> str:
+    return " and ".join(dict.fromkeys(type_text(kind) for kind in kinds))
+
+
+def _widget_fault(widget: str, constraint: Constraint) -> str | None:
+    kind, _, step = widget.partition(".")
+    if kind not in WIDGETS:
+        near = get_close_matches(kind, WIDGETS, n=1)
+        return f"unknown; {'did you mean ' + near[0] + '?' if near else 'there are ' + ', '.join(WIDGETS)}"
+    if step and (kind != "slider" or not re.fullmatch(r"\d+(\.\d+)?", step)):
+        return "only a slider has a step, a number (slider.0.1)"
+    if WIDGETS[kind] == "range" and (constraint.lower is None or constraint.upper is None):
+        return "needs a lower and an upper bound"
+    if WIDGETS[kind] == "choices" and constraint.choices is None:
+        return "needs choices"
+    return None

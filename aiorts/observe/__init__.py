@@ -1,0 +1,39 @@
+"""Looks into a kernel: its profile, changes of it, chosen values, heart-beats, listeners of connectors.
+
+It is a service of the kernel, made when somebody first looks. Nothing in it changes the system or takes a sample.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.observe.change_values import Change, ProfileSnapshot
+    from aiorts.observe.changes import Changes, system_profile_in_turns
+    from aiorts.observe.declaration import Declaration, declaration_of
+    from aiorts.observe.heartbeats import ComponentBeat, ContextBeat
+    from aiorts.observe.html import html_of, kernel_html
+    from aiorts.observe.introspection import Introspection
+    from aiorts.observe.listening import ConnectorEvent, ConnectorEventKind, Listening
+    from aiorts.observe.monitor import Monitor
+    from aiorts.observe.profiles import CompositeReport, MachineReport, ModeReport, SystemProfile
+    from aiorts.observe.profiling import system_profile
+    from aiorts.observe.schema import profile_schema
+
+_late(
+    globals(),
+    {
+        "aiorts.observe.change_values": "Change ProfileSnapshot",
+        "aiorts.observe.changes": "Changes system_profile_in_turns",
+        "aiorts.observe.declaration": "Declaration declaration_of",
+        "aiorts.observe.heartbeats": "ComponentBeat ContextBeat",
+        "aiorts.observe.html": "html_of kernel_html",
+        "aiorts.observe.introspection": "Introspection",
+        "aiorts.observe.listening": "ConnectorEvent ConnectorEventKind Listening",
+        "aiorts.observe.monitor": "Monitor",
+        "aiorts.observe.profiles": "CompositeReport MachineReport ModeReport SystemProfile",
+        "aiorts.observe.profiling": "system_profile",
+        "aiorts.observe.schema": "profile_schema",
+    },
+)

@@ -1,0 +1,80 @@
+"""What changed in a system, as values: applied to the profile it belongs to, a change gives the next profile."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+from aiorts.late import dataclass
+from aiorts.model.plain import plain
+from aiorts.observe.profiles import (
+    ComponentReport,
+    ConnectorReport,
+    ContextReport,
+    ServiceConnectorReport,
+    SystemProfile,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One named thing of a profile: as it is now, or gone."""
+
+    section: str
+    """"components", "connectors", "service_connectors" or "contexts"."""
+    name: str
+    now: ComponentReport | ConnectorReport | ServiceConnectorReport | ContextReport | None
+    """None when it is gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One event and every part of the profile that is different since."""
+
+    sequence: int
+    event: Any
+    """The event of the bus."""
+    parts: tuple[Part, ...]
+
+    def apply(self, profile: SystemProfile) -> SystemProfile:
+        """The profile after this change."""
+        sections: dict[str, dict[str, Any]] = {}
+        for part in self.parts:
+            section = sections.setdefault(part.section, dict(getattr(profile, part.section)))
+            if part.now is None:
+                section.pop(part.name, None)
+            else:
+                section[part.name] = part.now
+        frozen: dict[str, Any] = {name: MappingProxyType(section) for name, section in sections.items()}
+        return replace(profile, sequence=self.sequence, **frozen)
+
+    def to_plain(self) -> dict[str, Any]:
+        """As JSON has it: the kind of event, its fields, and the parts."""
+        event = plain(self.event)
+        fields = {name: value for name, value in event.items() if name != "sequence"}
+        parts = [plain(part) for part in self.parts]
+        return {"sequence": self.sequence, "kind": type(self.event).__name__, "event": fields, "parts": parts}
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileSnapshot:
+    """The whole profile: the first that a reader of the changes gets, and again whenever it was too slow for them."""
+
+    sequence: int
+    profile: SystemProfile
+    missed: int = 0
+    """Changes that this stands for."""
+
+    def apply(self, profile: SystemProfile | None = None) -> SystemProfile:
+        """The profile after this."""
+        return self.profile
+
+    def to_plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {
+            "sequence": self.sequence,
+            "kind": "ProfileSnapshot",
+            "missed": self.missed,
+            "profile": self.profile.to_plain(),
+        }

@@ -1,0 +1,80 @@
+"""`kernel.heartbeat()`: a sign of life of each context and component at an interval, with whether it really lives.
+
+A beat is sent by the loop, so that nobody can send one for somebody else; what a beat says is what was seen: whether
+the context has run a cycle, or been idle as it should, since the last one. The beats of a loop that is held stop.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+from aiorts.kernel.loop.bus import Event
+from aiorts.late import dataclass
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.kernel.microkernel import Microkernel
+
+
+@dataclass(frozen=True, slots=True)
+class ContextBeat(Event):
+    """A context is there. Only sent to those who subscribe to this very class, while heart-beats are on."""
+
+    quiet: ClassVar[bool] = True
+    context: str
+    cycles: int
+    """Cycles run so far."""
+    progressed: bool
+    """Whether it did what it has to since the last beat; False for one whose hook has not come back."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentBeat(Event):
+    """A component is there. Only sent to those who subscribe to this very class, while heart-beats are on."""
+
+    quiet: ClassVar[bool] = True
+    component: str
+    states: Mapping[str, str]
+    """Lifecycle state by context."""
+    progressed: bool
+    """Whether all of its contexts did; True for one in no context."""
+
+
+class Heartbeat:
+    """Beats at an interval on the kernel's clock until `stop()` or the end of the kernel."""
+
+    def __init__(self, kernel: Microkernel, interval: float) -> None:
+        self._kernel = kernel
+        self._interval = interval
+        self._seen: dict[str, int] = {}
+        self._timer: Cancellable | None = None
+        self._arm()
+
+    def stop(self) -> None:
+        """Send no more; idempotent."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _arm(self) -> None:
+        self._timer = self._kernel.call_later(self._interval, self._beat)
+
+    def _beat(self) -> None:
+        kernel = self._kernel
+        if kernel.closed:
+            return
+        self._arm()
+        alive: dict[str, bool] = {}
+        seen: dict[str, int] = {}
+        for name, context in tuple(kernel.contexts.items()):
+            seen[name] = activity = context.runner.activity()
+            inside = context.runner.current is not None
+            alive[name] = not inside or self._seen.get(name) != activity
+            kernel.bus.publish(ContextBeat(name, context.statistics.cycles, alive[name]))
+        self._seen = seen
+        for name, component in tuple(kernel.components.items()):
+            states = {context: state.value for context, state in component.states.items()}
+            progressed = all(alive.get(context, True) for context in states)
+            kernel.bus.publish(ComponentBeat(name, states, progressed))

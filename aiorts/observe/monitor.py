@@ -1,0 +1,176 @@
+"""`kernel.monitor([...], rate)`: chosen values at a rate, looked at and never taken.
+
+What can be named, with the kernel's own paths:
+
+    component.port                the newest sample that can be seen without reading it
+    component.port.field          a field of it
+    component.parameter           the value in force
+    component.state               lifecycle state, by context where there are several
+    connector.written             also delivered, buffered, dropped
+    context.ticks                 also lateness, the greatest so far in seconds, overruns, skipped, rate
+
+Of an in-port that is the newest unread sample, else the one read last; of an out-port what its first reader can see.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import ConfigurationError, WiringError
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.late import dataclass
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+
+_LEDGER: Final[Mapping[str, Callable[[Connector], Any]]] = {
+    "written": lambda connector: connector.statistics.written,
+    "delivered": lambda connector: connector.statistics.delivered,
+    "buffered": lambda connector: connector.statistics.buffered,
+    "dropped": lambda connector: sum(connector.statistics.dropped.values()),
+}
+_CONTEXT: Final[Mapping[str, Callable[[Context], Any]]] = {
+    "ticks": lambda context: context.statistics.cycles,
+    "rate": lambda context: context.rate,
+    "lateness": lambda context: context.statistics.lateness_max_ns / 1e9,
+    "overruns": lambda context: context.statistics.overruns,
+    "skipped": lambda context: context.statistics.skipped,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What was seen at one moment."""
+
+    time_ns: int
+    """The kernel's clock, since the epoch."""
+    monotonic_ns: int
+    values: Mapping[str, Any]
+    """By the requested path; None for what is not there now: no sample yet, or a component that is gone."""
+    missed: int = 0
+    """Readings left out since the last one: the reader was slower than the rate."""
+
+
+class Monitor:
+    """An async iterator of `Reading`, `rate` times a second on the kernel's clock; ends with its kernel."""
+
+    def __init__(self, kernel: Microkernel, paths: Sequence[str], rate: float) -> None:
+        if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0.0 < rate <= 10_000.0:
+            raise ConfigurationError(f"monitor: rate = {rate!r}: expected a number of Hz above 0 and up to 10,000")
+        if isinstance(paths, str) or not paths or not all(isinstance(path, str) for path in paths):
+            raise ConfigurationError(f'monitor({paths!r}): expected a list of paths, such as ["pid0.gain"]')
+        self._kernel = kernel
+        self._paths = tuple(paths)
+        self._period_ns = round(1e9 / rate)
+        self._due_ns: int | None = None
+        for path in self._paths:
+            _look(kernel, path)
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Reading:
+        kernel, missed = self._kernel, 0
+        now_ns = kernel.clock.monotonic_ns()
+        if self._due_ns is None:
+            self._due_ns = now_ns
+        else:
+            late = max(0, now_ns - self._due_ns) // self._period_ns
+            missed = max(0, late - 1)
+            self._due_ns += (missed + 1) * self._period_ns
+            if not kernel.closed:
+                await self._wait(self._due_ns - now_ns)
+        if kernel.closed:
+            raise StopAsyncIteration
+        values = {path: self._value(path) for path in self._paths}
+        clock = kernel.clock
+        return Reading(clock.time_ns(), clock.monotonic_ns(), MappingProxyType(values), missed)
+
+    async def _wait(self, duration_ns: int) -> None:
+        if duration_ns <= 0:
+            await asyncio.sleep(0)
+            return
+        over = self._kernel.loop.create_future()
+
+        def wake(*_: object) -> None:
+            if not over.done():
+                over.set_result(None)
+
+        timer = self._kernel.call_later(duration_ns / 1e9, wake)
+        self._kernel.closing.add_done_callback(wake)
+        try:
+            await over
+        finally:
+            timer.cancel()
+            self._kernel.closing.remove_done_callback(wake)
+
+    def _value(self, path: str) -> Any:
+        try:
+            return _look(self._kernel, path)
+        except WiringError:
+            return None  # it was there when it was asked for, and may be again
+
+
+def _look(kernel: Microkernel, path: str) -> Any:
+    """The value at this moment.
+
+    Raises:
+        WiringError: there is no such thing; says what there is.
+    """
+    owner, _, rest = path.partition(".")
+    first, _, field = rest.partition(".")
+    component = kernel.components.get(owner)
+    if component is not None and first:
+        return _of_component(component, path, first, field)
+    name, _, what = path.rpartition(".")
+    context, connector = kernel.contexts.get(name), kernel.connectors.get(name)
+    if context is not None and what in _CONTEXT:
+        return _CONTEXT[what](context)
+    if connector is not None and what in _LEDGER:
+        return _LEDGER[what](connector)
+    if component is not None:
+        there = ", ".join((*component.ports, *component.params, "state"))
+        raise WiringError(f"{path}: is a component; say what of it, such as {path}.state; it has {there}")
+    if context is not None or connector is not None:
+        raise WiringError(f"{path}: {name} has no {what!r}; it has {', '.join(_CONTEXT if context else _LEDGER)}")
+    known = [*kernel.components, *kernel.contexts, *kernel.connectors]
+    near = get_close_matches(owner, known, 1)
+    advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:20]) or 'none'}"
+    raise WiringError(f"{path}: there is no component, context or connector {owner!r}; {advice}")
+
+
+def _of_component(component: Component, path: str, first: str, field: str) -> Any:
+    port = component.ports.get(first)
+    if port is not None:
+        sample = _seen(port)
+        for name in field.split(".") if field and sample is not None else ():
+            if not hasattr(sample, name):
+                raise WiringError(f"{path}: {type(sample).__name__} has no field {name!r}")
+            sample = getattr(sample, name)
+        return sample
+    if not field and first in component.params:
+        return component.params[first].value
+    if not field and first == "state":
+        states = {name: state.value for name, state in component.states.items()}
+        return next(iter(states.values()), None) if len(states) < 2 else states
+    there = ", ".join((*component.ports, *component.params, "state"))
+    raise WiringError(f"{path}: {component.name} has no {first!r}; it has {there}")
+
+
+def _seen(port: Port[Any]) -> Any:
+    """A sample of the port, without an effect: it stays as unread as it is."""
+    if isinstance(port, OutPort):
+        return next((seen for one in port.connectors if (seen := _seen(one.in_)) is not None), None)
+    if not isinstance(port, InPort):
+        return None
+    return receiver_of(port).look()

@@ -1,0 +1,247 @@
+"""The whole system as one frozen value: `Kernel.profile()` makes it, `to_json` writes it, nothing edits it.
+
+All that has a name stands in a mapping by that name, so two profiles are equal when the systems are, whatever the
+order things were made in. What only some components have (a state machine, modes, members) is None for the others.
+Numbers of JSON are finite: NaN and the infinities are the texts "NaN", "Infinity" and "-Infinity".
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import field, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.late import dataclass
+from aiorts.model.blame import GcPauses
+from aiorts.model.plain import plain
+from aiorts.model.profile import ConnectorProfile, ConnectorStatistics, ContextStatistics, LogLine, PortProfile
+from aiorts.model.service_profile import ServiceStatistics
+
+PROFILE_VERSION: Final = 1
+"""Raised whenever a reader of the last one would be misled."""
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterReport:
+    """A parameter: what is in force and what may be."""
+
+    value: Any
+    default: Any
+    type: str
+    unit: str = ""
+    doc: str = ""
+    widget: str = ""
+    allowed: str = ""
+    """In one line, such as "0.0 <= x <= 10.0"; empty when everything is."""
+    ge: float | None = None
+    gt: float | None = None
+    le: float | None = None
+    lt: float | None = None
+    choices: tuple[Any, ...] | None = None
+    pattern: str | None = None
+    declared: bool = True
+    """Whether the class declares it; else it was added at run time."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationReport:
+    """Configuration sets: which is active, and what each holds; what a set does not name is as in "default"."""
+
+    active: str = "default"
+    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
+
+
+@dataclass(frozen=True, slots=True)
+class MachineReport:
+    """The state machine of a component at one moment."""
+
+    chart: str
+    """The name of its table."""
+    states: tuple[str, ...]
+    """The active ones, the outer before the inner; none while the component is not active."""
+    history: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    """The states that each history stands for; nothing before its state was left once."""
+    timers: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    """When each that runs is due, on the kernel's monotonic clock, in nanoseconds."""
+    ignored: int = 0
+    """Events that led to nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModeReport:
+    """The modes of a component: which there are, and in which it is."""
+
+    modes: tuple[str, ...]
+    mode: str
+    by_context: Mapping[str, str]
+    pending: str | None = None
+    """Asked for, and not yet in force in every context."""
+
+
+@dataclass(frozen=True, slots=True)
+class CompositeReport:
+    """What a composite is made of."""
+
+    members: tuple[str, ...]
+    """In the order stated."""
+    parts: tuple[str, ...]
+    """What runs with it, in order of execution; those of composites in it in their place."""
+    exported: Mapping[str, str]
+    """The ports it shows: each name with the path of the member's port."""
+    groups: tuple[tuple[str, ...], ...] = ()
+    """What runs side by side."""
+    order: str = "stated"
+    errors: str = "stop"
+    """What an error of one member means for the composite."""
+    own_schedule: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ComponentReport:
+    """A component at one moment."""
+
+    type: str
+    """"module:Class"."""
+    doc: str
+    """The first line of what the class says of itself."""
+    ports: Mapping[str, PortProfile]
+    params: Mapping[str, ParameterReport]
+    configuration: ConfigurationReport
+    states: Mapping[str, str]
+    """Lifecycle state by context."""
+    last_error: str | None = None
+    log: tuple[LogLine, ...] = ()
+    """The last lines it logged, oldest first."""
+    calls: Mapping[str, ServiceStatistics] = field(default_factory=lambda: _NOTHING)
+    """The calls through each interface of its service ports, by "port", or "port.interface" where the names differ."""
+    machine: MachineReport | None = None
+    modes: ModeReport | None = None
+    composite: CompositeReport | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectorReport:
+    """A connector at one moment: between which ports, the options in force, the ledger."""
+
+    source: str
+    target: str
+    options: ConnectorProfile
+    ledger: ConnectorStatistics
+
+
+@dataclass(frozen=True, slots=True)
+class BindingReport:
+    """A required interface bound to a provided one at one moment."""
+
+    required: str
+    provided: str
+    """Paths; of the caller's end and of the one that answers."""
+    interface: str
+    statistics: ServiceStatistics = field(default_factory=ServiceStatistics)
+    """Of the calls over this binding alone."""
+    waiting: int = 0
+    """Calls that wait or run."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceConnectorReport:
+    """A connector of two service ports at one moment."""
+
+    ports: tuple[str, ...]
+    """Paths, in the order they were given."""
+    bindings: tuple[BindingReport, ...]
+    strict: bool = True
+    """Whether it was to bind every required interface or none."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContextReport:
+    """An execution context at one moment."""
+
+    kind: str
+    rate: float | None
+    """Hz, where it has a rate."""
+    members: tuple[str, ...]
+    """In order of execution."""
+    statistics: ContextStatistics
+
+
+@dataclass(frozen=True, slots=True)
+class ClockReport:
+    """The kernel's clock at the moment of the profile."""
+
+    kind: str
+    time_ns: int
+    """Since the epoch."""
+    monotonic_ns: int
+    uptime_ns: int
+    """Since the kernel was opened."""
+    speed: float
+    """Seconds of this clock in one real second; 0 where it does not follow the real one."""
+
+
+@dataclass(frozen=True, slots=True)
+class SystemProfile:
+    """A kernel and all that is in it, at one moment."""
+
+    name: str
+    sequence: int
+    """Number of the last event of the bus that this profile knows of."""
+    state: str
+    """"open", "closing" or "closed"."""
+    clock: ClockReport
+    versions: Mapping[str, str]
+    components: Mapping[str, ComponentReport]
+    connectors: Mapping[str, ConnectorReport]
+    contexts: Mapping[str, ContextReport]
+    gc_pauses: Mapping[str, GcPauses] = field(default_factory=lambda: _NOTHING)
+    service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
+    services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
+    """What services attached to the kernel say of themselves, by name."""
+    schema: int = PROFILE_VERSION
+
+    def to_plain(self) -> dict[str, Any]:
+        """The profile as JSON has it: dicts, lists, text, numbers, true, false, null."""
+        made: dict[str, Any] = plain(self)
+        return made
+
+    def to_json(self, indent: int | None = None) -> str:
+        """One JSON document, valid by `aiorts.profile_schema()`. It may be called in any thread."""
+        return json.dumps(self.to_plain(), ensure_ascii=False, allow_nan=False, indent=indent)
+
+    def structure(self) -> SystemProfile:
+        """The same without what changes without an event: time, ledgers, statistics, log lines, pauses, what a state
+        machine remembers, timers, modes that are pending."""
+        return replace(
+            self,
+            sequence=0,
+            clock=replace(self.clock, time_ns=0, monotonic_ns=0, uptime_ns=0),
+            components={name: _lasting(one) for name, one in self.components.items()},
+            connectors={name: replace(one, ledger=_EMPTY_LEDGER) for name, one in self.connectors.items()},
+            contexts={name: replace(one, statistics=_NO_STATISTICS) for name, one in self.contexts.items()},
+            service_connectors={name: _unused(one) for name, one in self.service_connectors.items()},
+            gc_pauses=_NOTHING,
+            services=_NOTHING,
+        )
+
+
+def _lasting(one: ComponentReport) -> ComponentReport:
+    """What an event is about."""
+    machine, modes = one.machine, one.modes
+    if machine is not None:
+        machine = MachineReport(machine.chart, machine.states)
+    if modes is not None:
+        modes = replace(modes, pending=None)
+    return replace(one, log=(), calls=_NOTHING, machine=machine, modes=modes)
+
+
+def _unused(one: ServiceConnectorReport) -> ServiceConnectorReport:
+    bindings = tuple(BindingReport(each.required, each.provided, each.interface) for each in one.bindings)
+    return replace(one, bindings=bindings)
+
+
+_EMPTY_LEDGER: Final = ConnectorStatistics(0, 0, 0, _NOTHING)
+_NO_STATISTICS: Final = ContextStatistics(0)

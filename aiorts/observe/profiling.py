@@ -1,0 +1,159 @@
+"""Takes the profile of a system, or of a part of it: on the loop, at one moment, without disturbing what it looks at.
+
+No sample is taken, no lock is waited for longer than a ledger takes, and what cannot have changed since the last
+profile is not described again.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakKeyDictionary
+
+from aiorts.clock import SimulatedClock
+from aiorts.diagnostics import DeadlineMonitor
+from aiorts.errors import format_error
+from aiorts.kernel.declarations import declarations, kinds_of
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.service import reports
+from aiorts.model.configuration.parameters import ParameterSpec
+from aiorts.observe import special_reports
+from aiorts.observe.profiles import (
+    ClockReport,
+    ComponentReport,
+    ConfigurationReport,
+    ConnectorReport,
+    ContextReport,
+    ParameterReport,
+    ServiceConnectorReport,
+    SystemProfile,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.services import ServiceConnector
+
+_BOUNDS: Final = ("ge", "gt", "le", "lt", "choices", "pattern")
+_frozen: Final = MappingProxyType
+_KNOWN: Final[WeakKeyDictionary[type, _Kind]] = WeakKeyDictionary()
+
+
+class _Kind:
+    """What all components of a class have in common."""
+
+    __slots__ = ("doc", "name", "params")
+
+    def __init__(self, cls: type[Component]) -> None:
+        self.name = f"{cls.__module__}:{cls.__qualname__}"
+        doc = (cls.__doc__ or "").strip()
+        self.doc = doc.splitlines()[0] if doc else ""
+        self.params = {name: _described(spec, True) for name, spec in declarations(cls).parameters.items()}
+
+
+def system_profile(kernel: Microkernel) -> SystemProfile:
+    """All there is at this moment."""
+    components = kernel.components.items()
+    return profile_with(
+        kernel,
+        {name: component_report(component) for name, component in components if visible(kernel, component)},
+        {name: connector_report(connector) for name, connector in kernel.connectors.items()},
+        {name: service_report(connector) for name, connector in kernel.service_connectors.items()},
+    )
+
+
+def profile_with(
+    kernel: Microkernel,
+    components: dict[str, ComponentReport],
+    connectors: dict[str, ConnectorReport],
+    service_connectors: dict[str, ServiceConnectorReport],
+) -> SystemProfile:
+    """The profile of this moment with reports that are at hand."""
+    clock, monitor = kernel.clock, kernel.attached(DeadlineMonitor)
+    return SystemProfile(
+        kernel.name,
+        kernel.bus.sequence,
+        kernel.state,
+        ClockReport(
+            type(clock).__name__,
+            clock.time_ns(),
+            clock.monotonic_ns(),
+            clock.monotonic_ns() - kernel.opened_ns,
+            0.0 if isinstance(clock, SimulatedClock) else clock.speed,
+        ),
+        _versions(),
+        MappingProxyType(components),
+        MappingProxyType(connectors),
+        MappingProxyType({name: context_report(context) for name, context in kernel.contexts.items()}),
+        MappingProxyType({} if monitor is None else {str(which): one for which, one in monitor.gc_pauses.items()}),
+        MappingProxyType(service_connectors),
+        reports(kernel.services),
+    )
+
+
+def visible(kernel: Microkernel, component: Component) -> bool:
+    """Whether it is in the system: not while its `on_initialize` runs, which may still fail."""
+    return not kernel.registry.is_arriving(component)
+
+
+def component_report(component: Component) -> ComponentReport:
+    """A component at this moment."""
+    kind = _KNOWN.get(type(component))
+    if kind is None:
+        kind = _KNOWN[type(component)] = _Kind(type(component))
+    error = component.last_error
+    params, here = component.params, cell(component)
+    ports, state = here.ports, here.configuration
+    return ComponentReport(
+        kind.name,
+        kind.doc,
+        special_reports.exported_ports(ports)
+        if here.stands_for is not None
+        else _frozen({n: p.profile for n, p in ports.items()}),
+        _frozen({name: ParameterReport(value, *_rest(kind, params, name)) for name, value in state.values.items()}),
+        ConfigurationReport(state.active, state.sets),
+        _frozen({context: state.value for context, state in component.states.items()}),
+        None if error is None else format_error(error),
+        () if here.log is None else here.log.last_lines,
+        special_reports.calls(ports),
+        **{field: report for one in kinds_of(component) for field, report in one.reports(component).items()},
+    )
+
+
+def connector_report(connector: Connector) -> ConnectorReport:
+    """A connector at this moment."""
+    return ConnectorReport(connector.out.path, connector.in_.path, connector.profile, connector.statistics)
+
+
+def service_report(connector: ServiceConnector) -> ServiceConnectorReport:
+    """A connector of service ports at this moment."""
+    return special_reports.service_connector(connector)
+
+
+def context_report(context: Context) -> ContextReport:
+    """A context at this moment."""
+    members = tuple(member.component.name for member in context.runner.members)
+    return ContextReport(context.kind, context.rate, members, context.statistics)
+
+
+def _rest(kind: _Kind, params: Mapping[str, Any], name: str) -> tuple[Any, ...]:
+    return kind.params.get(name) or _described(params[name].spec, False)
+
+
+def _described(spec: ParameterSpec, declared: bool) -> tuple[Any, ...]:
+    """All fields of a ParameterReport but the value."""
+    limits = (getattr(spec.constraint, name) for name in _BOUNDS)
+    return (spec.default, spec.type_text, spec.unit, spec.doc, spec.widget, str(spec.constraint), *limits, declared)
+
+
+def _versions() -> Mapping[str, str]:
+    ours = sys.modules["aiorts"].__version__
+    return MappingProxyType(
+        {"aiorts": ours, "python": platform.python_version(), "implementation": platform.python_implementation()}
+    )

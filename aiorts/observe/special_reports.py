@@ -1,0 +1,51 @@
+"""What a profile says of the services of a component, and under which names a group shows its members' ports."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.observe.profiles import BindingReport, ServiceConnectorReport
+from aiorts.services import ServicePort
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from aiorts.kernel.ports import Port
+    from aiorts.model.profile import PortProfile
+    from aiorts.model.service_profile import ServiceStatistics
+    from aiorts.services import ServiceConnector
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+def calls(ports: Mapping[str, Port[Any]]) -> Mapping[str, ServiceStatistics]:
+    """The calls through each interface, by its path in the component."""
+    services = [(name, port) for name, port in ports.items() if isinstance(port, ServicePort)]
+    if not services:
+        return _NOTHING
+    return MappingProxyType(
+        {
+            name if end.instance == port.name else f"{name}.{end.instance}": end.statistics
+            for name, port in services
+            for end in port.interfaces
+        }
+    )
+
+
+def service_connector(connector: ServiceConnector) -> ServiceConnectorReport:
+    """Who is bound with whom, and what came of it."""
+    bindings = tuple(
+        BindingReport(
+            link.required.path, link.provided.path, link.required.spec.name, link.tally.statistics, len(link.calls)
+        )
+        for link in connector.links
+    )
+    profile = connector.profile
+    return ServiceConnectorReport(profile.ports, bindings, profile.strict)
+
+
+def exported_ports(ports: Mapping[str, Port[Any]]) -> Mapping[str, PortProfile]:
+    """Members' ports under the names they are exported as."""
+    return MappingProxyType({name: replace(port.profile, name=name) for name, port in ports.items()})

@@ -1,0 +1,111 @@
+"""What a real-time thread asks of the system for itself: a scheduling class, processors, exact timers, resident memory.
+
+Everything here runs in that thread. What is denied is kept with the reason and what to do about it; nothing is raised.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Final
+
+from aiorts.late import dataclass
+from aiorts.realtime import process
+from aiorts.realtime.nanosleep import Sleep, relative_sleep, set_timer_slack, sleeper
+
+_SLACK_NS: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a real-time context asks the system for."""
+
+    priority: int | None = None
+    cpus: frozenset[int] | None = None
+    lock_memory: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """What is in force for a real-time context; all empty before it starts and in simulated time."""
+
+    priority: int | None = None
+    """Of SCHED_FIFO; None: scheduled as any other thread."""
+    cpus: frozenset[int] | None = None
+    """The processors that the thread keeps to; None: any."""
+    locked: bool = False
+    """Whether the memory of the process stays resident."""
+    timer_slack_ns: int | None = None
+    """How much later than requested the system may wake the thread; None: its default, 50 us."""
+    absolute_sleep: bool = False
+    """Whether the thread sleeps until an absolute moment, by clock_nanosleep."""
+    collector: bool = False
+    """Whether garbage is collected in slack time only."""
+    switch_interval: float | None = None
+    """Seconds after which a thread that holds the interpreter lock has to release it."""
+    denied: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """What was requested and not granted -> why, and what to do about it."""
+
+
+def obtain(wanted: Wanted) -> tuple[Granted, Sleep]:
+    """Ask for everything that is wanted, for the calling thread; what is in force then, and how it sleeps."""
+    denied: dict[str, str] = {}
+    sleep = sleeper()
+    if sleep is None:
+        denied["absolute sleep"] = "this system has no clock_nanosleep; time.sleep serves, less exactly"
+    slack = set_timer_slack(_SLACK_NS)
+    if not slack:
+        denied["timer slack"] = "this system has no prctl(PR_SET_TIMERSLACK); wake-ups may be 50 us late"
+    cpus = wanted.cpus is not None and _granted(denied, "cpus", _affinity(wanted.cpus))
+    # Locked before the thread goes first: it is the longest of these calls.
+    locked = wanted.lock_memory and _granted(denied, "memory lock", process.SETTINGS.lock_memory())
+    priority = wanted.priority is not None and _granted(denied, "priority", _fifo(wanted.priority))
+    granted = Granted(
+        priority=wanted.priority if priority else None,
+        cpus=wanted.cpus if cpus else None,
+        locked=locked,
+        timer_slack_ns=_SLACK_NS if slack else None,
+        absolute_sleep=sleep is not None,
+        collector=process.SETTINGS.collects,
+        switch_interval=process.SETTINGS.switch_interval,
+        denied=MappingProxyType(denied),
+    )
+    return granted, sleep or relative_sleep
+
+
+def _granted(denied: dict[str, str], what: str, reason: str) -> bool:
+    if reason:
+        denied[what] = reason
+    return not reason
+
+
+def _fifo(priority: int) -> str:
+    """Put this thread, and no other, into SCHED_FIFO; what is said when that is denied, else nothing."""
+    try:
+        # 0 is the calling thread. What it starts does not inherit the class.
+        policy = os.SCHED_FIFO | getattr(os, "SCHED_RESET_ON_FORK", 0)
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
+    except AttributeError:
+        return "this system has no sched_setscheduler"
+    except OSError as error:
+        return f"SCHED_FIFO {priority}: {_name(error)}; raise `ulimit -r` to {priority} or give CAP_SYS_NICE"
+    return ""
+
+
+def _affinity(cpus: frozenset[int]) -> str:
+    try:
+        os.sched_setaffinity(0, cpus)
+    except AttributeError:
+        return "this system has no sched_setaffinity"
+    except (OSError, OverflowError) as error:
+        here = sorted(os.sched_getaffinity(0))
+        return f"cpus {sorted(cpus)}: {_name(error)}; this process may use {here}"
+    return ""
+
+
+def _name(error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    return type(error).__name__ if number is None else errno.errorcode.get(number, str(number))

@@ -1,0 +1,158 @@
+"""A context in a real-time thread of its own: what can be requested, and what of that is in force.
+
+How the thread waits and runs hooks is in `realtime_thread.py`, what it asks of the system in `privileges.py` and
+`process.py`. When ticks are due is decided as everywhere, by `contexts/schedule.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar, Final
+
+from aiorts.clock import to_ns
+from aiorts.contexts.periodic import PeriodicContext
+from aiorts.contexts.schedule import MAX_RATE
+from aiorts.errors import ConfigurationError
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.handed_log import HandedLogger
+from aiorts.kernel.ports.port import UNSUSPENDED
+from aiorts.realtime.lock_free import let_go_all, make_all_lock_free, make_lock_free
+from aiorts.realtime.privileges import Granted, Wanted
+from aiorts.realtime.realtime_thread import RealtimeDriver
+
+if TYPE_CHECKING:
+    from aiorts.kernel.execution.cell import ComponentSide, KernelSide
+    from aiorts.kernel.execution.member import Member
+    from aiorts.kernel.ports import Port
+
+_SPIN: Final = 50e-6
+_LONGEST_SPIN: Final = 1e-3
+
+
+class RealtimeContext(PeriodicContext):
+    """Runs its members `rate` times a second in a thread of its own: absolute deadlines, real-time priority.
+
+    Hooks run without an event loop: plain `def`, or `async def` that never suspends; one that does is closed and its
+    component goes to error. Awaited reads and writes at ports work as far as they need not wait, else they raise
+    `WouldBlock`. What the machine or the privileges deny is said once, on the logger `aiorts.kernel` and in `granted`,
+    and the context runs with what it has. In simulated time nothing is asked for.
+
+    While one runs the process has a switch interval of 100 us, and garbage is collected in the slack between cycles
+    only, in this thread, finalizers included.
+
+    Args:
+        rate, overrun, max_rate, name, timing: see `PeriodicContext`.
+        deadline: seconds after its tick that a cycle has to be done in, else it counts as an overrun; None: a period.
+            How long a single hook may take, a `Supervision` says.
+        priority: of SCHED_FIFO for this thread, 1 (low) to 99; None leaves it an ordinary thread.
+        cpus: numbers of the processors that the thread keeps to; None: any.
+        lock_memory: keep the memory of the process resident.
+        spin: wake up earlier by so many seconds (at most 1 ms; True: 50 us) and look at the clock until the moment has
+            come. The interpreter lock is held meanwhile, for a quarter of a period at the most.
+
+    Raises:
+        ConfigurationError: an argument is out of range.
+    """
+
+    kind: ClassVar[str] = "realtime"
+    exclusive: ClassVar[bool] = True
+    suspends: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        rate: float = 1000.0,
+        *,
+        overrun: str = "skip",
+        max_rate: float = MAX_RATE,
+        name: str = "",
+        deadline: float | None = None,
+        timing: bool = True,
+        priority: int | None = 50,
+        cpus: Iterable[int] | None = None,
+        lock_memory: bool = True,
+        spin: bool | float = False,
+    ) -> None:
+        super().__init__(rate, overrun=overrun, max_rate=max_rate, name=name, deadline=deadline, timing=timing)
+        if deadline is not None and self._schedule is not None:
+            self._schedule.deadline_ns = to_ns(deadline)
+        self._wanted = Wanted(_checked_priority(priority), _checked_cpus(cpus), bool(lock_memory))
+        self._spin_ns = _checked_spin_ns(spin)
+        self._granted = Granted()
+
+    @property
+    def granted(self) -> Granted:
+        """What is in force, and what was denied for which reason; of the last run once the context has stopped."""
+        return self._granted
+
+    def _make_driver(self, kernel: KernelSide) -> RealtimeDriver:
+        self._granted = Granted()
+        return RealtimeDriver(self, kernel)
+
+    async def add(self, *components: ComponentSide, timeout: float | None = 5.0) -> None:
+        try:
+            await super().add(*components, timeout=timeout)
+        except BaseException:
+            for component in components:
+                _let_out(component)
+            raise
+
+    def _longest_spin_ns(self) -> int:
+        """How long before a deadline the thread looks at the clock: never most of the time."""
+        rate = self.rate
+        return self._spin_ns if not self._spin_ns or rate is None else min(self._spin_ns, round(0.25e9 / rate))
+
+    def _port_added(self, member: Member, port: Port[Any]) -> None:
+        make_all_lock_free(port)
+        super()._port_added(member, port)
+
+    def _new_member(self, component: ComponentSide) -> Member:
+        # On the loop, before the thread has anything to do with the component.
+        kernel, log = self.runner.kernel, component.log
+        cell(component).realtime, cell(component).prepare = True, make_lock_free
+        for port in component.ports.values():
+            make_all_lock_free(port)
+        if not isinstance(log.logger, HandedLogger):
+            log.logger = HandedLogger(log.logger, kernel.call_on_loop)
+        return super()._new_member(component)
+
+    def _set_ports_open(self, member: Member) -> None:
+        super()._set_ports_open(member)
+        if member.left:
+            self.runner.kernel.call_on_loop(partial(_let_out, member.component))
+
+
+def _let_out(component: ComponentSide) -> None:
+    """It runs in no real-time thread any more, and is one of the loop's again."""
+    if component.contexts or cell(component).abandoned is not None:
+        return  # an abandoned hook may still be inside
+    host, log = cell(component), cell(component).log
+    host.realtime, host.prepare, host.thread_id, host.turns.left = False, None, None, UNSUSPENDED
+    if log is not None and isinstance(log.logger, HandedLogger):
+        log.logger = log.logger.real
+    for port in component.ports.values():
+        let_go_all(port)
+
+
+def _checked_priority(priority: object) -> int | None:
+    if priority is None or (isinstance(priority, int) and not isinstance(priority, bool) and 1 <= priority <= 99):
+        return priority
+    raise ConfigurationError(f"priority = {priority!r}: expected 1 to 99, or None")
+
+
+def _checked_cpus(cpus: Iterable[int] | None) -> frozenset[int] | None:
+    if cpus is None:
+        return None
+    wanted = frozenset(cpus) if isinstance(cpus, Iterable) else frozenset[int]()
+    if not wanted or any(not isinstance(cpu, int) or isinstance(cpu, bool) or cpu < 0 for cpu in wanted):
+        raise ConfigurationError(f"cpus = {cpus!r}: expected numbers of processors such as [1], or None")
+    return wanted
+
+
+def _checked_spin_ns(spin: object) -> int:
+    if isinstance(spin, bool):
+        return round(_SPIN * 1e9) if spin else 0
+    if isinstance(spin, int | float) and math.isfinite(spin) and 0 <= spin <= _LONGEST_SPIN:
+        return round(spin * 1e9)
+    raise ConfigurationError(f"spin = {spin!r}: expected True, False or seconds up to {_LONGEST_SPIN}")

@@ -1,0 +1,22 @@
+"""Replaces the code of components while they run: all of a context between two cycles, or nothing.
+
+The new instance takes the old one's place, ports, connectors and unread samples. When it fails in its first cycles
+everything is taken back.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.reload.reload_events import ComponentReloaded, Dropped, Reloaded
+    from aiorts.reload.reloading import reload
+
+_late(
+    globals(),
+    {
+        "aiorts.reload.reload_events": "ComponentReloaded Dropped Reloaded",
+        "aiorts.reload.reloading": "reload",
+    },
+)

@@ -1,0 +1,39 @@
+"""Who knows a component by more than its name, and is to know another instance in its place from now on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from aiorts.kernel.declarations import kinds_of
+from aiorts.kernel.execution.cell import cell
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.microkernel import Microkernel
+
+
+def pass_on_references(kernel: Microkernel, old: Component, new: Component) -> None:
+    """What the kernel, composites, supervision and observers keep of it. On the loop, between two cycles."""
+    kernel.registry.replace(old, new)
+    group = cell(new).group
+    if group is not None:
+        group.member_replaced(old, new)
+
+
+def pass_on_distant_references(kernel: Microkernel, pairs: Mapping[Component, Component]) -> None:
+    """Those that only a look at every component finds, for all of a context at once."""
+    for component in kernel.components.values():
+        here = cell(component)
+        if here.previous_placements:
+            here.previous_placements = tuple(
+                replace(placement, behind=_all_renewed(placement.behind, pairs))
+                for placement in here.previous_placements
+            )
+        for kind in kinds_of(component):
+            kind.others_replaced(component, pairs)
+
+
+def _all_renewed(those: Iterable[Component], pairs: Mapping[Component, Component]) -> tuple[Component, ...]:
+    return tuple(pairs.get(one, one) for one in those)

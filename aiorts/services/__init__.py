@@ -1,0 +1,26 @@
+"""Service ports: interfaces that components provide and require, and the calls between them.
+
+They are a kind of port (`PortDeclaration`), so the kernel adds and connects them without knowing them. `Provided` and
+`Required` declare, a proxy calls.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.services.service_ends import Provided, Required
+    from aiorts.services.service_heritage import ServiceHeritage
+    from aiorts.services.service_port import Made, Service, ServiceConnector, ServiceEnd, ServicePort
+    from aiorts.services.service_wiring import fault_of
+
+_late(
+    globals(),
+    {
+        "aiorts.services.service_ends": "Provided Required",
+        "aiorts.services.service_heritage": "ServiceHeritage",
+        "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort",
+        "aiorts.services.service_wiring": "fault_of",
+    },
+)

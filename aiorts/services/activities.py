@@ -1,0 +1,78 @@
+"""Who waits for whom among the calls of a kernel.
+
+A hook that runs and a call that is served are *activities*. An activity that has called waits for the call; a call
+that is not let in waits for the activity that is inside. A call that would close such a circle is never begun.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
+
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.member import Member, Visit
+from aiorts.kernel.service import KernelService
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.microkernel import Microkernel
+
+Activity: TypeAlias = Member | Visit
+
+
+class CallGraph(KernelService):
+    """The calls of one kernel that are waited for, by the activity that waits."""
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self._by_caller: dict[Activity, list[Any]] = {}
+
+    def enter(self, caller: Activity, call: Any) -> None:
+        """`caller` waits for `call`."""
+        self._by_caller.setdefault(caller, []).append(call)
+
+    def leave(self, caller: Activity, call: Any) -> None:
+        """It waits no more."""
+        calls = self._by_caller[caller]
+        calls.remove(call)
+        if not calls:
+            del self._by_caller[caller]
+
+    def way_back(self, holder: Activity | None, caller: Activity) -> list[Any] | None:
+        """The calls through which `holder` waits for `caller`, or None: it does not, or not through calls alone."""
+        return self._way(holder, caller, set())
+
+    def _way(self, holder: Activity | None, caller: Activity, seen: set[int]) -> list[Any] | None:
+        if holder is caller:
+            return []
+        if holder is None or id(holder) in seen:
+            return None
+        seen.add(id(holder))
+        for call in self._by_caller.get(holder, ()):
+            rest = self._way(call if call.runs else holder_of(call.component), caller, seen)
+            if rest is not None:
+                return [call, *rest]
+        return None
+
+
+def holder_of(component: Component) -> Activity | None:
+    """The activity that keeps others out of a component now."""
+    if cell(component).threaded or cell(component).realtime:
+        # Calls are served between the cycles of its thread: any hook of that thread is in the way.
+        for member in cell(component).members:
+            current = member.context.runner.current
+            if current is not None:
+                return current
+    return cast("Activity | None", cell(component).entry_lock.inside)
+
+
+def activity_of(task: asyncio.Task[Any] | None) -> Activity | None:
+    """The activity whose own task this is; None for tasks that one has started beside itself."""
+    if task is None:
+        return None
+    visit: Activity | None = getattr(task, "_aiorts_visit", None)
+    if visit is not None:
+        return visit
+    driver = getattr(task, "_aiorts_driver", None)
+    member: Member | None = None if driver is None else driver.current
+    return member

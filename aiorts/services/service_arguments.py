@@ -1,0 +1,65 @@
+"""Whether what a caller gives has the types that the interface says; quick for values of exactly these classes.
+
+A value that is not of the very class is looked at as results are (`check_of`): an int may stand for a float.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from aiorts.model.interface import Method, check_of
+
+Look: TypeAlias = "Callable[[tuple[Any, ...], dict[str, Any]], str]"
+"""The name of the first argument of a wrong type; "" where there is none."""
+
+
+def look_of(method: Method) -> Look | None:
+    """What looks at the arguments of a call; None where nothing is known of any."""
+    checks = {one.name: check for one in method.parameters if (check := check_of(one.annotation)) is not None}
+    if not checks:
+        return None
+    order = tuple(one.name for one in method.parameters if one.kind is not one.KEYWORD_ONLY)
+    defaults = {one.name: one.default for one in method.parameters}
+
+    def look(args: tuple[Any, ...], kwargs: dict[str, Any]) -> str:
+        for name, value in (*zip(order, args, strict=False), *kwargs.items()):
+            if name in checks and value is not defaults[name] and not checks[name](value):
+                return name
+        return ""
+
+    kinds = tuple(one.annotation for one in method.parameters)
+    if not all(isinstance(kind, type) for kind in kinds):
+        return look
+    if len(kinds) == 1:
+        return _one(kinds[0], look)
+    return _two(*kinds, look) if len(kinds) == 2 else _several(kinds, look)
+
+
+def _one(only: type, look: Look) -> Look:
+    def quick(args: tuple[Any, ...], kwargs: dict[str, Any]) -> str:
+        try:
+            (value,) = args
+        except ValueError:
+            return look(args, kwargs)
+        return "" if value.__class__ is only and not kwargs else look(args, kwargs)
+
+    return quick
+
+
+def _two(first: type, second: type, look: Look) -> Look:
+    def quick(args: tuple[Any, ...], kwargs: dict[str, Any]) -> str:
+        try:
+            one, two = args
+        except ValueError:
+            return look(args, kwargs)
+        return "" if one.__class__ is first and two.__class__ is second and not kwargs else look(args, kwargs)
+
+    return quick
+
+
+def _several(kinds: tuple[type, ...], look: Look) -> Look:
+    def quick(args: tuple[Any, ...], kwargs: dict[str, Any]) -> str:
+        return "" if (*map(type, args),) == kinds and not kwargs else look(args, kwargs)
+
+    return quick

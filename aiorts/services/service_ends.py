@@ -1,0 +1,237 @@
+"""`Provided[Interface]` and `Required[Interface]`: what a component answers and what it asks for, as ports are.
+
+The interface is a `typing.Protocol`. What it says `async def` of is awaited by who calls, and the provider may write it
+`async def` or `def`; a plain `def` of the interface never waits, neither here nor there. This file declares and binds;
+who is called, and when, is decided in `services/service_wiring.py` and `services/service_call.py`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Awaitable, Callable, Iterator
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
+
+from aiorts.errors import DeclarationError, ServiceError, StateError
+from aiorts.kernel.execution.cell import cell
+from aiorts.services.service_port import ServiceEnd
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.services.service_wiring import Link
+
+I = TypeVar("I")  # noqa: E741 - an interface
+R = TypeVar("R")
+
+_TIMEOUT: Final = 1.0
+
+
+class Provided(ServiceEnd[I], Generic[I]):
+    """An interface that this component answers.
+
+    Args:
+        provider: whose methods answer: None means the component itself, a name an attribute of the component, looked
+            up when it is connected, and anything else is the object, which in a class body all instances share.
+        concurrent: a call runs at once, whatever the component does; without, never while one of its hooks or another
+            call runs.
+        always: calls are served in every lifecycle state; without, while the component is active somewhere, or in no
+            context at all.
+        failure: "reply": what a method raises is told to who called; "error": moreover it moves the component to error,
+            as if a hook had raised.
+        port, instance: the port it belongs to and its name in it, where they are not the attribute's.
+        max_connectors: connectors the port takes at the most; None is unlimited.
+
+    Raises:
+        DeclarationError: the interface is not one, or the provider does not have what it asks for.
+    """
+
+    __slots__ = ("_answers", "always", "concurrent", "failure", "provider")
+
+    polarity: ClassVar[str] = "provided"
+
+    def __init__(
+        self,
+        provider: object = None,
+        *,
+        concurrent: bool = False,
+        always: bool = False,
+        failure: str = "reply",
+        port: str = "",
+        instance: str = "",
+        doc: str = "",
+        max_connectors: int | None = None,
+    ) -> None:
+        super().__init__(port, instance, doc, max_connectors)
+        if failure not in ("reply", "error"):
+            raise DeclarationError(f'Provided[{self.spec.name}]: failure = {failure!r}: expected "reply" or "error"')
+        self.provider = provider
+        self.concurrent = concurrent
+        self.always = always
+        self.failure = failure
+        self._answers: dict[str, Callable[..., Any]] | None = None
+        if provider is not None and not isinstance(provider, str):
+            self._check(provider, f"Provided[{self.spec.name}]({provider!r:.60})")
+
+    def check_declared(self, cls: type[Component], attribute: str) -> None:
+        if self.provider is None:
+            self._check(cls, f"{cls.__qualname__}.{attribute}")
+
+    def _enter_port(self, component: Component) -> None:
+        if self.concurrent:
+            return
+        host = cell(component)
+        if host.threaded or host.realtime:
+            cell(component).entry_lock.shared = True
+        else:
+            cell(component).entry_lock.share(cell(component).members)
+
+    def _unanswerable(self) -> Iterator[str]:
+        if not self.concurrent:
+            try:
+                functions = self._functions()
+            except DeclarationError as error:
+                raise StateError(str(error)) from None
+            yield from (name for name, function in functions.items() if inspect.iscoroutinefunction(function))
+
+    def _copy(self) -> Provided[I]:
+        again = super()._copy()
+        again._answers = None
+        return again
+
+    def _bound_to(self) -> tuple[str, ...]:
+        return tuple(link.required.path for link in self._links)
+
+    def _check(self, provider: object, where: str) -> dict[str, Callable[..., Any]]:
+        """The provider's methods; DeclarationError unless they answer the interface."""
+        from aiorts.model.interface import differences, read_method
+
+        has = {}
+        found: dict[str, Callable[..., Any]] = {}
+        is_class = isinstance(provider, type) and self.provider is None
+        for name in self.spec.methods:
+            function = inspect.getattr_static(provider, name, None) if is_class else getattr(provider, name, None)
+            if callable(function):
+                has[name] = read_method(name, function, bound=not is_class)
+                found[name] = function
+        wrong = differences(self.spec.methods, has)
+        if wrong:
+            raise DeclarationError(f"{where}: does not provide {self.spec.name}: {'; '.join(wrong)}")
+        return found
+
+    def _functions(self) -> dict[str, Callable[..., Any]]:
+        """The bound methods that answer; DeclarationError where there are none."""
+        if self._answers is None:
+            provider = self.port._component if self.provider is None else self.provider
+            if isinstance(self.provider, str):
+                provider = getattr(self.port._component, self.provider, None)
+            self._answers = self._check(provider, self.path)
+        return self._answers
+
+
+class Required(ServiceEnd[I], Generic[I]):
+    """An interface that this component calls: `await self.brake.proxy.stop()`.
+
+    Args:
+        timeout: seconds of the kernel's clock until a call is given up, the wait for the provider included.
+        many: it is bound to every provider it is connected with (`proxies`), not to exactly one.
+        port, instance: the port it belongs to and its name in it, where they are not the attribute's.
+        max_connectors: connectors the port takes at the most; None is unlimited.
+
+    Raises:
+        DeclarationError: the interface is not one, or the time is none.
+    """
+
+    __slots__ = ("_proxy", "_within", "many", "timeout")
+
+    polarity: ClassVar[str] = "required"
+
+    def __init__(
+        self,
+        *,
+        timeout: float = _TIMEOUT,
+        many: bool = False,
+        port: str = "",
+        instance: str = "",
+        doc: str = "",
+        max_connectors: int | None = None,
+    ) -> None:
+        super().__init__(port, instance, doc, max_connectors)
+        self.timeout = checked_seconds(f"Required[{self.spec.name}]", timeout)
+        self.many = many
+        self._proxy: Any = None
+        self._within: tuple[float, Any] | None = None
+
+    def _copy(self) -> Required[I]:
+        again = super()._copy()
+        again._proxy = again._within = None
+        return again
+
+    def _bound_to(self) -> tuple[str, ...]:
+        return tuple(link.provided.path for link in self._links)
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether it has a provider."""
+        return bool(self._links)
+
+    async def wait_bound(self) -> None:
+        """Wait until it has a provider; ClosedError when the port is removed."""
+        await self.port._until(lambda: bool(self._links))
+
+    @property
+    def proxy(self) -> I:
+        """What answers the calls, typed as the interface. It may be kept: it always stands for the provider of the day.
+
+        A call raises ServiceUnavailable (nobody is there, or not active), ServiceTimeout, ServiceFailed (the provider
+        raised), ServiceCycle (it would wait for itself), InterfaceMismatch (it answered with a wrong type, or an
+        argument has one: the provider is then not called).
+        """
+        if self._proxy is None:
+            from aiorts.services.service_proxy import make_proxy
+
+            self._proxy = make_proxy(self, None, self.timeout)
+        proxy: I = self._proxy
+        return proxy
+
+    @property
+    def proxies(self) -> tuple[I, ...]:
+        """One proxy for each provider there is now, in the order of connection."""
+        return tuple(link.proxy for link in self._links)
+
+    def within(self, seconds: float) -> I:
+        """The proxy with another deadline: `await self.brake.within(0.1).stop()`. ValueError unless it is above 0."""
+        if self._within is None or self._within[0] != seconds:
+            from aiorts.services.service_proxy import make_proxy
+
+            self._within = seconds, make_proxy(self, None, checked_seconds(self.path, seconds))
+        proxy: I = self._within[1]
+        return proxy
+
+    def call_blocking(self, ask: Callable[[I], Awaitable[R]], timeout: float | None = None) -> R:
+        """Call from the thread of a ThreadContext and block until it is answered.
+
+        `self.camera.call_blocking(lambda camera: camera.expose(0.01))`; `ask` runs on the kernel's loop.
+
+        Raises:
+            StateError: not in such a thread. ClosedError: the context stops. What the call itself raises.
+        """
+        from aiorts.services.service_thread import call_blocking
+
+        result: R = call_blocking(self, ask, self.timeout if timeout is None else timeout)
+        return result
+
+    @property
+    def _sole(self) -> Link | None:
+        links = self._links
+        if len(links) > 1:
+            among = ", ".join(self._bound_to())
+            raise ServiceError(f"{self.path}: is bound to {len(links)} providers ({among}); call one of `proxies`")
+        return links[0] if links else None
+
+
+def checked_seconds(where: str, seconds: float) -> float:
+    """Raise DeclarationError unless it is a finite time above 0: every call has a deadline."""
+    good = isinstance(seconds, int | float) and not isinstance(seconds, bool) and math.isfinite(seconds) and seconds > 0
+    if not good:
+        raise DeclarationError(f"{where}: timeout = {seconds!r}: expected seconds above 0; every call has a deadline")
+    return float(seconds)

@@ -1,0 +1,405 @@
+"""A service port, and what its ends have in common: declared, bound, described, waited for; nothing is called here.
+
+One port has one interface or, where several name the same `port=`, as many as you like.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
+
+from aiorts.errors import ClosedError, DeclarationError, WiringError
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.ports.port import Connecting, Port, PortDeclaration
+from aiorts.model.names import check_name
+from aiorts.model.profile import InterfaceProfile, PortProfile
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.host import PortHost
+    from aiorts.model.interface import Interface
+    from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
+    from aiorts.services.service_wiring import Link
+
+I = TypeVar("I")  # noqa: E741 - an interface
+E = TypeVar("E", bound="ServiceEnd[Any]")
+
+
+class Tally:
+    """What an interface counts of its calls."""
+
+    __slots__ = ("calls", "cancelled", "failures", "max_ns", "refused", "timeouts", "total_ns")
+
+    def __init__(self) -> None:
+        self.calls = self.failures = self.timeouts = self.refused = self.cancelled = self.total_ns = self.max_ns = 0
+
+    def add(self, elapsed_ns: int, outcome: str = "") -> None:
+        """One more call has ended; `outcome` names the count it goes to, "" where all was well."""
+        self.calls += 1
+        self.total_ns += elapsed_ns
+        if elapsed_ns > self.max_ns:
+            self.max_ns = elapsed_ns
+        if outcome:
+            setattr(self, outcome, getattr(self, outcome) + 1)
+
+    @property
+    def statistics(self) -> ServiceStatistics:
+        """The counts at this moment."""
+        from aiorts.model.service_profile import ServiceStatistics
+
+        return ServiceStatistics(*self.counts)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """As `ServiceStatistics` has them."""
+        return (
+            *(self.calls, self.failures, self.timeouts, self.refused, self.cancelled),
+            *(self.total_ns, self.max_ns),
+        )
+
+    def take_over(self, other: Tally) -> None:
+        """Count the calls of another, too."""
+        calls, failures, timeouts, refused, cancelled, total_ns, max_ns = other.counts
+        self.calls += calls
+        self.failures += failures
+        self.timeouts += timeouts
+        self.refused += refused
+        self.cancelled += cancelled
+        self.total_ns += total_ns
+        self.max_ns = max(self.max_ns, max_ns)
+
+
+class ServicePort(Port[Any]):
+    """One port of a component with the interfaces that belong to it; `component.ports` has it under its name."""
+
+    __slots__ = ("_cell", "_component", "_ends", "_services", "_waiting")
+
+    direction: ClassVar[str] = "service"
+
+    def __init__(self, component: Component, name: str) -> None:
+        super().__init__(object, name=name)
+        self._component = component
+        self._host = self._cell = cell(component)  # every call looks into it
+        self._ends: dict[str, ServiceEnd[Any]] = {}
+        self._services: tuple[ServiceConnector, ...] = ()
+        self._waiting: list[asyncio.Future[None]] = []
+
+    @property
+    def interfaces(self) -> tuple[ServiceEnd[Any], ...]:
+        """Its provided and required interfaces, in the order they were declared."""
+        return tuple(self._ends.values())
+
+    @property
+    def connectors(self) -> tuple[Any, ...]:
+        """The live service connectors, in order of connection."""
+        return self._services
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether every required interface of this port has its provider."""
+        return all(end._links for end in self._ends.values() if end.polarity == "required")
+
+    async def wait_bound(self) -> None:
+        """Wait until every required interface of this port has its provider; ClosedError when the port is removed."""
+        await self._until(lambda: self.is_bound)
+
+    @property
+    def profile(self) -> PortProfile:
+        return PortProfile(
+            self.name,
+            self.direction,
+            ", ".join(end.spec.name for end in self._ends.values()),
+            doc=self.doc,
+            connectors=tuple(connector.name for connector in self._services),
+            interfaces=tuple(end.profile for end in self._ends.values()),
+        )
+
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{end.polarity} {end.spec.name}" for end in self._ends.values())
+        return f"<ServicePort {self.path} {ends} {len(self._services)} connectors>"
+
+    async def _until(self, ready: Callable[[], bool]) -> None:
+        host = self._bound()
+        host.check_loop_thread(f"{self.path}.wait_bound()")
+        self._raise_if_removed()
+        while not ready():
+            changed: asyncio.Future[None] = host.loop.create_future()
+            self._waiting.append(changed)
+            try:
+                await changed
+            finally:
+                if changed in self._waiting:
+                    self._waiting.remove(changed)
+            self._raise_if_removed()
+
+    def _changed(self) -> None:
+        """Interfaces were bound or set free, or the port is removed: who waits looks again."""
+        waiting, self._waiting = self._waiting, []
+        for changed in waiting:
+            if not changed.done():
+                changed.set_result(None)
+
+    def _wake_waiter(self) -> None:
+        self._changed()
+
+    def _vacate(self, leaving: bool = True) -> None:
+        """Its component is about to go, or stays after all: calls in progress end, no other begins."""
+        for end in self._ends.values():
+            end._vacant = leaving
+            for link in end._links if leaving and end.polarity == "provided" else ():
+                link.end_calls("its component is being removed")
+
+    def _give_up_blocking(self) -> None:
+        from aiorts.services.service_thread import give_up_waiting  # late: few threads call services
+
+        give_up_waiting(self)
+
+    def _unanswerable(self) -> Iterator[str]:
+        return (name for end in self._ends.values() for name in end._unanswerable())
+
+    @property
+    def connecting(self) -> Connecting:
+        return service_connecting()
+
+    def _refresh(self) -> None:
+        """There is no path to choose."""
+
+
+class ServiceEnd(PortDeclaration, Generic[I]):
+    """One interface of a service port: in a class body a declaration, on an instance the live end."""
+
+    __slots__ = (
+        "_attribute",
+        "_blocked",
+        "_interface",
+        "_links",
+        "_port",
+        "_tally",
+        "_vacant",
+        "doc",
+        "instance",
+        "max_connectors",
+        "name",
+    )
+
+    polarity: ClassVar[str] = ""
+
+    if not TYPE_CHECKING:
+
+        def __class_getitem__(cls, interface: Any) -> Any:
+            """`Required[Brake]` as something to call: the interface has to be known when the declaration is made."""
+            if interface is Any or isinstance(interface, TypeVar):
+                return super().__class_getitem__(interface)
+            return _Of(cls, interface)
+
+    def __init__(self, port: str, instance: str, doc: str, max_connectors: int | None) -> None:
+        if not hasattr(self, "_interface"):
+            kind = type(self).__name__
+            raise DeclarationError(f"{kind}(...): say which interface, such as {kind}[Brake]()")
+        self._interface: tuple[Any, Interface]
+        self.name = port
+        self.instance = instance
+        self.doc = doc
+        self.max_connectors = max_connectors
+        self._attribute = ""
+        self._port: ServicePort | None = None
+        self._links: tuple[Link, ...] = ()
+        self._tally = Tally()
+        """Of calls over links that have ended, and of those that had none to go over."""
+        self._blocked: set[Any] = set()
+        """The calls that threads of its component block for."""
+        self._vacant = False
+        """Whether its component is about to go."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._attribute = name
+
+    @property
+    def interface(self) -> type[I]:
+        """The Protocol."""
+        protocol: type[I] = self._interface[0]
+        return protocol
+
+    @property
+    def spec(self) -> Interface:
+        """The methods of the interface."""
+        return self._interface[1]
+
+    @property
+    def port(self) -> ServicePort:
+        """The port this belongs to; ClosedError for a declaration."""
+        if self._port is None:
+            raise ClosedError(
+                f"{self.instance or type(self).__name__}: this interface belongs to no component; "
+                "was super().__init__() called in the component's __init__?"
+            )
+        return self._port
+
+    @property
+    def path(self) -> str:
+        """`component.port`, with `.interface` where the port has another name; the bare name of a declaration."""
+        if self._port is None:
+            return self.instance or self._attribute
+        path = self._port.path
+        return path if self.instance == self._port.name else f"{path}.{self.instance}"
+
+    @property
+    def connectors(self) -> tuple[Any, ...]:
+        """The live connectors over which this interface is bound."""
+        return tuple(dict.fromkeys(link.connector for link in self._links))
+
+    @property
+    def statistics(self) -> ServiceStatistics:
+        """The calls through this interface so far."""
+        whole = Tally()
+        for tally in (self._tally, *(link.tally for link in self._links)):
+            whole.take_over(tally)
+        return whole.statistics
+
+    @property
+    def profile(self) -> InterfaceProfile:
+        """What this interface is, and with whom it is bound, as plain data."""
+        spec = self.spec
+        methods = tuple(method.profile for method in spec.methods.values())
+        return InterfaceProfile(
+            self.instance, self.polarity, spec.name, methods, self._bound_to(), self.doc or spec.doc
+        )
+
+    def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
+        """Interfaces that share a service port are one port."""
+        name = self.name or attribute
+        one = replace(self.profile, name=self.instance or (attribute if self.name else "") or name)
+        port = ports.get(name, PortProfile(name, "service", "", doc=one.doc))
+        kinds = ", ".join((*filter(None, (port.type,)), one.type))
+        return replace(port, type=kinds, interfaces=(*port.interfaces, one))
+
+    def add_to(self: E, component: Component, host: PortHost, name: str) -> E:
+        """The live interface, in the port of that name, which is made with its first one."""
+        ports = host.ports
+        known = ports.get(name)
+        instance = self.instance or (self._attribute if self.name else "") or name
+        if known is not None and (not isinstance(known, ServicePort) or instance in known._ends):
+            raise WiringError(f"{component.name}.{name}: there is a port of that name already")
+        check_name(instance, "port")
+        end = self._copy()
+        end.name, end.instance = name, instance
+        end._port = port = known if isinstance(known, ServicePort) else ServicePort(component, name)
+        port._ends[instance] = end
+        port.max_connectors = end.max_connectors if end.max_connectors is not None else port.max_connectors
+        port.doc = port.doc or end.doc or end.spec.doc
+        ports[name] = port
+        end._enter_port(component)
+        return end
+
+    @property
+    def connecting(self) -> Connecting:
+        return service_connecting()
+
+    def _enter_port(self, component: Component) -> None:
+        """It is live from now on."""
+
+    def _unanswerable(self) -> Iterator[str]:
+        """The methods it provides that a thread cannot run: `async def`, and not on the loop beside it."""
+        return iter(())
+
+    def _bound_to(self) -> tuple[str, ...]:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        bound = "unbound" if self._port is None else f"{len(self._links)} bound"
+        return f"<{type(self).__name__}[{self.spec.name}] {self.path or '?'} {bound}>"
+
+    @property
+    def _kernel(self) -> Microkernel:
+        return self.port._component.kernel
+
+    def _copy(self: E) -> E:
+        """Another of the same declaration, bound to nothing yet."""
+        again = copy.copy(self)
+        again._port, again._links, again._tally = None, (), Tally()
+        again._blocked, again._vacant = set(), False
+        return again
+
+
+class _Of:
+    """`Required[Brake]`: called, it makes the declaration."""
+
+    __slots__ = ("_interface", "_kind")
+
+    def __init__(self, kind: type[ServiceEnd[Any]], interface: Any) -> None:
+        self._kind = kind
+        self._interface = interface
+
+    def __call__(self, *args: Any, **options: Any) -> ServiceEnd[Any]:
+        from aiorts.model.interface import read_interface  # late: most components have no services
+
+        end = self._kind.__new__(self._kind)
+        end._interface = self._interface, read_interface(self._interface)
+        end.__init__(*args, **options)  # type: ignore[misc] # as the class would, once it knows the interface
+        return end
+
+    def __repr__(self) -> str:
+        return f"{self._kind.__name__}[{getattr(self._interface, '__name__', self._interface)}]"
+
+
+class ServiceConnector:
+    """One live connection of two service ports."""
+
+    def __init__(self, profile: ServiceConnectorProfile, ports: tuple[ServicePort, ServicePort]) -> None:
+        self.profile = profile
+        self.ports = ports
+        self.closed = False
+        self.links: tuple[Link, ...] = ()
+        """A required and a provided end each, with the calls over them."""
+
+    @property
+    def name(self) -> str:
+        """Unique in its kernel."""
+        return self.profile.name
+
+    @property
+    def statistics(self) -> ServiceStatistics:
+        """The calls over this connector so far."""
+        whole = Tally()
+        for link in self.links:
+            whole.take_over(link.tally)
+        return whole.statistics
+
+    def __repr__(self) -> str:
+        pairs = ", ".join(f"{required} -> {provided}" for required, provided in self.profile.mapping)
+        return f"<ServiceConnector {self.name} {pairs}{' closed' if self.closed else ''}>"
+
+    def _close(self) -> None:
+        self.closed = True
+        for link in self.links:
+            link.closed = True
+            for end in (link.required, link.provided):
+                end._tally.take_over(link.tally)
+            link.required._links = tuple(other for other in link.required._links if other is not link)
+            link.provided._links = tuple(other for other in link.provided._links if other is not link)
+            link.end_calls("was disconnected")
+        for port in self.ports:
+            port._services = tuple(other for other in port._services if other is not self)
+
+
+Service: TypeAlias = ServicePort | ServiceEnd[Any]
+"""What of services can be connected: a port with all its interfaces, or one of them."""
+
+
+Made: TypeAlias = tuple[ServiceConnector, ...]
+
+
+def service_connecting() -> Connecting:
+    """Who connects service ports."""
+    from aiorts.services import service_wiring  # late: most systems have no services
+
+    return service_wiring
+
+
+def is_service(port: object) -> bool:
+    """Whether this is an end of a service."""
+    return isinstance(port, ServicePort | ServiceEnd)

@@ -1,0 +1,28 @@
+"""State machines and modes: components whose behaviour is a table of states and transitions.
+
+The interpreter is pure and follows SCXML's order; `machine.py` runs it in a component's hooks. The kernel runs them as
+any other component.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.statemachines.charting import Chart, ChartWarning
+    from aiorts.statemachines.machine import EventPort, StateMachine, StateMachineComponent
+    from aiorts.statemachines.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
+    from aiorts.statemachines.modes import ModeChanged, MultiModeComponent, Participant
+    from aiorts.statemachines.statechart import After, Always, End, History, On, Parallel, State
+
+_late(
+    globals(),
+    {
+        "aiorts.statemachines.charting": "Chart ChartWarning",
+        "aiorts.statemachines.machine": "EventPort StateMachine StateMachineComponent",
+        "aiorts.statemachines.machine_events": "MachineAfter MachineBefore MachineChanged MachineEnded",
+        "aiorts.statemachines.modes": "ModeChanged MultiModeComponent Participant",
+        "aiorts.statemachines.statechart": "After Always End History On Parallel State",
+    },
+)

@@ -1,0 +1,86 @@
+"""The structure of a chart as frozen values of names and numbers, to be compared, shown and written."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aiorts.late import dataclass
+from aiorts.statemachines.charting import ALWAYS, ROOT, Arc, Chart, Node
+from aiorts.statemachines.statechart import Act
+
+
+@dataclass(frozen=True, slots=True)
+class TransitionStructure:
+    """One transition."""
+
+    event: str
+    """The event that triggers it; "" for none, "after.<state>.<n>" for a timer."""
+    target: str | None
+    """None when only the actions run."""
+    guard: str | None
+    actions: tuple[str, ...]
+    local: bool
+    delay: float | str | None
+    """Seconds of a timer, or the name of the parameter that has them."""
+
+
+@dataclass(frozen=True, slots=True)
+class StateStructure:
+    """One state with everything inside it."""
+
+    name: str
+    kind: str
+    """"state", "parallel", "final", "history" or "deep"."""
+    initial: tuple[str, ...]
+    """The state entered by default; of a history, the one entered before there is anything to remember."""
+    entry: tuple[str, ...]
+    init: tuple[str, ...]
+    exit: tuple[str, ...]
+    do: tuple[str, ...]
+    transitions: tuple[TransitionStructure, ...]
+    states: tuple[StateStructure, ...]
+
+
+def structure_of(chart: Chart) -> StateStructure:
+    """The structure of the whole chart: its root."""
+    return _state(chart, chart.nodes[ROOT])
+
+
+def _state(chart: Chart, node: Node) -> StateStructure:
+    nodes = chart.nodes
+    if node.kind in ("history", "deep"):
+        parent = nodes[node.parent]
+        initial = parent.children if node.initial == parent.index else [node.initial]
+    else:
+        initial = [node.initial] if node.compound else []
+    return StateStructure(
+        node.name,
+        node.kind,
+        tuple(nodes[index].name for index in initial),
+        _names(node.entry),
+        _names(node.init),
+        _names(node.exit),
+        _names(node.do),
+        tuple(_transition(chart, arc) for arc in node.arcs),
+        tuple(_state(chart, nodes[index]) for index in sorted([*node.children, *node.histories])),
+    )
+
+
+def _transition(chart: Chart, arc: Arc) -> TransitionStructure:
+    return TransitionStructure(
+        arc.event or ALWAYS,
+        None if arc.target is None else chart.nodes[arc.target].name,
+        None if arc.guard is None else _name(arc.guard),
+        _names(arc.acts),
+        arc.local,
+        arc.delay,
+    )
+
+
+def _names(acts: tuple[Act, ...]) -> tuple[str, ...]:
+    return tuple(map(_name, acts))
+
+
+def _name(act: Act) -> str:
+    name: Any = act if isinstance(act, str) else getattr(act, "__name__", type(act).__name__)
+    return str(name)

@@ -1,0 +1,167 @@
+"""The table of a state machine as it is written: states, transitions, timers, history.
+
+    Chart(
+        State("closed", On("button", to="open"), initial=True),
+        State("open", After(5.0, to="closed"), entry="lamp_on", exit="lamp_off"),
+    )
+
+`charting.py` checks and compiles a table, `interpreter.py` runs it. Actions, guards and delays are names of the owner's
+methods and parameters, or plain functions that get the owner as first argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
+
+from aiorts.late import dataclass
+
+Act: TypeAlias = "str | Callable[..., Any]"
+"""The name of a method of the owner, or a function that gets the owner; both may take the event's data."""
+Acts: TypeAlias = "Act | Sequence[Act] | None"
+"""No action, one, or several in order."""
+
+
+@dataclass(frozen=True, slots=True)
+class On:
+    """A transition for an event.
+
+    Without `to` it is internal: only the action runs, no state is left or entered. With `to` it is external: its
+    state is left and entered again where the target lies inside. `local=True` keeps a state that contains the target
+    active. The first in the order of writing whose guard is true is taken; inner states come first.
+    """
+
+    event: str
+    """The event's name, which also matches each that begins with it and a dot ("door" matches "door.open", as in
+    SCXML). "*" matches any that comes through a port or `send`."""
+    to: str | None = None
+    guard: Act | None = None
+    """A predicate without side effects, never `async`."""
+    action: Acts = None
+    local: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class After:
+    """A transition `seconds` after its state was entered, on the kernel's clock; leaving the state ends the timer.
+
+    It fires once for each entry, whatever its guard returns then.
+    """
+
+    seconds: float | str
+    """More than 0, or the name of a parameter of the owner, read when the state is entered."""
+    to: str | None = None
+    guard: Act | None = None
+    action: Acts = None
+    local: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Always:
+    """A transition without event, taken as soon as its state is active and its guard is true.
+
+    The guard is evaluated when the state is entered, after every event, also one without effect, and in every cycle.
+    """
+
+    to: str | None = None
+    guard: Act | None = None
+    action: Acts = None
+    local: bool = False
+
+
+Way: TypeAlias = On | After | Always
+"""A transition of any kind."""
+
+
+class State:
+    """One state: transitions and states inside, in the order that decides.
+
+    Args:
+        name: letters, digits, "_" and "-"; unique in its chart.
+        parts: transitions (`On`, `After`, `Always`) and, inside this one, further states.
+        initial: whether it is entered when the state around it is; exactly one of several siblings is.
+        entry: run when it is entered. init: then, when it enters its initial state by default. exit: when it is left.
+        do: run once in each cycle of the execution context while it is active.
+    """
+
+    __slots__ = ("do", "entry", "exit", "init", "initial", "name", "parts")
+
+    kind = "state"
+
+    def __init__(
+        self,
+        name: str,
+        *parts: State | History | Way,
+        initial: bool = False,
+        entry: Acts = None,
+        init: Acts = None,
+        exit: Acts = None,  # noqa: A002 - the word users expect
+        do: Acts = None,
+    ) -> None:
+        self.name = name
+        self.parts = parts
+        self.initial = initial
+        self.entry = entry
+        self.init = init
+        self.exit = exit
+        self.do = do
+
+    def _values(self) -> tuple[object, ...]:
+        return (self.kind, *(getattr(self, name) for name in State.__slots__))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, State) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((self.kind, self.name))
+
+    def __repr__(self) -> str:
+        words = [repr(self.name), *map(repr, self.parts)]
+        words += [
+            f"{name}={getattr(self, name)!r}"
+            for name in ("initial", "entry", "init", "exit", "do")
+            if getattr(self, name)
+        ]
+        return f"{type(self).__name__}({', '.join(words)})"
+
+
+class Parallel(State):
+    """A state whose states, its regions, are all active at once. Args: see `State`; regions are never initial."""
+
+    __slots__ = ()
+
+    kind = "parallel"
+
+
+class End(State):
+    """A final state: the state around it is done, which raises the event "done.state.<name>". It has no transitions.
+
+    At the top of a chart it ends the machine.
+    """
+
+    __slots__ = ()
+
+    kind = "final"
+
+    def __init__(self, name: str, *, initial: bool = False, entry: Acts = None, exit: Acts = None) -> None:  # noqa: A002
+        super().__init__(name, initial=initial, entry=entry, exit=exit)
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """A target that stands for the states that were active, when it was last left, in the state around it.
+
+    Shallow: its own states; those inside them begin at their initial state. `deep=True`: all states inside.
+    """
+
+    name: str
+    to: str | None = None
+    """Its target before the first time; by default the initial state, or all regions."""
+    deep: bool = False
+
+
+def acts_of(acts: Acts) -> tuple[Act, ...]:
+    """One action, several or none, as a tuple."""
+    if acts is None:
+        return ()
+    return (acts,) if isinstance(acts, str) or callable(acts) else tuple(acts)

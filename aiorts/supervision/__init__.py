@@ -1,0 +1,28 @@
+"""Supervision: resets or replaces components that fail, starts components in order, and reports to systemd.
+
+It is a service of the kernel; policies and start rules are values for pure decisions. Its actions are published on the
+bus.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.supervision.readiness import wait_ready
+    from aiorts.supervision.restart_policy import ACTIONS, Supervision
+    from aiorts.supervision.start_rules import ADDED, StartRule, in_order
+    from aiorts.supervision.supervising import Supervising
+    from aiorts.supervision.supervisor import ComponentRecovered, RestartLimitReached, Supervised
+
+_late(
+    globals(),
+    {
+        "aiorts.supervision.readiness": "wait_ready",
+        "aiorts.supervision.restart_policy": "ACTIONS Supervision",
+        "aiorts.supervision.start_rules": "ADDED StartRule in_order",
+        "aiorts.supervision.supervising": "Supervising",
+        "aiorts.supervision.supervisor": "ComponentRecovered RestartLimitReached Supervised",
+    },
+)

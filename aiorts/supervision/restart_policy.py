@@ -1,0 +1,124 @@
+"""Decides what to do about a component that fails, and how often. Pure.
+
+A component in error is recovered after a delay. The delay doubles with each failure, and is back at `backoff` once the
+component has run for a whole `window` after a recovery. After `budget` recoveries within `window` seconds it stays in
+error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Final
+
+from aiorts.errors import ConfigurationError
+from aiorts.late import dataclass
+from aiorts.model.lifecycle import HOOKS
+
+ACTIONS: Final = ("never", "reset", "restart")
+_MOST: Final = 1_000_000
+_FACTOR: Final = 2.0
+_AGES: Final = 1e9
+"""Seconds; what is longer never comes, and more than that is no whole number of nanoseconds."""
+_OUTSIDE: Final = frozenset({"on_initialize", "on_finalize"})
+"""Hooks that run in no context; they have limits of their own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Supervision:
+    """The options of `Kernel.supervise`; the keys of a system file's table have the same names.
+
+    Args:
+        restart: what is done about an error: "never"; "reset" (`on_reset`, then active again); "restart" (a new
+            instance of the same name in its place).
+        backoff: seconds before the first recovery. It doubles with each failure, up to `backoff_max` seconds.
+        budget: number of recoveries within `window` seconds.
+        deadline: seconds that each of its hooks may take, see `Context`; None leaves that to the context. In a thread
+            nothing can be cancelled: a hook over it is reported while it runs, and is an error when it returns.
+        deadlines: seconds for single hooks, by name; they come before `deadline`.
+
+    Raises:
+        ConfigurationError: a value is out of range; it is named.
+    """
+
+    restart: str = "never"
+    backoff: float = 0.1
+    backoff_max: float = 30.0
+    budget: int = 5
+    window: float = 30.0
+    deadline: float | None = None
+    deadlines: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        if self.restart not in ACTIONS:
+            raise ConfigurationError(f"restart = {self.restart!r}: expected one of {', '.join(ACTIONS)}")
+        for name in ("backoff", "backoff_max", "window"):
+            _check_seconds(name, getattr(self, name))
+        if self.backoff_max < self.backoff:
+            raise ConfigurationError(f"backoff_max = {self.backoff_max!r}: is less than backoff = {self.backoff!r}")
+        if not isinstance(self.budget, int) or isinstance(self.budget, bool) or not 0 <= self.budget <= _MOST:
+            raise ConfigurationError(f"budget = {self.budget!r}: expected a whole number from 0 to {_MOST}")
+        if self.deadline is not None:
+            _check_seconds("deadline", self.deadline)
+        for hook, seconds in self.deadlines.items():
+            if hook not in HOOKS or hook in _OUTSIDE:
+                known = ", ".join(one for one in HOOKS if one not in _OUTSIDE)
+                raise ConfigurationError(f"deadlines: no hook {hook!r} that a context runs; there are {known}")
+            _check_seconds(f"deadlines.{hook}", seconds)
+        object.__setattr__(self, "deadlines", MappingProxyType(dict(self.deadlines)))
+
+    @property
+    def limits(self) -> Mapping[str, float] | None:
+        """Seconds for every hook that has a limit; None when there is no limit at all."""
+        limits = {} if self.deadline is None else {hook: self.deadline for hook in HOOKS if hook not in _OUTSIDE}
+        limits.update(self.deadlines)
+        return MappingProxyType(limits) if limits else None
+
+
+def _check_seconds(name: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        raise ConfigurationError(f"{name} = {value!r}: expected seconds above 0")
+
+
+class Attempts:
+    """The recoveries of one component; times are nanoseconds of one clock that does not go back."""
+
+    __slots__ = ("_given", "_level", "_policy", "exhausted", "total")
+
+    def __init__(self, policy: Supervision) -> None:
+        self._policy = policy
+        self._given: deque[int] = deque()
+        """Times of the recoveries, within the window."""
+        self._level = 0
+        self.total = 0
+        """Number of recoveries since the beginning."""
+        self.exhausted = False
+        """Whether it was given up."""
+
+    def failed(self, now_ns: int) -> float | None:
+        """Record a failure at `now_ns`; returns seconds until the recovery, or None when there is none (any more)."""
+        policy, given = self._policy, self._given
+        if self.exhausted or policy.restart == "never":
+            return None
+        window_ns = round(min(policy.window, _AGES) * 1e9)
+        if given and now_ns - given[-1] >= window_ns:
+            self._level = 0
+        while given and now_ns - given[0] >= window_ns:
+            given.popleft()
+        if len(given) >= policy.budget:
+            self.exhausted = True
+            return None
+        # Not `2 ** level`: after a day of failures that would be no float any more.
+        delay = policy.backoff
+        for _ in range(self._level):
+            if delay >= policy.backoff_max:
+                break
+            delay *= _FACTOR
+        delay = min(delay, policy.backoff_max)
+        self._level = min(self._level + 1, _MOST)
+        self.total += 1
+        given.append(now_ns + round(min(delay, _AGES) * 1e9))
+        return delay

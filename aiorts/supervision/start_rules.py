@@ -1,0 +1,126 @@
+"""Orders the start of components by rules with conditions. Pure.
+
+A condition is text: "camera active", or another lifecycle state, or "camera added". Rules are carried out one after the
+other: each comes after the rules of the components that its conditions name, otherwise in the order given. Stopping is
+the reverse.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from aiorts.errors import ConfigurationError
+from aiorts.late import dataclass
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.names import check_name
+from aiorts.model.values import shown
+
+ADDED: Final = "added"
+_STATES: Final = (ADDED, *(state.value for state in LifecycleState))
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A component has a state in every context it is in; "added": it exists."""
+
+    component: str
+    state: str
+
+    @classmethod
+    def parse(cls, text: object) -> Condition:
+        """Read "camera active"; "camera" alone means active.
+
+        Raises:
+            ConfigurationError: not such a text. InvalidNameError: not a name.
+        """
+        words = text.split() if isinstance(text, str) else []
+        if len(words) not in (1, 2) or words[1:2] not in ([], *([state] for state in _STATES)):
+            raise ConfigurationError(
+                f'condition {text!r}: expected a component and one of {", ".join(_STATES)}, such as "camera active"'
+            )
+        return cls(check_name(words[0], "component"), words[1] if len(words) == 2 else LifecycleState.ACTIVE.value)
+
+    def __str__(self) -> str:
+        return f"{self.component} {self.state}"
+
+
+@dataclass(frozen=True, slots=True)
+class StartRule:
+    """When a component is activated by `Kernel.start_in_order`.
+
+    Args:
+        component: its name.
+        after: conditions that come first: "camera active", or several.
+        wait: seconds between the last of them and the activation.
+        timeout: seconds that all the conditions together may take.
+
+    Raises:
+        ConfigurationError: a value is wrong; it is named. InvalidNameError: not a name.
+    """
+
+    component: str
+    after: str | Sequence[str] = ()
+    wait: float = 0.0
+    timeout: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_name(self.component, "component")
+        for name in ("wait", "timeout"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+                raise ConfigurationError(f"{self.component}: {name} = {value!r}: expected seconds from 0 on")
+        if not isinstance(self.after, str | Sequence):
+            raise ConfigurationError(f"{self.component}: after = {self.after!r}: expected a condition or several")
+        given = (self.after,) if isinstance(self.after, str) else tuple(self.after)
+        object.__setattr__(self, "after", given)
+        for condition in self.conditions:
+            if condition.component == self.component and condition.state != ADDED:
+                raise ConfigurationError(f"{self.component}: cannot wait for itself ({condition})")
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The conditions of `after`."""
+        return tuple(Condition.parse(text) for text in self.after)
+
+
+def in_order(rules: Sequence[StartRule]) -> tuple[StartRule, ...]:
+    """The rules in an order where each comes after those it waits for, and otherwise as they were given.
+
+    Raises:
+        ConfigurationError: no rules, two for one component, or rules that wait for each other; names them.
+    """
+    by_name: dict[str, StartRule] = {}
+    if not isinstance(rules, Sequence) or not all(isinstance(rule, StartRule) for rule in rules):
+        raise ConfigurationError(f'{shown(rules)}: expected rules, such as [StartRule("camera"), ...]')
+    for rule in rules:
+        if rule.component in by_name:
+            raise ConfigurationError(f"{rule.component}: there are two rules for it")
+        by_name[rule.component] = rule
+    waits = {
+        name: [condition.component for condition in rule.conditions if condition.component in by_name]
+        for name, rule in by_name.items()
+    }
+    # A component that waits for its own addition only delays no other.
+    left = {name: set(others) - {name} for name, others in waits.items()}
+    ordered: list[StartRule] = []
+    while left:
+        ready = next((name for name, others in left.items() if not others), None)
+        if ready is None:
+            raise ConfigurationError(f"wait for each other, and none can be first: {' -> '.join(_cycle(left))}")
+        del left[ready]
+        for others in left.values():
+            others.discard(ready)
+        ordered.append(by_name[ready])
+    return tuple(ordered)
+
+
+def _cycle(waits: Mapping[str, set[str]]) -> list[str]:
+    """One cycle of components that wait for each other, with its first name once more at the end."""
+    name = next(iter(waits))
+    way: list[str] = []
+    while name not in way:
+        way.append(name)
+        name = min(waits[name])
+    return [*way[way.index(name) :], name]

@@ -1,0 +1,76 @@
+"""Activates components one after the other by their rules, and deactivates them in the reverse order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from aiorts.errors import AiortsError, StateError, TransitionTimeout
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.supervision.readiness import until
+from aiorts.supervision.start_rules import ADDED, Condition, StartRule, in_order
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.microkernel import Microkernel
+
+
+async def start_in_order(kernel: Microkernel, rules: Sequence[StartRule], started: list[str]) -> None:
+    """See `Kernel.start_in_order`; adds the name of each that was activated to `started`."""
+    for rule in in_order(rules):
+        conditions = rule.conditions
+        # Looked at together: what was true a while ago does not count.
+        if not await until(kernel, lambda cs=conditions: all(_holds(kernel, c) for c in cs), rule.timeout):  # type: ignore[misc]
+            untrue = "; ".join(_text(kernel, one) for one in conditions if not _holds(kernel, one))
+            raise TransitionTimeout(f"{rule.component}: not started: after {rule.timeout} s still {untrue}")
+        if rule.wait:
+            await kernel.sleep(rule.wait)
+        component = kernel.components.get(rule.component)
+        if component is None:
+            there = ", ".join(kernel.components) or "none"
+            raise StateError(f"{rule.component}: cannot be started: no such component; there are {there}")
+        if not component.contexts:
+            raise StateError(f"{rule.component}: cannot be started: it is in no context")
+        if rule.component not in started:
+            started.append(rule.component)
+        await _activate(component)
+
+
+async def _activate(component: Component) -> None:
+    for context in component.contexts:
+        if context.state(component) is not LifecycleState.ACTIVE:
+            await context.activate(component)
+
+
+async def stop_in_order(kernel: Microkernel, names: Sequence[str], timeout: float | None = 5.0) -> None:
+    """Deactivate these in the reverse order, each before the next; one that fails does not stop the others.
+
+    Raises the error of the first that could not be deactivated.
+    """
+    first: AiortsError | None = None
+    for name in reversed(names):
+        component = kernel.components.get(name)
+        for context in () if component is None else component.contexts:
+            if component is not None and context.running and context.state(component) is LifecycleState.ACTIVE:
+                try:
+                    await context.deactivate(component, timeout=timeout)
+                except AiortsError as error:
+                    first = first or error
+    if first is not None:
+        raise first
+
+
+def _holds(kernel: Microkernel, condition: Condition) -> bool:
+    component = kernel.components.get(condition.component)
+    if component is None:
+        return False
+    states = component.states.values()
+    return condition.state == ADDED or (bool(states) and all(state.value == condition.state for state in states))
+
+
+def _text(kernel: Microkernel, condition: Condition) -> str:
+    component = kernel.components.get(condition.component)
+    if component is None:
+        return f"not {condition}: it is not there"
+    states = ", ".join(str(state) for state in component.states.values()) or "in no context"
+    return f"not {condition}: it is {states}"

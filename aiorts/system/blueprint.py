@@ -1,0 +1,240 @@
+"""Makes the system of a system file in a kernel; types, parameters, contexts and options are all checked before.
+
+Only what depends on ports is found out later, because a component may make its ports when it is created.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+from aiorts.assembly import Kernel
+from aiorts.composites import Composite
+from aiorts.errors import AiortsError, ComponentError, PluginError, StateError, SystemFileError, WiringError
+from aiorts.kernel.component import Component
+from aiorts.kernel.declarations import declarations
+from aiorts.kernel.execution.cell import flattened
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.kernel.ports import Port
+from aiorts.kernel.service import ServicePlan
+from aiorts.late import dataclass
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.supervision import in_order
+from aiorts.system.checks.check import of_draft
+from aiorts.system.checks.connection_checks import end_key
+from aiorts.system.file.families import inner_first, readers_first, root, unstartable
+from aiorts.system.file.parse import spelled
+from aiorts.system.file.places import Key, places_of
+from aiorts.system.file.setting import Setting
+from aiorts.system.file.survey import Fault, Survey, survey
+from aiorts.system.file.values import CompositeEntry, ConnectionEntry, SystemFile
+
+
+@dataclass(frozen=True, slots=True)
+class Blueprint:
+    """A system file with everything loaded and checked that is needed to build it once."""
+
+    system: SystemFile
+    types: Mapping[str, type[Component]]
+    settings: Mapping[str, Setting]
+    contexts: Mapping[str, Context]
+    catalogue: Catalogue
+    services: Mapping[str, ServicePlan]
+
+    @property
+    def params(self) -> Mapping[str, Mapping[str, Any]]:
+        """Of each component, what the set "default" has other than declared."""
+        return {name: setting.params for name, setting in self.settings.items()}
+
+
+def prepare(
+    system: SystemFile,
+    catalogue: Catalogue | None = None,
+    services: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> Blueprint:
+    """Load the types and check all that can be checked before anything is created.
+
+    Args:
+        catalogue: where types come from; the default one and the file's plugin folders by default.
+        services: settings by the name of a service; they win over those of its table, and it need not have one.
+
+    Raises:
+        SystemFileError, PluginError, ConfigurationError, WiringError: says where in the file, and what is wrong.
+    """
+    found = survey(system, catalogue, services)
+    _check_declared(found)
+    for key, text in unstartable(system):
+        found.say(key, SystemFileError(text), spelled(places_of(system.text).known(key)) if system.text else "")
+    if found.faults:
+        raise _refused(system, found.faults[0]) from found.faults[0].error.__cause__
+    return Blueprint(system, found.types, found.settings, found.contexts, found.catalogue, found.services)
+
+
+def _refused(system: SystemFile, fault: Fault) -> AiortsError:
+    """A fault as the error to raise: with its place, and the line to quote."""
+    if fault.where.startswith("--") or not system.text:
+        where = fault.where if fault.where.startswith("--") else f"{system.path}: {fault.where}"
+        return type(fault.error)(f"{where}: {fault.error}").like(fault.error)
+    where = f"{system.at(*fault.key, of_key=fault.of_key)}: {fault.where}"
+    error = type(fault.error)(f"{where}: {fault.error}").like(fault.error)
+    if error.typed is None and not isinstance(error, PluginError):  # that is wrong in another file
+        text = system.text.replace("\r\n", "\n")
+        error.at(text, *places_of(text).extent(system.place(*fault.key, of_key=fault.of_key)))
+    return error
+
+
+async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
+    """Attach the services, create the components, connect them, start the contexts and activate their members.
+
+    What the file's plugin folders offer the kernel has from then on, too: for components that are made later by name.
+
+    A component whose `on_activated` raises is in error, as it would be later on; the others go on.
+
+    Raises:
+        AiortsError: what `prepare` raises; a port does not exist or does not fit.
+        BaseException: what `on_initialize` of a component raises, with the component's name as a note.
+    """
+    plan = prepare(system) if isinstance(system, SystemFile) else system
+    folders = (*kernel.plugins.folders, *plan.catalogue.folders)
+    kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
+    system = plan.system
+    kernel.origin = system.text
+    for service in plan.services.values():
+        service.attach(kernel)
+    for name in system.components:
+        try:
+            await _create(kernel, plan, name)
+        except AiortsError as error:
+            error.add_note(_place_of(system, name, error))
+            raise
+        except BaseException as error:
+            error.add_note(name)
+            raise
+    for composite in inner_first(system.composites):
+        await _compose(kernel, system, composite)
+    _check_members(kernel, plan)
+    for connection in system.connections:
+        ports = [_port(system, kernel, connection, number) for number in range(len(connection.ports))]
+        try:
+            await kernel.connect(*ports, **connection.options)
+        except WiringError as error:
+            where = system.at(*_blamed(connection, str(error)))
+            raise WiringError(f"{where}: {connection.place}: {error}") from None
+    for attached in kernel.services:
+        attached.starting()
+    for context in system.contexts.values():
+        members = [kernel.components[name] for name in context.members]
+        await kernel.start(plan.contexts[context.name], *members)
+    for name in _in_order(system):
+        entry = system.components.get(name)
+        for context in system.contexts.values():
+            if context.activate and name in context.members and (entry is None or entry.start is None):
+                await _activate(plan.contexts[context.name], kernel.components[name])
+    rules = [entry.start for entry in system.components.values() if entry.start is not None]
+    for rule in in_order(rules):
+        # One that fails is in error; whoever waits for it says so, unless it is helped in time.
+        with contextlib.suppress(ComponentError):
+            await kernel.start_in_order([rule])
+
+
+async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
+    """A component with its sets in force before its first hook, and supervised before it can fail."""
+    cls, setting = plan.types[name], plan.settings[name]
+    if setting.sets or setting.active is not None:
+        component = await kernel.add(setting.make(cls, name))
+    else:
+        component = await kernel.create(cls, name, **setting.params)
+    policy = plan.system.components[name].supervision
+    if policy is not None:
+        kernel.supervise(component, policy, factory=partial(setting.make, cls))
+
+
+async def _compose(kernel: Kernel, system: SystemFile, entry: CompositeEntry) -> None:
+    key = ("composites", entry.name)
+    try:
+        await kernel.add(Composite(entry.name, *entry.members, **entry.options))
+    except AiortsError as error:
+        text = str(error).removeprefix(f"{entry.name}: ")
+        raise SystemFileError(f"{system.at(*key)}: {spelled(key)}: {text}") from error
+
+
+def _check_members(kernel: Kernel, plan: Blueprint) -> None:
+    """Refuse members that their context cannot run, before any context runs: it is the file that is wrong."""
+    for entry in plan.system.contexts.values():
+        for name in entry.members:
+            try:
+                for part in flattened((kernel.components[name],)):
+                    plan.contexts[entry.name].runner.check_can_add(part)
+            except StateError as error:
+                key = ("contexts", entry.name, "members")
+                raise SystemFileError(f"{plan.system.at(*key)}: {spelled(key)}: {error}") from error
+
+
+async def _activate(context: Context, component: Component) -> None:
+    if component.states.get(context.name) is LifecycleState.ERROR:
+        return  # on_startup failed, which is logged and on the bus: its own affair, as below
+    with contextlib.suppress(ComponentError):
+        if isinstance(component, Composite):
+            await component.activate()  # all of it or nothing, as its errors = "..." says
+        else:
+            await context.activate(component)
+
+
+def _in_order(system: SystemFile) -> list[str]:
+    """Who runs for itself, each after those it sends to: the first sample of a source finds its reader active."""
+    composites = system.composites
+    units = dict.fromkeys(root(composites, name) for name in (*system.components, *composites))
+    edges = []
+    for connection in system.connections:
+        writer, *readers = (root(composites, path.partition(".")[0]) for path in connection.ports)
+        edges += [(writer, reader) for reader in readers]
+    return readers_first(list(units), edges)
+
+
+def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, number: int) -> Port[Any]:
+    path = connection.ports[number]
+    try:
+        found = kernel.find(path)
+    except AiortsError as error:
+        component, _, name = path.partition(".")
+        near = get_close_matches(name, kernel.components[component].ports, n=1)
+        hint = f"; did you mean {component}.{near[0]}?" if near else ""
+        where = system.at(*end_key(connection, number))
+        raise SystemFileError(f"{where}: {connection.place}: {error}{hint}") from None
+    assert isinstance(found, Port)  # noqa: S101 - the parser has seen that the path names one
+    return found
+
+
+def _place_of(system: SystemFile, name: str, error: AiortsError) -> str:
+    """The component that could not be made, and where in the file it is said what it is to be."""
+    if not system.text:
+        return name
+    said = of_draft(system, name, error)
+    place = said.place or system.place(*said.key)
+    return f"{system.path}:{place.line}:{place.column}: {name}"
+
+
+def _blamed(connection: ConnectionEntry, why: str) -> Key:
+    """Where the end stands that an error speaks of: the first in-port that it names, else the first there is."""
+    named = (number for number, path in enumerate(connection.ports) if number and f"{path}:" in why)
+    return end_key(connection, next(named, 1))
+
+
+def _check_declared(found: Survey) -> None:
+    """Refuse a port that its class does not declare, unless the class may make ports itself."""
+    for connection in found.system.connections:
+        for number, path in enumerate(connection.ports):
+            component, _, name = path.partition(".")
+            cls = found.types.get(component)
+            if cls is None or cls.ports_for is not Component.ports_for or hasattr(cls, "make_ports"):
+                continue
+            declared = [port.name or attribute for attribute, port in declarations(cls).ports.items()]
+            near = get_close_matches(name, declared, n=1)
+            if near and name not in declared:
+                what = f"{component} has no port {name!r}; did you mean {near[0]!r}?"
+                found.say(end_key(connection, number), SystemFileError(what), connection.place)

@@ -1,0 +1,177 @@
+"""Everything that can be known of a system file without running it: all findings at once, each with its place.
+
+Component files and plugins are imported and components constructed, as running would; no hook runs, nothing is opened.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from aiorts.errors import AiortsError, StateError, SystemFileError
+from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.system.checks.composed_drafts import compositions, leaf_paths
+from aiorts.system.checks.connection_checks import joint_findings
+from aiorts.system.checks.draft import Draft, draft
+from aiorts.system.checks.findings import Finding, Said, in_order
+from aiorts.system.checks.whole import whole_findings
+from aiorts.system.file.families import parts, with_parts
+from aiorts.system.file.parse import Mistake, read, spelled
+from aiorts.system.file.places import Key, Place, places_of
+from aiorts.system.file.survey import Survey, survey
+from aiorts.system.file.toml import NotToml, read_text
+from aiorts.system.file.values import ComponentEntry, SystemFile
+
+_NUMBERED = re.compile(r"(in|out)put(\d+)")
+
+
+def check(path: str | Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()) -> tuple[Finding, ...]:
+    """What is to be said of the system file at `path`, in the order of its lines; empty when there is nothing.
+
+    Args:
+        overrides: parameters as "component.param=value", which win over those of the file.
+        plugins: folders with plugins, besides those that the file names and the packages that are installed.
+    """
+    where = Path(path)
+    try:
+        text = read_text(where)
+    except SystemFileError as error:
+        return (_unread(error, where),)
+    return check_text(text, where, overrides, plugins)
+
+
+def check_text(
+    text: str, path: Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()
+) -> tuple[Finding, ...]:
+    """The same of a text that an editor has; `path` is where it would stand."""
+    try:
+        system, mistakes = read(text, path, overrides)
+    except SystemFileError as error:
+        return (_unread(error, path),)
+    said = [Said("error", SystemFileError.code, one.key, one.what, one.of_key, one.where) for one in mistakes]
+    found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
+    # Of a component that the file says too little of, ports are not asked for: that would be said twice.
+    found.bad_params |= _marred(mistakes, "components")
+    said += [
+        Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
+        for fault in found.faults
+    ]
+    drafts = _drafts(found)
+    composed = compositions(system, drafts, _marred(mistakes, "composites"))
+    said += composed.said
+    said += [of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
+    every = {**drafts, **composed.drafts}
+    said += joint_findings(found, every)
+    # What is said of the whole is said of who runs, in the place of whom it is a part of.
+    found.system = with_parts(leaf_paths(system, every))
+    said += _of_members(found, drafts)
+    # Of a composite whose ports are not known it is not known either which of its members' ports are connected.
+    vague = {part for name, one in composed.drafts.items() if one.error for part in parts(system.composites, name)}
+    known = {name: one for name, one in drafts.items() if name not in vague}
+    said += whole_findings(found, known, whole=not mistakes and found.services.keys() >= system.services.keys())
+    return in_order(_found(path, system.text, one) for one in said)
+
+
+def _marred(mistakes: Iterable[Mistake], table: str) -> set[str]:
+    """The names in a table of tables that something is wrong with; of the table itself that has been said."""
+    return {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == (table,) and mistake.key[1:]}
+
+
+def _drafts(found: Survey) -> dict[str, Draft]:
+    return {
+        name: draft(cls, name, found.settings[name])
+        for name, cls in found.types.items()
+        if name not in found.bad_params
+    }
+
+
+def _of_members(found: Survey, drafts: dict[str, Draft]) -> Iterable[Said]:
+    """Members that their context cannot run."""
+    for entry in found.system.contexts.values():
+        context = found.contexts.get(entry.name)
+        for name in entry.members:
+            component = drafts[name].component if name in drafts else None
+            if context is None or component is None:
+                continue
+            try:
+                context.runner.check_can_add(component)
+            except StateError as error:
+                yield Said("error", error.code, ("contexts", entry.name, "members"), str(error))
+
+
+# -- places ------------------------------------------------------------------------------------------------------------
+
+
+def of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
+    """A component that cannot have its ports: the parameter that is to blame, and the place in its text."""
+    entry = system.components[name]
+    message = str(error).removeprefix(f"{name}: ")
+    what, text, offset = _typed(error)
+    for key in _keys(entry, what, message):
+        place = places_of(system.text).inside(key, text, offset) if text else None
+        if place is not None or not text:
+            return Said("error", error.code, key, message, place=place)
+    return Said("error", error.code, ("components", name, "type"), message, where=f"components.{name}")
+
+
+def _typed(error: AiortsError) -> tuple[str, str, int]:
+    """What was typed, where an error says so: its name, the text, and the character that is wrong."""
+    known: Any = error
+    if isinstance(getattr(known, "place", None), int):
+        return str(getattr(known, "what", "")), str(known.text), int(known.place)
+    return "", "", 0
+
+
+def _keys(entry: ComponentEntry, what: str, message: str) -> Iterable[Key]:
+    """Where the text may stand, most likely first; () is nowhere."""
+    base: Key = ("components", entry.name)
+    numbered = _NUMBERED.fullmatch(what)
+    named = [param for param in entry.params if param == what or re.search(rf"\b{re.escape(param)}\b", message)]
+    if numbered is not None:
+        yield (*base, "params", f"{numbered[1]}puts", int(numbered[2]))
+    for param in named:
+        yield (*base, "params", param)
+    for param in entry.params:
+        if param not in named and what:
+            yield (*base, "params", param)
+    if what:
+        for number in range(len(entry.options)):
+            yield (*base, "options", number)
+        yield (*base, "options")
+
+
+def _found(path: Path, text: str, said: Said) -> Finding:
+    cause, _, remedy = said.text.replace("\n", " ").rpartition("; ")
+    if not cause:
+        cause, remedy = remedy, ""
+    where = said.where or spelled(places_of(text).known(said.key) if text else said.key)
+    if where.startswith("--set") or not text:
+        place, quote = Place(0, 0), ""
+    else:
+        places = places_of(text)
+        place = said.place or (places.key(said.key) if said.of_key else places.value(said.key))
+        quote = places.line(place.line)
+    return Finding(
+        said.severity,
+        said.code,
+        path,
+        place.line,
+        place.column,
+        place.width,
+        where,
+        cause,
+        remedy,
+        quote,
+        said.suggestion,
+    )
+
+
+def _unread(error: SystemFileError, path: Path) -> Finding:
+    if not isinstance(error, NotToml):
+        return _found(path, "", Said("error", error.code, (), str(error).removeprefix(f"{path}: ")))
+    quote = error.text.split("\n", error.line)[error.line - 1].rstrip("\r") if error.text else ""
+    cause, _, remedy = error.reason.rpartition("; ")
+    cause, remedy = (cause, remedy) if cause else (remedy, "")
+    return Finding("error", error.code, path, error.line, error.column, 1, "", cause, remedy, quote)

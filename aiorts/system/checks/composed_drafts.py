@@ -1,0 +1,91 @@
+"""The ports that composites of a system file will show, found out from their members' drafts; nothing is composed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any
+
+from aiorts.composites import exports, shown
+from aiorts.errors import AiortsError, SystemFileError, WiringError
+from aiorts.kernel.ports import Port
+from aiorts.late import dataclass
+from aiorts.system.checks.draft import Draft
+from aiorts.system.checks.findings import Said
+from aiorts.system.file.families import inner_first
+from aiorts.system.file.places import Key
+from aiorts.system.file.values import CompositeEntry, SystemFile
+
+
+@dataclass(frozen=True, slots=True)
+class Composition:
+    """What is known of the composites of a system."""
+
+    drafts: Mapping[str, Draft]
+    """Each with its exported ports, which are its members' very ports."""
+    said: tuple[Said, ...]
+
+
+def compositions(system: SystemFile, drafts: Mapping[str, Draft], broken: Collection[str] = ()) -> Composition:
+    """The composites, inner ones first, on top of the drafts of the components; of those `broken` nothing is known."""
+    found: dict[str, Draft] = {}
+    said: list[Said] = []
+    for entry in inner_first(system.composites):
+        known = {**drafts, **found}
+        if entry.name in broken or any(name not in known or known[name].error for name in entry.members):
+            found[entry.name] = Draft(None, {}, complete=False, error=SystemFileError("has been said of it"))
+            continue
+        members = {name: known[name] for name in entry.members}
+        complete = all(one.complete for one in members.values())
+        said += _strangers(entry, members, complete=complete)
+        found[entry.name] = _draft(entry, members, said, complete=complete)
+    return Composition(found, tuple(said))
+
+
+def leaf_paths(system: SystemFile, drafts: Mapping[str, Draft]) -> SystemFile:
+    """The system with the members' own ports in the place of those that composites show, as far as they are known."""
+    if not system.composites:
+        return system
+    own = {port: port.path for name in system.components if name in drafts for port in drafts[name].ports.values()}
+
+    def leaf(path: str) -> str:
+        name, _, port = path.partition(".")
+        there = drafts[name].ports.get(port) if name in system.composites and name in drafts else None
+        return path if there is None else own.get(there, path)
+
+    connections = tuple(replace(one, ports=tuple(leaf(path) for path in one.ports)) for one in system.connections)
+    return replace(system, connections=connections)
+
+
+def _draft(entry: CompositeEntry, members: Mapping[str, Draft], said: list[Said], *, complete: bool) -> Draft:
+    rules = exports(entry.options.get("exported", {}), entry.name)
+    every: dict[tuple[str, str], Port[Any]] = {
+        (name, port): made for name, one in members.items() for port, made in one.ports.items()
+    }
+    try:
+        names = shown(rules, every, entry.name)
+    except AiortsError as error:
+        text = str(error).removeprefix(f"{entry.name}: ")
+        said.append(Said("error", error.code, ("composites", entry.name, "exported"), text))
+        return Draft(None, {}, complete=False, error=error)
+    return Draft(None, {name: every[place] for name, place in names.items()}, complete=complete)
+
+
+def _strangers(entry: CompositeEntry, members: Mapping[str, Draft], *, complete: bool) -> Iterator[Said]:
+    """Rules that mean a port that there is not, and patterns that mean none at all."""
+    given = entry.options.get("exported", {})
+    ports = [f"{name}.{port}" for name, one in members.items() for port in one.ports]
+    for number, pattern in enumerate(given):
+        rule = exports([pattern], entry.name)[0]
+        if any(rule.fits(*path.split(".")) for path in ports):
+            continue
+        unsure = not complete and (rule.component not in members or not members[rule.component].complete)
+        near = get_close_matches(pattern, ports, n=1)
+        if unsure and not near:
+            continue
+        key: Key = ("composites", entry.name, "exported", entry.exported_key(number))
+        listed = ", ".join(ports[:20]) or "none"
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {listed}"
+        text = f"no member has a port {pattern!r}; {hint}"
+        yield Said("error" if rule.literal else "warning", WiringError.code if rule.literal else "W-EXPORT", key, text)

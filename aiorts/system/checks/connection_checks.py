@@ -1,0 +1,161 @@
+"""What is to be said of each connection once the ports at its ends are known; it connects nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from aiorts.errors import SystemFileError, WiringError
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.wiring import pair_faults
+from aiorts.model.options import doubts, idle, transport_notice, without_effect
+from aiorts.services import ServicePort, fault_of
+from aiorts.system.checks.adapt import adaptation
+from aiorts.system.checks.draft import Draft
+from aiorts.system.checks.findings import Said
+from aiorts.system.file.places import Key
+from aiorts.system.file.survey import Survey
+from aiorts.system.file.values import ConnectionEntry
+from aiorts.types import has_tm
+
+
+def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    """Ports that do not exist, ends that do not go together, and what is connected twice."""
+    pairs: dict[tuple[str, str], int] = {}
+    counts: dict[str, int] = {}
+    names: dict[str, int] = {}
+    unsure: set[str] = set()
+    yield from _transport(found.system.connections)
+    for connection in found.system.connections:
+        ports: list[Port[Any] | None] = []
+        for number, path in enumerate(connection.ports):
+            port, said = _port(found, drafts, connection, number, path, unsure)
+            ports.append(port)
+            if said is not None:
+                yield said
+        for option, text in (*doubts(connection.options), *idle(connection.options)):
+            yield Said("warning", "W-OPTION", (*_key(connection), *option.split(".")), text, of_key=option != "name")
+        known = [port for port in ports if port is not None]
+        if len(known) == len(ports):
+            yield from _ends(found, drafts, connection, known)
+            yield from _limits(found, connection, known, pairs, counts)
+        name = connection.options.get("name")
+        if (
+            isinstance(name, str)
+            and len(connection.ports) == 2
+            and names.setdefault(name, connection.number) != connection.number
+        ):
+            what = f"connections[{names[name]}] has the name {name!r} already; choose another"
+            yield Said("error", WiringError.code, (*_key(connection), "name"), what)
+
+
+def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
+    """What OpenRTM says of its transports, once for the whole file, at the first of it."""
+    keys: dict[str, Key] = {}
+    for connection in connections:
+        for option in without_effect(connection.options):
+            keys.setdefault(option, (*_key(connection), *option.split(".")))
+    if keys:
+        yield Said("warning", "W-TRANSPORT", next(iter(keys.values())), transport_notice(tuple(keys)), of_key=True)
+
+
+def _key(connection: ConnectionEntry) -> Key:
+    return ("connections", connection.number - 1)
+
+
+def end_key(connection: ConnectionEntry, number: int) -> Key:
+    """Where the path of its port `number` stands: 0 is the one under `from`."""
+    return (*_key(connection), "from") if number == 0 else (*_key(connection), "to", number - 1)
+
+
+def _port(
+    found: Survey, drafts: Mapping[str, Draft], connection: ConnectionEntry, number: int, path: str, unsure: set[str]
+) -> tuple[Port[Any] | None, Said | None]:
+    component, _, name = path.partition(".")
+    draft = drafts.get(component)
+    if draft is None or draft.error is not None:
+        return None, None  # has been said of the component
+    port = draft.ports.get(name)
+    if port is not None:
+        return port, None
+    key = end_key(connection, number)
+    near = get_close_matches(name, draft.ports, n=1)
+    if draft.complete or near:
+        listed = ", ".join(draft.ports) or "none"
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {listed}"
+        return None, Said("error", SystemFileError.code, key, f"{component} has no port {name!r}; {hint}")
+    if component in unsure:
+        return None, None
+    unsure.add(component)
+    kind = found.types[component].__name__ if component in found.types else f"a member of {component}"
+    what = f"{kind} may make {name!r} in on_initialize, which is not run here; a method make_ports would tell"
+    return None, Said("note", "N-PORTS", key, what)
+
+
+def _ends(
+    found: Survey, drafts: Mapping[str, Draft], connection: ConnectionEntry, ports: list[Port[Any]]
+) -> Iterator[Said]:
+    services = [port for port in ports if isinstance(port, ServicePort)]
+    if services:
+        yield from _services(connection, ports, services)
+        return
+    outs = [port for port in ports if isinstance(port, OutPort)]
+    ins = [port for port in ports if isinstance(port, InPort)]
+    if not outs or not ins:
+        word = "in-ports" if ins else "out-ports"
+        what = f"{' and '.join(port.path for port in ports)} are {word}; connect an out-port with an in-port"
+        yield Said("error", WiringError.code, end_key(connection, 1), what)
+        return
+    if not isinstance(ports[0], OutPort):
+        what = f"{ports[0].path} is an in-port; write the out-port under from"
+        yield Said("warning", "W-TURNED", end_key(connection, 0), what)
+    for out in outs:
+        for in_ in ins:
+            key = end_key(connection, ports.index(in_))
+            told = False
+            for fault in pair_faults(out, in_):
+                # One filter mends all that is wrong between the two.
+                mended = None if told else adaptation(found, connection, out, in_)
+                text = fault.removeprefix(f"{out.path} -> {in_.path}: ")
+                if mended is not None:
+                    told = True
+                    text = f"{text.rpartition('; ')[0]}; {mended.remedy}"
+                yield Said("error", WiringError.code, key, text, suggestion="" if mended is None else mended.text)
+    stamp = found.profiles[connection.number][0].stamp if connection.number in found.profiles else None
+    for out in outs:
+        if stamp is not None and not has_tm(out.type):
+            what = f"{out.path} sends {out.type.__name__}, which has no field tm to put it in; take it away"
+            yield Said("error", WiringError.code, (*_key(connection), "stamp"), what)
+
+
+def _services(connection: ConnectionEntry, ports: list[Port[Any]], services: list[ServicePort]) -> Iterator[Said]:
+    if len(services) < len(ports):
+        what = f"{' and '.join(port.path for port in ports)}: a data port and a service port; connect like with like"
+        yield Said("error", WiringError.code, end_key(connection, 1), what)
+    elif (fault := fault_of(services, connection.options)) is not None:
+        text = str(fault).removeprefix(f"{' -> '.join(port.path for port in ports)}: ")
+        yield Said("error", fault.code, end_key(connection, 1), text)
+
+
+def _limits(
+    found: Survey,
+    connection: ConnectionEntry,
+    ports: list[Port[Any]],
+    pairs: dict[tuple[str, str], int],
+    counts: dict[str, int],
+) -> Iterator[Said]:
+    """Connected already, and more connectors than a port takes."""
+    limits = found.profiles[connection.number][1] if connection.number in found.profiles else {}
+    for out in (port for port in ports if isinstance(port, OutPort)):
+        for in_ in (port for port in ports if isinstance(port, InPort)):
+            pair = out.path, in_.path
+            if pair in pairs and not limits.get("allow_duplicate", False):
+                what = f"{pair[0]} and {pair[1]} are connected already, by connections[{pairs[pair]}]"
+                yield Said("error", WiringError.code, _key(connection), f"{what}; take one of them away", of_key=True)
+            pairs.setdefault(pair, connection.number)
+            for port in (out, in_):
+                counts[port.path] = counts.get(port.path, 0) + 1
+                if port.max_connectors is not None and counts[port.path] == port.max_connectors + 1:
+                    what = f"{port.path} takes {port.max_connectors} connectors at the most; take this one away"
+                    yield Said("error", WiringError.code, _key(connection), what, of_key=True)

@@ -1,0 +1,48 @@
+"""The ports a component will have, known without a kernel: it is constructed and given its parameters, no hook runs.
+
+A component whose ports follow its parameters makes them in a method `make_ports`, which its `on_initialize` calls and
+which does nothing else; here it is called alone. A component that overrides `on_initialize` without having one may make
+ports there, so that a port that is not declared cannot be judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from aiorts.errors import AiortsError, ComponentError
+from aiorts.kernel.component import Component
+from aiorts.kernel.loop.origins import located
+from aiorts.kernel.ports import Port
+from aiorts.late import dataclass
+from aiorts.system.file.setting import Setting
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A component that belongs to no kernel and never will."""
+
+    component: Component | None
+    ports: Mapping[str, Port[Any]]
+    complete: bool
+    """Whether these are all its ports."""
+    error: AiortsError | None = None
+    """Why it could not be made."""
+
+
+def draft(cls: type[Component], name: str, setting: Setting) -> Draft:
+    """A component of this class with this configuration, checked already, as a system will have it."""
+    make = getattr(cls, "make_ports", None)
+    try:
+        component = setting.make(cls, name)
+        if make is not None:
+            make(component)
+    except AiortsError as error:
+        return Draft(None, {}, complete=False, error=error)
+    except BaseException as error:  # a component's border: its `make_ports` is the user's
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        what = ComponentError(f"{cls.__name__} cannot be constructed: {located(error)}")
+        return Draft(None, {}, complete=False, error=what)
+    untouched = cls.on_initialize is Component.on_initialize
+    return Draft(component, dict(component.ports), complete=make is not None or untouched)

@@ -1,0 +1,90 @@
+"""What a check found, as frozen values and as text; it finds nothing itself."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts.late import dataclass
+from aiorts.system.file.places import Key, Place
+
+_MEANT: Final = re.compile(r"did you mean (?:'([^']+)'|([^\s'?;]+))\?")
+_MISSING: Final = re.compile(r"expected (schema = \d+) in the first line")
+SEVERITIES: Final = ("error", "warning", "note")
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing to know about a system file before it runs.
+
+    `line` and `column` count from 1, in characters; they are 0 where it is about the file as a whole. `where` is the
+    key, as in "contexts.loop.rate". `width` is the length of the place that is meant.
+    """
+
+    severity: str
+    """"error": it cannot run; "warning": it will hardly do what was meant; "note": good to know."""
+    code: str
+    path: Path
+    line: int
+    column: int
+    width: int
+    where: str
+    cause: str
+    remedy: str = ""
+    quote: str = ""
+    """The line of the file."""
+    suggestion: str = ""
+    """Text for the file that would mend it."""
+
+    @property
+    def place(self) -> str:
+        """Such as "system.toml:7:3"."""
+        return f"{self.path}:{self.line}:{self.column}" if self.line else str(self.path)
+
+    @property
+    def mended(self) -> str:
+        """The text in the place as it was meant, where the message knows that; "" where not."""
+        if found := _MISSING.search(self.message):
+            return found[1]
+        found = _MEANT.search(self.message)
+        if found is None or not self.line:
+            return ""
+        old, meant = self.quote[self.column - 1 : self.column - 1 + self.width], found[1] or found[2]
+        words = [*re.findall(r"[\w.:/-]+", old), *re.findall(r"\w+", old)]
+        near = get_close_matches(meant, words, n=1, cutoff=0.5)
+        return old.replace(near[0], meant, 1) if near else ""
+
+    @property
+    def message(self) -> str:
+        """Cause and remedy in one line."""
+        return f"{self.cause}; {self.remedy}" if self.remedy else self.cause
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        words = ("line", "column", "width", "where", "cause", "remedy")
+        head = {"severity": self.severity, "code": self.code, "file": str(self.path)}
+        found = {word: getattr(self, word) for word in words}
+        return head | found | {"suggestion": self.suggestion or self.mended}
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """A finding before its place is looked up. `text` is "cause; remedy"."""
+
+    severity: str
+    code: str
+    key: Key
+    text: str
+    of_key: bool = False
+    where: str = ""
+    place: Place | None = None
+    suggestion: str = ""
+
+
+def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """As they stand in the file; in one place the worse first, and each once."""
+    unique = dict.fromkeys(findings)
+    return tuple(sorted(unique, key=lambda one: (one.line, one.column, SEVERITIES.index(one.severity))))

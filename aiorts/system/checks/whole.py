@@ -1,0 +1,263 @@
+"""What only the whole system shows: who never runs, what nobody reads, cycles that drive themselves, writers that wait
+for themselves. Pure: it looks at a survey and at drafts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from aiorts.contexts import EventContext
+from aiorts.errors import StateError, SystemFileError
+from aiorts.kernel.ports import OutPort, Port
+from aiorts.model.buffer import FullPolicy
+from aiorts.model.options import connector_profile
+from aiorts.model.policy import Dataflow, Push, Subscription
+from aiorts.model.profile import ConnectorProfile
+from aiorts.services import ServicePort
+from aiorts.system.checks.draft import Draft
+from aiorts.system.checks.findings import Said
+from aiorts.system.file.families import parts, root, unstartable
+from aiorts.system.file.survey import Survey
+from aiorts.system.file.values import ConnectionEntry
+from aiorts.types import is_mutable, type_name
+
+NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"
+_MOST_NAMED = 12
+"""Ports of a cycle that a message names."""
+
+
+def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -> Iterator[Said]:
+    """Findings about several parts at once; `whole` is False when parts were left out, so that nothing is missed."""
+    if whole and not found.system.components:
+        text = "there are no components, and nothing to run; write [components.NAME] with a type"
+        yield Said("warning", "W-EMPTY", ("schema",), text, of_key=True)
+    if whole:
+        yield from _unused(found)
+        for key, text in unstartable(found.system):
+            yield Said("error", SystemFileError.code, key, text)
+        yield from _open_ports(found, drafts)
+    yield from _too_many(found)
+    yield from _mutable(found, drafts)
+    yield from _loops(found, drafts)
+    yield from _waits(found)
+    yield from _outrun(found, drafts)
+
+
+def _unused(found: Survey) -> Iterator[Said]:
+    run = {member for context in found.system.contexts.values() for member in context.members}
+    if found.system.components and not run:
+        names = ", ".join(f'"{name}"' for name in found.system.components)
+        mended = f'[contexts.main]\nkind = "periodic"\nrate = 10.0\nmembers = [{names}]'
+        yield Said("error", SystemFileError.code, (), NOTHING_RUNS, suggestion=mended)
+        return
+    composites = found.system.composites
+    outside = [name for name in composites if not run.intersection(parts(composites, name)) and parts(composites, name)]
+    for name in outside:
+        if root(composites, name) == name:
+            text = f"{name} is in no context and none of its members runs; name it among the members of one"
+            yield Said("warning", "W-UNUSED", ("composites", name), text, of_key=True)
+    told = {part for name in outside for part in parts(composites, name)}
+    for name in found.system.components:
+        if name not in run and name not in told:
+            text = f"{name} is in no context and never runs; name it among the members of one, or take it away"
+            yield Said("warning", "W-UNUSED", ("components", name), text, of_key=True)
+
+
+def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    most = 6
+    used = {path for connection in found.system.connections for path in connection.ports}
+    for name, draft in drafts.items():
+        free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used]
+        if free:
+            listed = ", ".join(f"{port.name} ({_way(port)} {_kind(port)})" for port in free[:most])
+            more = f" and {len(free) - most} more" if len(free) > most else ""
+            word = "ports have" if len(free) > 1 else "port has"
+            text = f"{len(free)} {word} no connection: {listed}{more}"
+            yield Said("note", "N-OPEN", ("components", name), text, of_key=True)
+
+
+def _way(port: Port[Any]) -> str:
+    return "service" if isinstance(port, ServicePort) else "out" if isinstance(port, OutPort) else "in"
+
+
+def _kind(port: Port[Any]) -> str:
+    return port.profile.type if isinstance(port, ServicePort) else type_name(port.type)
+
+
+def _too_many(found: Survey) -> Iterator[Said]:
+    counts: dict[type, int] = {}
+    for name, cls in found.types.items():
+        counts[cls] = counts.get(cls, 0) + 1
+        if cls.max_instance is not None and counts[cls] == cls.max_instance + 1:
+            text = f"{cls.__name__} allows {cls.max_instance} instances in a kernel, this is one more; take it away"
+            yield Said("error", StateError.code, ("components", name, "type"), text)
+
+
+def _mutable(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    told: set[type] = set()
+    for name, draft in drafts.items():
+        for port in draft.ports.values():
+            if isinstance(port, OutPort) and port.type not in told and is_mutable(port.type):
+                told.add(port.type)
+                text = (
+                    f"{name}.{port.name} sends {port.type.__name__}, which can be changed later on: each write "
+                    "makes one snapshot; frozen records travel without one (@aiorts.types.record)"
+                )
+                yield Said("note", "N-COPY", ("components", name), text, of_key=True)
+
+
+# -- cycles ------------------------------------------------------------------------------------------------------------
+
+
+def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    """Cycles whose members are all in event contexts alone: with one sample in it, such a cycle never rests.
+
+    A connector that the reader pulls wakes nobody, and one of a period is paced: neither is part of such a cycle.
+    """
+    contexts: dict[str, list[Any]] = {}
+    for entry in found.system.contexts.values():
+        for member in entry.members:
+            contexts.setdefault(member, []).append(found.contexts.get(entry.name))
+    eager = {name for name, those in contexts.items() if all(isinstance(one, EventContext) for one in those)}
+    edges: dict[str, dict[str, tuple[str, str, int]]] = {name: {} for name in found.system.components if name in eager}
+    for connection in found.system.connections:
+        profile = found.profiles.get(connection.number)
+        if profile is None or not _wakes(profile[0]):
+            continue
+        out, *ins = connection.ports
+        if _is_service(drafts, out):
+            continue  # a call waits for its answer, and wakes nobody
+        for in_ in ins:
+            writer, reader = out.partition(".")[0], in_.partition(".")[0]
+            if writer in edges and reader in edges:
+                edges[writer].setdefault(reader, (out, in_, connection.number))
+    told: set[str] = set()
+    for start in edges:
+        if start in told or not (cycle := _cycle(edges, start)):
+            continue
+        told.update(cycle)
+        path = [
+            port for here, there in zip(cycle, [*cycle[1:], cycle[0]], strict=True) for port in edges[here][there][:2]
+        ]
+        shown = [*path[:_MOST_NAMED], "..."] if len(path) > _MOST_NAMED else path
+        number = edges[cycle[-1]][cycle[0]][2]
+        text = (
+            f"{' → '.join([*shown, path[0]])}: all run on events, so that one sample keeps this cycle busy for ever; "
+            f"put one of them into a periodic context"
+        )
+        yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
+
+
+def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:
+    component, _, port = path.partition(".")
+    return component in drafts and isinstance(drafts[component].ports.get(port), ServicePort)
+
+
+def _wakes(profile: ConnectorProfile) -> bool:
+    return profile.dataflow is Dataflow.PUSH and profile.subscription is not Subscription.PERIODIC
+
+
+def _cycle(edges: Mapping[str, Mapping[str, Any]], start: str) -> list[str]:
+    """The shortest way from a component back to itself; empty where there is none."""
+    came: dict[str, str] = {}
+    level = [start]
+    while level:
+        following = []
+        for here in level:
+            for there in edges[here]:
+                if there == start:
+                    way = [here]
+                    while way[-1] != start:
+                        way.append(came[way[-1]])
+                    return way[::-1]
+                if there not in came:
+                    came[there] = here
+                    following.append(there)
+        level = following
+    return []
+
+
+# -- writers that wait -------------------------------------------------------------------------------------------------
+
+
+def _waits(found: Survey) -> Iterator[Said]:
+    """Connectors with `full = "block"` and no time-out inside one context whose buffer is too short.
+
+    Members run one after the other. A writer takes what its own in-ports hold, and waits when that makes more samples
+    than the buffer has room for: its reader runs only once the writer is done. Counted is one sample for each sample.
+    """
+    room: dict[str, int] = {}
+    for connection in found.system.connections:
+        profile = found.profiles.get(connection.number)
+        if profile is not None:
+            for reader in {path.partition(".")[0] for path in connection.ports[1:]}:
+                room[reader] = room.get(reader, 0) + profile[0].length
+    for connection in found.system.connections:
+        profile = found.profiles.get(connection.number)
+        if profile is None or profile[0].full is not FullPolicy.BLOCK or profile[0].timeout is not None:
+            continue
+        writer = connection.ports[0].partition(".")[0]
+        most = max(room.get(writer, 1), 1)
+        if profile[0].length >= most or not (reader := _beside(found, connection, writer)):
+            continue
+        text = (
+            f"{writer} may have {most} samples to pass on and there is room for {profile[0].length}: it would wait for "
+            f"{reader}, which runs after it in the same context, for ever; set length = {most} or more, or a timeout"
+        )
+        yield Said("warning", "W-BLOCK", ("connections", connection.number - 1, "full"), text)
+
+
+def _outrun(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    """Connections to a reader that wants every sample and reads too seldom: more come in a period than it has room for.
+
+    Counted is one sample for each cycle of the writer; who runs on events is as fast as what wakes it.
+    """
+    for connection in found.system.connections:
+        out, *ins = connection.ports
+        writer = out.partition(".")[0]
+        for path in ins:
+            reader, _, name = path.partition(".")
+            port = drafts[reader].ports.get(name) if reader in drafts else None
+            length = getattr(port, "length", None)
+            if length is None or connection.number not in found.profiles:
+                continue
+            profile, _ = connector_profile("", connection.options, "", connection.ports, length)
+            written, looks = _rates(found, writer), _rates(found, reader)
+            if not (written and looks) or not _keeps_all(profile):
+                continue
+            many = math.ceil(sum(written) / sum(looks))
+            if many > profile.length:
+                text = (
+                    f"{writer} writes {sum(written):g} times in a second, {reader} reads {sum(looks):g} times: {many} "
+                    f"samples come meanwhile and there is room for {profile.length}; set length = {2 * many} or more, "
+                    f'full = "block", or let {reader} run on events'
+                )
+                key = ("connections", connection.number - 1)
+                yield Said("warning", "W-DROPPED", key, text, of_key=True)
+
+
+def _rates(found: Survey, component: str) -> list[float]:
+    """How often a component runs, in each of its contexts; nothing when one of them has no rate."""
+    contexts = [
+        found.contexts.get(entry.name) for entry in found.system.contexts.values() if component in entry.members
+    ]
+    rates = [getattr(one, "rate", None) for one in contexts]
+    return [rate for rate in rates if rate] if all(rates) else []
+
+
+def _keeps_all(profile: ConnectorProfile) -> bool:
+    """Whether every sample is put into the buffer, and none waits for room."""
+    every = profile.subscription is Subscription.FLUSH or profile.push in (Push.ALL, Push.FIFO)
+    return _wakes(profile) and every and profile.full is not FullPolicy.BLOCK
+
+
+def _beside(found: Survey, connection: ConnectionEntry, writer: str) -> str:
+    """A reader that runs in the writer's context and in no other; "" where there is none."""
+    for path in connection.ports[1:]:
+        reader = path.partition(".")[0]
+        theirs = [context for context in found.system.contexts.values() if reader in context.members]
+        if theirs and all(writer in context.members for context in theirs):
+            return reader
+    return ""

@@ -1,0 +1,124 @@
+"""Who is a member of whom in a system file, and what follows from it: what a name stands for, and who runs it; pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from aiorts.supervision import ADDED
+from aiorts.system.file.places import Key
+from aiorts.system.file.values import CompositeEntry, ContextEntry, SystemFile
+
+
+def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:
+    """The composite of each member."""
+    return {member: entry.name for entry in composites.values() for member in entry.members}
+
+
+def root(composites: Mapping[str, CompositeEntry], name: str) -> str:
+    """The outermost composite that a component or composite runs with; its own name where there is none."""
+    of = owners(composites)
+    while name in of and not (name in composites and composites[name].own_schedule):
+        name = of[name]
+    return name
+
+
+def parts(composites: Mapping[str, CompositeEntry], name: str, *, everybody: bool = False) -> tuple[str, ...]:
+    """The components that run with this one, in the order stated; `everybody`: also with a schedule of their own."""
+    entry = composites.get(name)
+    if entry is None:
+        return (name,)
+    return tuple(
+        part
+        for member in entry.members
+        if everybody or not (member in composites and composites[member].own_schedule)
+        for part in parts(composites, member, everybody=everybody)
+    )
+
+
+def inner_first(composites: Mapping[str, CompositeEntry]) -> list[CompositeEntry]:
+    """The composites, each after those that are its members."""
+    ordered: dict[str, CompositeEntry] = {}
+
+    def visit(entry: CompositeEntry) -> None:
+        for member in entry.members:
+            if member in composites and member not in ordered:
+                visit(composites[member])
+        ordered.setdefault(entry.name, entry)
+
+    for entry in composites.values():
+        visit(entry)
+    return list(ordered.values())
+
+
+def with_parts(system: SystemFile) -> SystemFile:
+    """The system with components in the place of the composites that contexts run; its connections are as they were."""
+    contexts = {
+        entry.name: replace(
+            entry, members=tuple(part for member in entry.members for part in parts(system.composites, member))
+        )
+        for entry in system.contexts.values()
+    }
+    return replace(system, contexts=contexts)
+
+
+def misplaced(
+    composites: Mapping[str, CompositeEntry], contexts: Mapping[str, ContextEntry]
+) -> Iterator[tuple[Key, str]]:
+    """Members of contexts that run elsewhere by what the file says: the key, and what is wrong."""
+    of = owners(composites)
+    homes: dict[str, str] = {}
+    for context in contexts.values():
+        for member in context.members:
+            homes.setdefault(member, context.name)
+    for context in contexts.values():
+        for number, member in enumerate(context.members):
+            key: Key = ("contexts", context.name, "members", number)
+            outer = root(composites, member)
+            if member in composites and outer != member:
+                yield key, f"{member!r} is a member of {of[member]} and runs with it; give it own_schedule = true"
+            elif outer != member and outer in homes:
+                yield key, f"{member!r} runs in {homes[outer]} already, as a part of {outer}; take it away here"
+            elif member in composites and homes[member] != context.name:
+                yield key, f"{member!r} runs in {homes[member]} already; a composite is in one context"
+
+
+def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
+    """Rules of starting that no run can carry out, since somebody is in no context: the key, and what is wrong."""
+    run = {
+        part
+        for context in system.contexts.values()
+        for member in context.members
+        for part in parts(system.composites, member)
+    }
+    for entry in system.components.values():
+        if entry.start is None:
+            continue
+        key: Key = ("components", entry.name, "start")
+        if entry.name not in run:
+            yield key, f"{entry.name} is in no context and cannot be started; name it among the members of one"
+        for number, condition in enumerate(entry.start.conditions):
+            inside = parts(system.composites, condition.component, everybody=True)
+            if condition.state != ADDED and not run.intersection(inside):
+                what = f"waits for {str(condition)!r} for ever: {condition.component} is in no context"
+                yield (*key, "after", number), f"{what}; name it among the members of one"
+
+
+def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> list[str]:
+    """The names, each after those it sends to; `edges` are (writer, reader). In a circle the order given decides."""
+    readers: dict[str, list[str]] = {name: [] for name in names}
+    for writer, reader in edges:
+        readers[writer].append(reader)
+    ordered: dict[str, None] = {}
+    for first in names:
+        seen, stack = {first}, [(first, iter(readers[first]))]
+        while stack:
+            name, rest = stack[-1]
+            following = next((one for one in rest if one not in seen and one not in ordered), None)
+            if following is None:
+                stack.pop()
+                ordered.setdefault(name)
+            else:
+                seen.add(following)
+                stack.append((following, iter(readers[following])))
+    return list(ordered)

@@ -1,0 +1,534 @@
+"""From the text of a system file to `SystemFile`: every key is known, every name refers to something, or it is refused.
+
+Pure: it opens no file and loads no component. It goes on after a mistake, so that all of them are named at once, each
+with the key it is about; what is wrong is left out of the system that it answers with.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.composites import ErrorPolicy, exports, groups_of
+from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError
+from aiorts.model.configuration.sets import DEFAULT
+from aiorts.model.names import Path as PortPath
+from aiorts.model.names import check_name
+from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
+from aiorts.supervision import StartRule, Supervision, in_order
+from aiorts.system.file.families import misplaced
+from aiorts.system.file.places import Key
+from aiorts.system.file.reading import NOTHING, Mistake, Reading, hint, near_hint, spelled
+from aiorts.system.file.toml import LARGEST, tables
+from aiorts.system.file.values import (
+    ClockEntry,
+    ComponentEntry,
+    CompositeEntry,
+    ConnectionEntry,
+    ContextEntry,
+    Override,
+    SystemFile,
+)
+
+__all__ = (
+    "CLOCKS",
+    "LARGEST",
+    "SCHEMA",
+    "TOP",
+    "Mistake",
+    "may_be_a_service",
+    "parse",
+    "parse_override",
+    "read",
+    "spelled",
+)
+
+SCHEMA: Final = 1
+CLOCKS: Final = ("system", "scaled", "simulated")
+TOP: Final = ("schema", "plugins", "clock", "components", "composites", "connections", "contexts")
+_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start")
+_COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule")
+_SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
+_START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
+ORDERS: Final = ("stated", "dataflow")
+_LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e300}, "backoff_max": {"backoff": 1e-300}}
+"""What a value is tried with: the two limits of a delay are compared with each other where both are known."""
+
+
+def parse(text: str, path: Path, overrides: Iterable[str] = ()) -> SystemFile:
+    """The system that `text` describes; `path` is where it stands, `overrides` are texts "component.param=value".
+
+    Raises:
+        SystemFileError: says what is wrong first, with line and column, and what may have been meant.
+    """
+    system, mistakes = read(text, path, overrides)
+    if not mistakes:
+        return system
+    if not (in_file := [mistake for mistake in mistakes if not mistake.where.startswith("--set")]):
+        raise SystemFileError(f"{path}: {mistakes[0].where}: {mistakes[0].what}")
+    text = text.removeprefix("\ufeff")
+    first = min(in_file, key=lambda mistake: (mistake.place(text).line, mistake.place(text).column))
+    place = first.place(text)
+    text = text.replace("\r\n", "\n")
+    start = sum(len(line) + 1 for line in text.split("\n")[: place.line - 1]) + place.column - 1
+    error = SystemFileError(f"{path}:{place.line}:{place.column}: {first.where}: {first.what}")
+    raise error.at(text, start, start + place.width)
+
+
+def read(text: str, path: Path, overrides: Iterable[str] = ()) -> tuple[SystemFile, tuple[Mistake, ...]]:
+    """The system without what is wrong in it, and all that is wrong.
+
+    Raises:
+        NotToml: it is no TOML: says line, column and reason. SystemFileError: it is too large.
+    """
+    text = text.removeprefix("\ufeff")
+    reader = _Reader(text, path)
+    return reader.system(tables(text, path), overrides), tuple(reader.mistakes)
+
+
+def parse_override(text: str) -> Override:
+    """`component.param=value` taken apart; SystemFileError when it has another form."""
+    where, equals, value = text.partition("=")
+    component, dot, param = where.strip().partition(".")
+    if not (equals and dot and component and param):
+        error = SystemFileError(f"--set {text[:80]!r}: expected COMPONENT.PARAM=VALUE, such as imu.speed=200")
+        begins = re.match(r"[^.=]+(?:\.(?:[^=]+)?)?", text)  # what looks like COMPONENT.PARAM=VALUE
+        raise error.at(text, 0 if begins is None else begins.end())
+    return Override(component, param, value)
+
+
+def may_be_a_service(key: str) -> bool:
+    """Whether a table is one that a service brings; one nearly like a table of ours is a misspelt one."""
+    return not get_close_matches(key[:100], TOP, cutoff=0.85)
+
+
+class _Reader(Reading):
+    """Reads the tables, one method for each kind of entry."""
+
+    def __init__(self, text: str, path: Path) -> None:
+        super().__init__()
+        self._text = text
+        self._path = path
+
+    def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:
+        if not self._schema(top):
+            top = {}  # of another version nothing can be said
+        services = {key: table for key, table in top.items() if isinstance(table, dict) and may_be_a_service(key)}
+        self._only((), top, (*TOP, *services))
+        tables_ = self._tables(top, "components", "component")
+        components = {name: self._component(name, table) for name, table in tables_.items()}
+        composites = self._composites(top, components)
+        known = {**components, **composites}
+        self._start_order(components, known, tables_)
+        contexts = {
+            name: self._context(name, table, known) for name, table in self._tables(top, "contexts", "context").items()
+        }
+        for key, what in misplaced(composites, contexts):
+            self._say(key, what)
+        listed: list[Any] = self._get((), top, "connections", list, [])
+        connections = (self._connection(number, table, known) for number, table in enumerate(listed, start=1))
+        return SystemFile(
+            self._path,
+            MappingProxyType({name: entry for name, entry in components.items() if entry.type}),
+            tuple(entry for entry in connections if entry is not None),
+            MappingProxyType({name: entry for name, entry in contexts.items() if entry.kind}),
+            self._plugin_paths(top),
+            tuple(found for text in overrides if top and (found := self._override(text, components)) is not None),
+            self._clock(top),
+            composites,
+            MappingProxyType(services),
+            self._text,
+        )
+
+    # -- the parts -------------------------------------------------------------------------------------------------
+
+    def _schema(self, top: dict[str, Any]) -> bool:
+        version = top.get("schema")
+        if version == SCHEMA and type(version) is int:
+            return True
+        if type(version) is int:
+            advice = "update aiorts" if version > SCHEMA else f"write the file for schema {SCHEMA}"
+            self._say(("schema",), f"version {version}, and this aiorts reads schema = {SCHEMA} alone; {advice}")
+        else:
+            got = f"got {version!r:.80}" if "schema" in top else "it is missing"
+            near = near_hint("schema", top) if "schema" not in top else ""
+            self._say(("schema",), f"expected schema = {SCHEMA} in the first line, {got}{near}")
+            return True
+        return False
+
+    def _component(self, name: str, table: dict[str, Any]) -> ComponentEntry:
+        key: Key = ("components", name)
+        unknown = self._only(key, table, _COMPONENT)
+        if "type" not in table and get_close_matches("type", unknown):
+            table = {**table, "type": ""}  # its wrong spelling has been named
+        params = self._get(key, table, "params", dict, {})
+        given = self._get(key, table, "options", object, [])
+        kind = self._get(key, table, "type", str)
+        if kind == "" and not unknown:
+            self._say((*key, "type"), "expected FILE.py:Class, package.module:Class or an installed name, got ''")
+        return ComponentEntry(
+            name,
+            "" if kind is NOTHING else kind,
+            MappingProxyType(dict(params)),
+            self._options((*key, "options"), given),
+            self._sets(key, table),
+            self._get(key, table, "active", str, ""),
+            self._supervision(key, table),
+            self._start(key, table),
+        )
+
+    def _options(self, key: Key, given: Any) -> tuple[str, ...]:
+        if isinstance(given, str):
+            try:
+                return tuple(shlex.split(given))
+            except ValueError as error:
+                self._say(key, f"{str(error).lower()} in {given!r:.80}; a list needs no quotes")
+                return ()
+        if not isinstance(given, list):
+            self._say(key, f'expected a list such as ["-i", "TimedDouble"] or one text, got {given!r:.80}')
+            return ()
+        for number, item in enumerate(given):
+            if isinstance(item, bool) or not isinstance(item, str | int | float):
+                self._say((*key, number), f"expected text or a number, got {item!r:.80}")
+        return tuple(str(item) for item in given if isinstance(item, str | int | float) and not isinstance(item, bool))
+
+    def _context(self, name: str, table: dict[str, Any], components: Mapping[str, Any]) -> ContextEntry:
+        key: Key = ("contexts", name)
+        if "order" in table and "members" not in table:
+            self._say(
+                (*key, "order"), "members run in the order in which they stand; write members = [...]", of_key=True
+            )
+            table = {("members" if word == "order" else word): value for word, value in table.items()}
+        if "type" in table and "kind" not in table:
+            self._say((*key, "type"), "a context has a kind, and only components have a type; write kind", of_key=True)
+            table = {("kind" if word == "type" else word): value for word, value in table.items()}
+        members = self._members(key, self._get(key, table, "members", list, missing=[]), components)
+        return ContextEntry(
+            name,
+            self._get(key, table, "kind", str, missing=""),
+            members,
+            self._get(key, table, "activate", bool, True),
+            MappingProxyType({k: value for k, value in table.items() if k not in ("kind", "members", "activate")}),
+        )
+
+    def _connection(self, number: int, table: Any, components: Mapping[str, Any]) -> ConnectionEntry | None:
+        key: Key = ("connections", number - 1)
+        if not isinstance(table, dict):
+            self._say(key, f"expected a table with from and to, got {table!r:.60}")
+            return None
+        before = len(self.mistakes)
+        to = self._get(key, table, "to", object, missing=None)
+        texts = (to,) if isinstance(to, str) else self._texts((*key, "to"), to) if to is not None else ()
+        if to is not None and not isinstance(to, str) and to == []:
+            self._say((*key, "to"), "expected at least one port")
+        writer = self._get(key, table, "from", str, missing=None)
+        if writer is not None:
+            self._check_port((*key, "from"), writer, components)
+        for place, path in enumerate(texts):
+            self._check_port((*key, "to") if isinstance(to, str) else (*key, "to", place), path, components)
+        options = {word: value for word, value in table.items() if word not in ("from", "to")}
+        self._no_tables(key, options)
+        if writer is None or len(self.mistakes) > before:
+            return None
+        return ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
+
+    def _no_tables(self, key: Key, options: Mapping[str, Any]) -> None:
+        """Refuse a table where an option wants a value, and one that holds nothing."""
+        for word, value in options.items():
+            if not isinstance(value, dict):
+                continue
+            if len(key) == 2 and word in OWN_KEYS:
+                dotted = [f"{word}_{inner}" for inner in value if f"{word}_{inner}" in OWN_KEYS]
+                remedy = f"did you mean {dotted[0]!r}?" if dotted else f"write {word} = VALUE"
+                self._say((*key, word), f"expected a value, got the table {value!r:.60}; {remedy}")
+            elif not value and word not in SERVICE_KEYS:
+                self._say((*key, word), "is an empty table and says nothing; take it away", of_key=True)
+            else:
+                self._no_tables((*key, word), value)
+
+    def _check_port(self, key: Key, path: str, components: Mapping[str, Any]) -> None:
+        if not path:
+            self._say(key, "is empty; write COMPONENT.PORT")
+            return
+        try:
+            parsed = PortPath.parse(path)
+        except InvalidNameError as error:
+            self._say(key, str(error))
+            return
+        if not parsed.port or parsed.kernel:
+            self._say(key, f"{path!r:.80} names no port of this system; write COMPONENT.PORT")
+        elif parsed.component not in components:
+            self._unknown(key, "component", parsed.component, components)
+
+    def _override(self, text: str, components: Mapping[str, Any]) -> Override | None:
+        try:
+            override = parse_override(text)
+        except SystemFileError as error:
+            where, _, what = str(error).partition(": ")
+            self.mistakes.append(Mistake((), where, what))
+            return None
+        if override.component not in components:
+            what = f"unknown component {override.component[:80]!r}; {hint(override.component, components)}"
+            self.mistakes.append(Mistake((), f"--set {text[:80]}", what))
+            return None
+        return override
+
+    def _plugin_paths(self, top: dict[str, Any]) -> tuple[Path, ...]:
+        table = self._get((), top, "plugins", dict, {})
+        self._only(("plugins",), table, ("path",))
+        folder = self._path.parent.resolve()
+        paths = []
+        for number, text in enumerate(
+            self._texts(("plugins", "path"), self._get(("plugins",), table, "path", list, ["."]))
+        ):
+            key: Key = ("plugins", "path", number)
+            try:
+                found = (folder / text).resolve()
+            except (OSError, ValueError, RuntimeError) as error:
+                self._say(key, f"{text!r:.4096}: {error}")
+                continue
+            if found.is_relative_to(folder):
+                paths.append(found)
+            else:
+                self._say(key, f"{text!r:.4096} is outside the system file's folder; move the files below it")
+        return tuple(paths)
+
+    def _clock(self, top: dict[str, Any]) -> ClockEntry:
+        key: Key = ("clock",)
+        table = self._get((), top, "clock", dict, {})
+        self._only(key, table, ("kind", "speed"))
+        kind = self._get(key, table, "kind", str, "scaled" if "speed" in table else "system")
+        if kind not in CLOCKS:
+            self._unknown((*key, "kind"), "kind", kind, CLOCKS)
+            return ClockEntry()
+        if kind != "scaled":
+            if "speed" in table:
+                self._say((*key, "speed"), f'only a clock of kind = "scaled" has a speed, this is {kind}')
+            return ClockEntry(kind)
+        speed = self._get(key, table, "speed", object)
+        if speed is NOTHING:
+            return ClockEntry()
+        if isinstance(speed, bool) or not isinstance(speed, int | float) or not 0 < speed < float("inf"):
+            self._say((*key, "speed"), f"expected a number above 0, such as 10.0, got {speed!r:.80}")
+            return ClockEntry()
+        return ClockEntry(kind, float(speed))
+
+    # -- of a component ----------------------------------------------------------------------------------------------
+
+    def _sets(self, key: Key, table: dict[str, Any]) -> Mapping[str, Mapping[str, Any]]:
+        good: dict[str, Mapping[str, Any]] = {}
+        for name, values in self._get(key, table, "sets", dict, {}).items():
+            where: Key = (*key, "sets", name)
+            try:
+                check_name(name, "configuration set")
+            except AiortsError as error:
+                self._say(where, str(error), of_key=True)
+                continue
+            if name == DEFAULT:
+                self._say(where, f"the set {DEFAULT!r} is what params says; write it under params", of_key=True)
+            elif name.startswith("_"):
+                self._say(where, "names that begin with '_' are not for configuration sets", of_key=True)
+            elif isinstance(values, dict):
+                good[name] = MappingProxyType(dict(values))
+            else:
+                self._say(where, f"expected a table of parameters, got {values!r:.60}")
+        return MappingProxyType(good)
+
+    def _supervision(self, key: Key, table: dict[str, Any]) -> Supervision | None:
+        if "supervision" not in table:
+            return None
+        key = (*key, "supervision")
+        given = self._get(key[:-1], table, "supervision", dict, {})
+        if "restart" not in given and "deadline" not in given and "deadlines" not in given:
+            if not self._only(key, given, _SUPERVISION):
+                what = 'says nothing that is done; write restart = "reset" or "restart", or a deadline'
+                self._say(key, what, of_key=True)
+            return None
+        made: Supervision | None = self._made(key, given, _SUPERVISION, Supervision)
+        return made
+
+    def _start(self, key: Key, table: dict[str, Any]) -> StartRule | None:
+        if "start" not in table:
+            return None
+        given = self._get(key, table, "start", dict, {})
+        made: StartRule | None = self._made((*key, "start"), given, _START, partial(StartRule, str(key[-1])))
+        return made
+
+    def _made(self, key: Key, given: dict[str, Any], known: tuple[str, ...], make: Any) -> Any:
+        """What `make` makes of the values; each is tried alone first, so that each that is wrong is marked."""
+        before = len(self.mistakes)
+        self._only(key, given, known)
+        for word, value in given.items():
+            if word not in known:
+                continue
+            if word == "deadlines" and not isinstance(value, dict):
+                self._say((*key, word), f"expected a table of seconds by hook, got {value!r:.80}")
+                continue
+            if word == "after" and isinstance(value, list):
+                for number, text in enumerate(value):
+                    self._try((*key, word, number), lambda text=text: make(after=(text,)))
+                continue
+            self._try((*key, word), lambda word=word, value=value: make(**{word: value, **_LOOSE.get(word, {})}))
+        if len(self.mistakes) > before:
+            return None
+        return self._try(key, lambda: make(**given), of_key=True)
+
+    def _try(self, key: Key, make: Any, *, of_key: bool = False) -> Any:
+        try:
+            return make()
+        except AiortsError as error:
+            word = next((part for part in reversed(key) if isinstance(part, str)), "")
+            text = str(error).removeprefix(f"{key[1]}: ").removeprefix(f"{word} = ")
+            self._say(key, text, of_key=of_key)
+            return None
+
+    # -- composites --------------------------------------------------------------------------------------------------
+
+    def _composites(
+        self, top: dict[str, Any], components: Mapping[str, ComponentEntry]
+    ) -> Mapping[str, CompositeEntry]:
+        tables = self._tables(top, "composites", "component")
+        good = {}
+        for name, table in tables.items():
+            if name in components:
+                self._say(("composites", name), f"there is a component {name!r}; choose another name", of_key=True)
+                continue
+            good[name] = self._composite(name, table, {**components, **tables})
+        self._families(good)
+        return MappingProxyType(good)
+
+    def _composite(self, name: str, table: dict[str, Any], known: Mapping[str, Any]) -> CompositeEntry:
+        key: Key = ("composites", name)
+        self._only(key, table, _COMPOSITE)
+        members = self._members(key, self._get(key, table, "members", list, missing=[]), known)
+        options: dict[str, Any] = {
+            word: value
+            for word, allowed in (("order", ORDERS), ("errors", tuple(ErrorPolicy)))
+            if (value := self._word(key, table, word, allowed)) is not None
+        }
+        if self._get(key, table, "own_schedule", bool, default=False):
+            options["own_schedule"] = True
+        if "groups" in table:
+            groups = self._try((*key, "groups"), lambda: groups_of(_texts(table["groups"]), members, name))
+            if groups:
+                options["groups"] = groups
+        given = table.get("exported", [])
+        if exported := self._exported((*key, "exported"), given, members):
+            options["exported"] = exported
+        return CompositeEntry(name, members, MappingProxyType(options), isinstance(given, dict))
+
+    def _members(self, key: Key, given: Any, known: Mapping[str, Any]) -> tuple[str, ...]:
+        """Names of components and composites, each once."""
+        members = self._texts((*key, "members"), given)
+        for number, member in enumerate(members):
+            where: Key = (*key, "members", number)
+            if member not in known:
+                self._unknown(where, "component", member, known)
+            elif member in members[:number]:
+                self._say(where, f"{member!r} stands there twice")
+        return tuple(dict.fromkeys(member for member in members if member in known))
+
+    def _word(self, key: Key, table: dict[str, Any], word: str, allowed: Iterable[str]) -> str | None:
+        value = self._get(key, table, word, str, NOTHING if word in table else None)
+        if value is None or value is NOTHING:
+            return None
+        if value not in allowed:
+            self._unknown((*key, word), word, value, [str(one) for one in allowed])
+            return None
+        return str(value)
+
+    def _exported(self, key: Key, given: Any, members: tuple[str, ...]) -> dict[str, str]:
+        """The rules as patterns and names."""
+        if isinstance(given, str):
+            given = [part.strip() for part in given.split(",") if part.strip()]
+        if not isinstance(given, list | dict):
+            what = 'a list such as ["arm.force"] or a table of names by pattern'
+            self._say(key, f"expected {what}, got {given!r:.80}")
+            return {}
+        pairs = given.items() if isinstance(given, dict) else [(pattern, "{port}") for pattern in given]
+        good = {}
+        for number, (pattern, shown) in enumerate(pairs):
+            where: Key = (*key, pattern if isinstance(given, dict) else number)
+            rules = self._try(where, lambda pattern=pattern, shown=shown: self._rule(pattern, shown, key))
+            if rules is None:
+                continue
+            if not any(fnmatchcase(member, rules[0].component) for member in members):
+                self._unknown(where, "member", rules[0].component, members, of_key=isinstance(given, dict))
+            else:
+                good[pattern] = shown
+        return good
+
+    def _rule(self, pattern: Any, shown: Any, key: Key) -> Any:
+        if not isinstance(pattern, str):
+            raise ConfigurationError(f'expected text such as "arm.force", got {pattern!r:.80}; write COMPONENT.PORT')
+        return exports({pattern: shown}, str(key[1]))
+
+    def _families(self, composites: dict[str, CompositeEntry]) -> None:
+        """Refuse a member of two composites, and one that would be a member of itself."""
+        owners: dict[str, str] = {}
+        for entry in composites.values():
+            for number, member in enumerate(entry.members):
+                owner = owners.setdefault(member, entry.name)
+                if owner != entry.name:
+                    what = f"{member!r} is a member of {owner} already; take it away from one of them"
+                    self._say(("composites", entry.name, "members", number), what)
+        for name in composites:
+            seen, here = [name], name
+            while (here := owners.get(here, "")) not in ("", *seen):
+                seen.append(here)
+            if here == name:
+                way = " -> ".join([name, *reversed(seen)])
+                self._say(("composites", name, "members"), f"would be a member of itself: {way}")
+                for one in seen:
+                    owners.pop(one, None)
+                    composites[one] = replace(composites[one], members=())  # who follows the way finds an end
+
+    # -- the order of starting ---------------------------------------------------------------------------------------
+
+    def _start_order(
+        self, components: Mapping[str, ComponentEntry], known: Mapping[str, Any], tables: Mapping[str, Any]
+    ) -> None:
+        """Refuse conditions about nobody, and rules that wait for each other."""
+        rules = [entry.start for entry in components.values() if entry.start is not None]
+        for rule in rules:
+            for number, condition in enumerate(rule.conditions):
+                if condition.component not in known:
+                    key: Key = ("components", rule.component, "start", "after")
+                    if isinstance(tables[rule.component]["start"]["after"], list):
+                        key = (*key, number)
+                    self._unknown(key, "component", condition.component, known)
+        try:
+            in_order(rules)
+        except AiortsError as error:
+            first = str(error).rpartition(": ")[2].partition(" ")[0]
+            self._say(("components", first, "start", "after"), str(error))
+
+
+def _texts(groups: Any) -> Any:
+    """Groups as they may stand in a file: one text, or lists of names."""
+    ok = isinstance(groups, str) or (
+        isinstance(groups, list)
+        and all(isinstance(group, list) and all(isinstance(name, str) for name in group) for group in groups)
+    )
+    if not ok:
+        raise ConfigurationError(f'expected a text such as "a,b|c,d", or lists of names, got {groups!r:.80}')
+    return groups
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Options with dotted keys (`buffer.length = 4`) as one level; a time-out of `inf` as the None that is for ever."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = None if key == "timeout" and value == float("inf") else value
+    return flat

@@ -1,0 +1,121 @@
+"""Takes values out of TOML tables, each checked, and keeps mistakes with the key each is about; it knows no table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from typing import Any, Final
+
+from aiorts.errors import InvalidNameError
+from aiorts.late import dataclass
+from aiorts.model.names import check_name
+from aiorts.system.file.places import Key, Place, places_of
+
+_WORDS: Final[dict[type, str]] = {
+    str: "text",
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    list: "a list",
+    dict: "a table",
+}
+NOTHING: Final[Any] = object()
+_MOST_MISTAKES: Final = 200
+"""Mistakes that are named: who has more mends these first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """One thing that is wrong, and the key it is about; `of_key` when the key itself is wrong and not its value."""
+
+    key: Key
+    where: str
+    what: str
+    of_key: bool = False
+
+    def place(self, text: str) -> Place:
+        """Where it stands in the text."""
+        places = places_of(text)
+        return places.key(self.key) if self.of_key else places.value(self.key)
+
+
+class Reading:
+    """What a reader of tables derives from."""
+
+    def __init__(self) -> None:
+        self.mistakes: list[Mistake] = []
+
+    def _get(
+        self, key: Key, table: dict[str, Any], word: str, kind: type, default: Any = NOTHING, *, missing: Any = NOTHING
+    ) -> Any:
+        """The value of a key; `default` when it is absent, which is a mistake where there is none (then `missing`)."""
+        if word not in table:
+            if default is NOTHING:
+                self._say(key, f"{word} is missing{near_hint(word, table)}", of_key=True)
+                return missing
+            return default
+        value = table[word]
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind not in (bool, object)):
+            self._say((*key, word), f"expected {_WORDS.get(kind, 'a value')}, got {value!r:.80}")
+            return missing if default is NOTHING else default
+        return value
+
+    def _tables(self, top: dict[str, Any], key: str, word: str) -> dict[str, dict[str, Any]]:
+        tables = top.get(key, {})
+        if not isinstance(tables, dict):
+            self._say((key,), f"expected tables such as [{key}.NAME], got {tables!r:.60}; write [{key}.NAME]")
+            return {}
+        good = {}
+        for name, table in tables.items():
+            try:
+                check_name(name, word)
+            except InvalidNameError as error:
+                self._say((key, name), str(error), of_key=True)
+                continue
+            if isinstance(table, dict):
+                good[name] = table
+            else:
+                self._say((key, name), f"expected a table, [{key}.{name}], got {table!r:.60}")
+        return good
+
+    def _texts(self, key: Key, value: Any) -> tuple[str, ...]:
+        if not isinstance(value, list):
+            self._say(key, f"expected a list of texts, got {value!r:.80}")
+            return ()
+        for number, item in enumerate(value):
+            if not isinstance(item, str):
+                self._say((*key, number), f"expected a list of texts, got {item!r:.80}")
+        return tuple(item for item in value if isinstance(item, str))
+
+    def _only(self, key: Key, table: Mapping[str, Any], known: tuple[str, ...]) -> list[str]:
+        unknown = [word for word in table if word not in known]
+        for word in unknown:
+            self._unknown((*key, word), "key", word, known, of_key=True)
+        return unknown
+
+    def _unknown(self, key: Key, word: str, name: str, known: Iterable[str], *, of_key: bool = False) -> None:
+        if len(self.mistakes) < _MOST_MISTAKES:  # near names take their time
+            self._say(key, f"unknown {word} {name[:80]!r}; {hint(name, known)}", of_key=of_key)
+
+    def _say(self, key: Key, what: str, *, of_key: bool = False) -> None:
+        if len(self.mistakes) < _MOST_MISTAKES:
+            self.mistakes.append(Mistake(key, spelled(key) or "file", what, of_key))
+
+
+def spelled(key: Key) -> str:
+    """A key as messages call it: elements of lists count from 1."""
+    text = ""
+    for part in key:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part[:80]}" if text else part[:80]
+    return text
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    names = [str(one) for one in known]
+    near = get_close_matches(name[:100], names, n=1)
+    return f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:20]) or 'none'}"
+
+
+def near_hint(key: str, table: Mapping[str, Any]) -> str:
+    near = get_close_matches(key, [str(other) for other in table], n=1)
+    return f"; did you mean {key!r} by {near[0]!r}?" if near else ""

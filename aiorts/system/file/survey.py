@@ -1,0 +1,182 @@
+"""Loads what a system file names and checks each part by itself; it creates nothing and stops at no mistake.
+
+`prepare` raises the first fault of a survey, `check` shows all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field, fields
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.errors import AiortsError, ConfigurationError, PluginError, SystemFileError, WiringError
+from aiorts.kernel.component import Component
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.extensions.arguments import needs_rate, option_flag, path_settings, settings_faults, settings_of
+from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.kernel.extensions.finders import offer_from
+from aiorts.kernel.service import ServicePlan, load_service
+from aiorts.late import dataclass
+from aiorts.model.options import connector_profile
+from aiorts.model.profile import ConnectorProfile
+from aiorts.system.file.load import check_inside, component_type, context_type, parameters, setting
+from aiorts.system.file.parse import TOP, spelled
+from aiorts.system.file.places import Key
+from aiorts.system.file.reading import hint
+from aiorts.system.file.setting import Setting
+from aiorts.system.file.values import ComponentEntry, ConnectionEntry, ContextEntry, SystemFile
+
+_TEXTS: Final = ("name", "empty", "stamp")
+"""Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that keeps the system from being built: where, and the error with what is to be done."""
+
+    key: Key
+    where: str
+    error: AiortsError
+    of_key: bool = False
+
+
+@dataclass(slots=True)
+class Survey:
+    """What could be had of each part, and what is wrong with the others."""
+
+    system: SystemFile
+    catalogue: Catalogue
+    types: dict[str, type[Component]] = field(default_factory=dict)
+    settings: dict[str, Setting] = field(default_factory=dict)
+    profiles: dict[int, tuple[ConnectorProfile, dict[str, Any]]] = field(default_factory=dict)
+    """By the number of the connection: the options in force, and those that are about its ports."""
+    contexts: dict[str, Context] = field(default_factory=dict)
+    services: dict[str, ServicePlan] = field(default_factory=dict)
+    faults: list[Fault] = field(default_factory=list)
+    bad_params: set[str] = field(default_factory=set)
+    """Components with a parameter that is wrong: what their ports will be is not known."""
+
+    def say(self, key: Key, error: AiortsError, where: str = "", *, of_key: bool = False) -> None:
+        """Keep a fault; `where` in place of the key as it is written."""
+        self.faults.append(Fault(key, where or spelled(key), error, of_key))
+
+
+def survey(
+    system: SystemFile,
+    catalogue: Catalogue | None = None,
+    services: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> Survey:
+    """Everything that can be had of a system without creating anything; imports the files and plugins that it names.
+
+    Args:
+        services: settings by service, which win over those of the file.
+    """
+    if catalogue is None:
+        catalogue = Catalogue((*Catalogue.default().folders, *system.plugin_paths))
+    offer_from(catalogue)
+    found = Survey(system, catalogue)
+    for component in system.components.values():
+        _component(found, component)
+    for connection in system.connections:
+        _connection(found, connection)
+    for context in system.contexts.values():
+        _context(found, context)
+    for name in dict.fromkeys((*services, *system.services)):
+        _service(found, name, system.services.get(name, {}), services.get(name, {}))
+    return found
+
+
+def _component(found: Survey, entry: ComponentEntry) -> None:
+    key: Key = ("components", entry.name)
+    try:
+        cls = component_type(found.system, entry, found.catalogue)
+    except (PluginError, SystemFileError) as error:
+        found.say((*key, "type"), error)
+        return
+    found.types[entry.name] = cls
+    checked, faults = parameters(found.system, entry, cls)
+    found.settings[entry.name], more = setting(found.system, entry, cls, checked)
+    for where, said, fault in (*faults, *more):
+        found.bad_params.add(entry.name)
+        found.say(where, fault, said, of_key="no such parameter" in str(fault))
+
+
+def _connection(found: Survey, entry: ConnectionEntry) -> None:
+    # One option after the other first, so that each that is wrong is named and marked.
+    key: Key = ("connections", entry.number - 1)
+    wrong = False
+    for option, value in entry.options.items():
+        if option in _TEXTS and not isinstance(value, str):
+            wrong = True
+            found.say((*key, option), WiringError(f"{option} = {value!r:.80}: expected text"), spelled(key))
+            continue
+        try:
+            connector_profile("", {option: value, **_needed(option, value)}, "", entry.ports)
+        except WiringError as error:
+            wrong = True
+            what = WiringError(str(error).removeprefix(": "))
+            found.say((*key, *option.split(".")), what, spelled(key), of_key="unknown option" in str(error))
+    if wrong:
+        return
+    try:
+        found.profiles[entry.number] = connector_profile("", entry.options, "", entry.ports)
+    except WiringError as error:
+        found.say(key, WiringError(str(error).removeprefix(": ")), of_key=True)
+
+
+def _needed(option: str, value: Any) -> dict[str, Any]:
+    """What an option cannot be without, so that it can be looked at alone."""
+    periodic = str(value).strip().lower() == "periodic"
+    return {"push_rate": 1.0} if periodic and not option.endswith("push_rate") else {}
+
+
+def _context(found: Survey, entry: ContextEntry) -> None:
+    key: Key = ("contexts", entry.name)
+    try:
+        cls = context_type(found.system, entry.kind, found.catalogue)
+    except (PluginError, SystemFileError) as error:
+        found.say((*key, "kind"), error)
+        return
+    faults = list(settings_faults(cls, entry.options, ("kind", "members", "activate")))
+    for word, what, of_key in faults:
+        kind = SystemFileError if word and of_key else ConfigurationError
+        found.say((*key, word) if word else key, kind(what), of_key=of_key)
+    if needs_rate(cls) and "rate" not in entry.options:
+        what = f"a {entry.kind} context needs its rate in Hz; write rate = 100.0"
+        found.say(key, SystemFileError(what), of_key=True)
+    if not faults:
+        found.contexts[entry.name] = settings_of(cls, {"name": entry.name, **entry.options})
+
+
+def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping[str, Any]) -> None:
+    """The settings of a service: what its table says, and what was chosen elsewhere."""
+    offers = found.catalogue.extensions("services")
+    if name not in offers:
+        what = f"unknown key {name[:80]!r}; {hint(name, (*TOP, *offers))}"
+        found.say((name,), SystemFileError(what), of_key=True)
+        return
+    try:
+        extension = found.catalogue.find("services", name)
+        check_inside(found.system, extension)
+        kind = load_service(extension)
+    except (PluginError, SystemFileError) as error:
+        found.say((name,), error, of_key=True)
+        return
+    by_name = {one.name: one for one in fields(kind.settings)}
+    given = {**_in_folder(found.system, kind.settings, table), **chosen}
+    faults = list(settings_faults(kind.settings, given))
+    for key, what, of_key in faults:
+        option = option_flag(name, by_name[key]) if key in chosen and key in by_name else ""
+        found.say((name, key) if key else (name,), SystemFileError(what), option, of_key=of_key)
+    if not faults:
+        found.services[name] = ServicePlan(kind, settings_of(kind.settings, given))
+
+
+def _in_folder(system: SystemFile, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:
+    """A service's table; a relative path in it is counted from the folder of the file."""
+    paths = path_settings(settings)
+    return {
+        key: str(system.folder / value) if key in paths and isinstance(value, str) and value else value
+        for key, value in table.items()
+    }

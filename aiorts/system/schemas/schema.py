@@ -1,0 +1,336 @@
+"""The JSON Schema (draft 2020-12) of system files, made of what is installed: editors complete and mark with it.
+
+It accepts what the program accepts, texts for numbers included, and knows the parameters of every component type that
+can be loaded. What one table says of another (a member that is no component) no schema can tell: `check` does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import inspect
+import math
+import re
+import types
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts.errors import AiortsError
+from aiorts.kernel.component import Component
+from aiorts.kernel.declarations import declarations
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.extensions.arguments import arguments_of, needs_rate
+from aiorts.kernel.extensions.catalogue import Catalogue, Extension
+from aiorts.kernel.service import load_service
+from aiorts.model.configuration.parameters import Constraint, ParameterSpec
+from aiorts.system.file.parse import SCHEMA
+from aiorts.system.schemas.connection_schema import connection_schema
+from aiorts.system.schemas.table_schemas import (
+    active_schema,
+    composite_schema,
+    sets_schema,
+    start_schema,
+    supervision_schema,
+)
+
+T = typing.TypeVar("T")
+
+_NAME: Final = "[A-Za-z0-9_][A-Za-z0-9_-]{0,99}"
+_INTEGER: Final = r"^\s*[+-]?(0[xX][0-9a-fA-F_]+|0[oO][0-7_]+|0[bB][01_]+|[0-9][0-9_]*)\s*$"
+_NUMBER: Final = r"^\s*[+-]?([0-9][0-9_]*\.?[0-9_]*([eE][+-]?[0-9_]+)?|\.[0-9_]+([eE][+-]?[0-9_]+)?|[iI][nN][fF]([iI][nN][iI][tT][yY])?|[nN][aA][nN])\s*$"  # noqa: E501
+_TRUTH: Final = r"^\s*([tT][rR][uU][eE]|[fF][aA][lL][sS][eE]|[yY][eE][sS]|[nN][oO]|[oO][nN]|[oO][fF][fF]|1|0)\s*$"
+_BOUNDS: Final = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
+_WORDS: Final = {"overrun": ["skip", "catch_up"]}
+"""Arguments of contexts that take one of some words."""
+_JSON: Final = {bool: "boolean", int: "integer", float: "number", str: "string", list: "array"}
+_ARGUMENT: Final = re.compile(r"^ +(\w+(?:, \w+)*): (.*)")
+
+
+def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
+    """The schema as plain data, for `json.dumps`.
+
+    Args:
+        catalogue: which component types and contexts there are; the default one by default.
+    """
+    catalogue = Catalogue.default() if catalogue is None else catalogue
+    components = _classes(catalogue, "components", lambda one: one.load_class(Component))
+    contexts = _classes(catalogue, "contexts", lambda one: one.load_class(Context))
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "aiorts system file",
+        "description": "Components, the connections between their ports, and the contexts that run them.",
+        "type": "object",
+        "required": ["schema"],
+        "additionalProperties": False,
+        "properties": {
+            "schema": {"type": "integer", "const": SCHEMA, "description": "The version of this format."},
+            "plugins": _plugins(),
+            "clock": _clock(),
+            "components": _named("component", "[components.NAME]: what the system is made of."),
+            "composites": _named("composite", "[composites.NAME]: components that are one to everybody else."),
+            "connections": {
+                "type": "array",
+                "description": "[[connections]]: which out-port feeds which in-ports.",
+                "items": {"$ref": "#/$defs/connection"},
+            },
+            "contexts": _named("context", "[contexts.NAME]: who runs when, and in which order."),
+            **_services(catalogue),
+        },
+        "$defs": {
+            "component": {"oneOf": [*(_component(*one) for one in components), _by_file()]},
+            "composite": composite_schema(),
+            "supervision": supervision_schema(),
+            "start": start_schema(),
+            "connection": connection_schema(_NAME),
+            "context": {"oneOf": [_context(*one) for one in contexts]},
+        },
+    }
+
+
+def _named(kind: str, text: str) -> dict[str, Any]:
+    """A table of entries by name."""
+    names, entry = {"pattern": f"^{_NAME}$"}, {"$ref": f"#/$defs/{kind}"}
+    return {"type": "object", "description": text, "propertyNames": names, "additionalProperties": entry}
+
+
+def _classes(
+    catalogue: Catalogue, kind: str, load: Callable[[Extension], type[T]]
+) -> Iterator[tuple[str, type[T] | None]]:
+    """Names and classes of a kind of extension; None for what cannot be loaded: `aiorts plugins --check` says why."""
+    for name in catalogue.extensions(kind):
+        try:
+            yield name, load(catalogue.find(kind, name))
+        except AiortsError:
+            yield name, None
+
+
+def _plugins() -> dict[str, Any]:
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "properties": {
+            "path": {
+                "type": "array",
+                "items": {"type": "string"},
+                "default": ["."],
+                "description": "Folders with component files and plugin packages, below the system file's folder.",
+            }
+        },
+    }
+
+
+def _clock() -> dict[str, Any]:
+    speed = {"type": "number", "exclusiveMinimum": 0, "description": "Seconds of the system in one real second."}
+    return {
+        "description": "How time passes, unless the command line says otherwise (--speed, --simulate).",
+        "oneOf": [
+            {
+                "type": "object",
+                "additionalProperties": False,
+                "properties": {"kind": {"enum": ["system", "simulated"], "default": "system"}},
+            },
+            {
+                "type": "object",
+                "required": ["speed"],
+                "additionalProperties": False,
+                "properties": {"kind": {"const": "scaled"}, "speed": speed},
+            },
+        ],
+    }
+
+
+# -- components --------------------------------------------------------------------------------------------------------
+
+
+def _component(name: str, cls: type[Component] | None) -> dict[str, Any]:
+    kind: dict[str, Any] = {"const": name}
+    params: dict[str, Any] = {"type": "object"}
+    if cls is not None:
+        kind["description"] = inspect.cleandoc(cls.__doc__ or name)
+        specs = declarations(cls).parameters
+        params |= {"additionalProperties": False, "properties": {one: _parameter(spec) for one, spec in specs.items()}}
+    return _entry(kind, params, cls)
+
+
+def _by_file() -> dict[str, Any]:
+    text = "FILE.py:Class, a file below the system file's folder, or package.module:Class"
+    return _entry(
+        {"type": "string", "pattern": r"^([^:]+\.py|[^:/\\]+):[^:]+$", "description": text}, {"type": "object"}, None
+    )
+
+
+def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | None) -> dict[str, Any]:
+    text = "Parameters as its command line has them."
+    for option in getattr(cls, "options", ()):
+        if option.param:
+            text += f"\n{', '.join(option.flags)}: {option.help}"
+    options = {"type": ["array", "string"], "items": {"type": ["string", "number"]}, "description": text}
+    return {
+        "type": "object",
+        "required": ["type"],
+        "additionalProperties": False,
+        "properties": {
+            "type": kind,
+            "options": options,
+            "params": params,
+            "sets": sets_schema(params, _NAME),
+            "active": active_schema(),
+            "supervision": {"$ref": "#/$defs/supervision"},
+            "start": {"$ref": "#/$defs/start"},
+        },
+    }
+
+
+def _parameter(spec: ParameterSpec) -> dict[str, Any]:
+    unit = f" [{spec.unit}]" if spec.unit else ""
+    made = {"title": f"{spec.type_text}{unit}", **_value(spec.type, spec.constraint)}
+    if spec.doc:
+        made["description"] = spec.doc
+    if (default := _plain(spec.default)) is not None:
+        made["default"] = default
+    return made
+
+
+def _value(kind: Any, limits: Constraint) -> dict[str, Any]:
+    """Values of a parameter's type, as TOML or as the text that means them."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        inner = next(part for part in arguments if part is not types.NoneType)
+        return {"anyOf": [_value(inner, limits), {"type": "string", "pattern": r"^\s*[nN][oO][nN][eE]\s*$"}]}
+    if origin is tuple:
+        return {"anyOf": [_array(arguments, limits), {"type": "string"}]}
+    if kind is bool:
+        return {"anyOf": [{"type": "boolean"}, {"type": "string", "pattern": _TRUTH}]}
+    if kind in (int, float):
+        bounds = {
+            word: limit
+            for name, word in _BOUNDS.items()
+            if (limit := getattr(limits, name)) is not None and math.isfinite(limit)
+        }
+        number: dict[str, Any] = {"type": "integer" if kind is int else "number", **bounds}
+        if limits.choices is not None:
+            number["enum"] = list(limits.choices)
+        return {"anyOf": [number, {"type": "string", "pattern": _INTEGER if kind is int else _NUMBER}]}
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        return {"enum": _members(kind)}
+    text: dict[str, Any] = {"type": "string"}
+    if kind is Path:
+        text["minLength"] = 1
+    if limits.choices is not None:
+        text["enum"] = [str(choice) for choice in limits.choices]
+    return text
+
+
+def _array(arguments: tuple[Any, ...], limits: Constraint) -> dict[str, Any]:
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        return {"type": "array", "items": _value(arguments[0], limits)}
+    count = len(arguments)
+    parts = [_value(one, limits) for one in arguments]
+    return {"type": "array", "prefixItems": parts, "minItems": count, "maxItems": count}
+
+
+def _members(kind: type[enum.Enum]) -> list[Any]:
+    values = [member.value for member in kind if isinstance(member.value, str | int | float | bool)]
+    return list(dict.fromkeys([*kind.__members__, *values, *map(str, values)]))
+
+
+def _plain(value: Any) -> Any:
+    """A default as JSON has it; None for what JSON cannot say."""
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, tuple):
+        parts = [_plain(one) for one in value]
+        return None if None in parts else parts
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# -- services ----------------------------------------------------------------------------------------------------------
+
+
+def _services(catalogue: Catalogue) -> dict[str, Any]:
+    """The table that each service brings."""
+    found: dict[str, Any] = {}
+    for name, service in _classes(catalogue, "services", load_service):
+        if service is None:
+            found[name] = {"type": "object"}
+            continue
+        cls = service.settings
+        kinds = arguments_of(cls)
+        found[name] = {
+            "type": "object",
+            "description": inspect.cleandoc(cls.__doc__ or name).partition("\n\n")[0],
+            "additionalProperties": False,
+            "properties": {one.name: _setting(one, kinds[one.name]) for one in dataclasses.fields(cls)},
+        }
+    return found
+
+
+def _setting(one: dataclasses.Field[Any], kinds: tuple[type, ...]) -> dict[str, Any]:
+    told = one.metadata
+    made = _argument(one.name, kinds, one.default, {one.name: told["doc"]} if "doc" in told else {})
+    if "enum" in told.get("schema", ()):
+        made.pop("type", None)
+    return {**made, **told.get("schema", {})}
+
+
+# -- contexts ----------------------------------------------------------------------------------------------------------
+
+
+def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
+    made: dict[str, Any] = {
+        "type": "object",
+        "required": ["kind", "members"],
+        "properties": {
+            "kind": {"const": kind},
+            "members": {
+                "type": "array",
+                "items": {"type": "string"},
+                "uniqueItems": True,
+                "description": "Components, in the order in which they run.",
+            },
+            "activate": {"type": "boolean", "default": True, "description": "Whether its members are active at once."},
+        },
+    }
+    if cls is None:
+        return made
+    made["additionalProperties"] = False
+    made["properties"]["kind"]["description"] = inspect.cleandoc(cls.__doc__ or kind).partition("\n\n")[0]
+    texts = _documented(cls)
+    defaults = inspect.signature(cls).parameters
+    for name, kinds in arguments_of(cls).items():
+        made["properties"][name] = _argument(name, kinds, defaults[name].default, texts)
+    if needs_rate(cls):
+        made["required"] = ["kind", "rate", "members"]
+        del made["properties"]["rate"]["default"]
+    return made
+
+
+def _argument(name: str, kinds: tuple[type, ...], default: Any, texts: Mapping[str, str]) -> dict[str, Any]:
+    made: dict[str, Any] = {"enum": _WORDS[name]} if name in _WORDS else {}
+    if kinds and not made:
+        words = [_JSON[kind] for kind in kinds]
+        made["type"] = words if len(words) > 1 else words[0]
+    if name in texts:
+        made["description"] = texts[name]
+    if isinstance(default, str | bool | int | float):
+        made["default"] = default
+    return made
+
+
+def _documented(cls: type) -> dict[str, str]:
+    """What the classes say of their arguments under `Args:`, the class itself last."""
+    texts: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        names: list[str] = []
+        for line in inspect.cleandoc(base.__doc__ or "").partition("Args:\n")[2].splitlines():
+            if (found := _ARGUMENT.match(line)) is not None:
+                names = [] if found[2].startswith("see ") else found[1].split(", ")
+                texts.update(dict.fromkeys(names, found[2]))
+            elif not line.startswith("     "):
+                names = []  # the next paragraph
+            texts.update({name: f"{texts[name]} {line.strip()}" for name in names if found is None})
+    return texts

@@ -1,0 +1,123 @@
+"""The JSON Schema of sets, supervision, start and composites: tables of keys, with what for."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from aiorts.composites import ErrorPolicy
+from aiorts.model.lifecycle import HOOKS
+from aiorts.supervision import ACTIONS, StartRule, Supervision
+from aiorts.system.file.parse import ORDERS
+
+_SECONDS: Final = {"type": "number", "exclusiveMinimum": 0}
+_FROM_ZERO: Final = {"type": "number", "minimum": 0}
+_GIVEN: Final = Supervision()
+_CONDITION: Final = {"type": "string", "pattern": r"^\s*[A-Za-z0-9_-]+(\s+(added|inactive|active|error))?\s*$"}
+_TEXTS: Final = {"type": "array", "items": {"type": "string"}}
+
+
+def sets_schema(params: dict[str, Any], name: str) -> dict[str, Any]:
+    """`[components.X.sets.NAME]`; `params` is the schema of its parameters."""
+    return {
+        "type": "object",
+        "description": "[components.X.sets.NAME]: named configuration sets; what one does not name is as under params.",
+        "propertyNames": {"pattern": f"^(?!default$|_){name}$"},
+        "additionalProperties": params,
+    }
+
+
+def active_schema() -> dict[str, Any]:
+    """`active` of a component."""
+    return {"type": "string", "description": "The configuration set in force: one of sets, of its class, or default."}
+
+
+def supervision_schema() -> dict[str, Any]:
+    """`[components.X.supervision]`."""
+    text = "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
+    return _table(
+        "What is done when the component fails, and how long its hooks may take.",
+        {
+            "restart": {"enum": list(ACTIONS), "default": _GIVEN.restart, "description": text},
+            "backoff": {**_SECONDS, "default": _GIVEN.backoff, "description": "Seconds before the first help."},
+            "backoff_max": {
+                **_SECONDS,
+                "default": _GIVEN.backoff_max,
+                "description": "Seconds up to which the delay doubles with each failure.",
+            },
+            "budget": {
+                "type": "integer",
+                "minimum": 0,
+                "maximum": 1_000_000,
+                "default": _GIVEN.budget,
+                "description": "Helps within the window at the most.",
+            },
+            "window": {**_SECONDS, "default": _GIVEN.window, "description": "Seconds."},
+            "deadline": {**_SECONDS, "description": "Seconds that each of its hooks may take."},
+            "deadlines": _table(
+                "Seconds for single hooks.",
+                {hook: _SECONDS for hook in HOOKS if hook not in ("on_initialize", "on_finalize")},
+            ),
+        },
+    ) | {"anyOf": [{"required": [word]} for word in ("restart", "deadline", "deadlines")]}
+
+
+def start_schema() -> dict[str, Any]:
+    """`[components.X.start]`."""
+    rule = StartRule("x")
+    return _table(
+        "When it is activated: once its conditions hold and its wait is over.",
+        {
+            "after": {
+                "anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}],
+                "description": 'Conditions such as "camera active": another lifecycle state, or "added".',
+            },
+            "wait": {**_FROM_ZERO, "default": rule.wait, "description": "Seconds between the last of them and it."},
+            "timeout": {
+                **_FROM_ZERO,
+                "default": rule.timeout,
+                "description": "Seconds that all conditions together may take.",
+            },
+        },
+    )
+
+
+def composite_schema() -> dict[str, Any]:
+    """`[composites.NAME]`."""
+    made = _table(
+        "[composites.NAME]: components that are one to everybody else.",
+        {
+            "members": {
+                **_TEXTS,
+                "uniqueItems": True,
+                "description": "Components and other composites, in the order in which they run.",
+            },
+            "exported": {
+                "anyOf": [_TEXTS, {"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}],
+                "description": 'Ports it shows: ["arm.force"], or names by pattern: {"*.out" = "{component}_out"}.',
+            },
+            "order": {
+                "enum": list(ORDERS),
+                "default": "stated",
+                "description": "dataflow: writers run before their readers.",
+            },
+            "groups": {
+                "anyOf": [{"type": "string"}, {"type": "array", "items": _TEXTS}],
+                "description": '"a,b|c,d": what | parts runs side by side in each cycle.',
+            },
+            "errors": {
+                "enum": [policy.value for policy in ErrorPolicy],
+                "default": "stop",
+                "description": "A member in error: stop all; report: the others go on; isolate: it is its own affair.",
+            },
+            "own_schedule": {
+                "type": "boolean",
+                "default": False,
+                "description": "Inside another composite: run in a context of its own.",
+            },
+        },
+    )
+    return {**made, "required": ["members"]}
+
+
+def _table(text: str, properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "description": text, "additionalProperties": False, "properties": properties}

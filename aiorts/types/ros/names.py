@@ -1,0 +1,15 @@
+"""The names of all records of ROS, for whoever looks for a type by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import aiorts.types.ros as ros
+from aiorts.types.registry import full_name
+
+_NAMES = tuple(full_name(cls) for name in ros.__all__ if hasattr(cls := getattr(ros, name), "__dataclass_fields__"))
+
+
+def names(_: Any) -> tuple[str, ...]:
+    """The names, `package/Name`; whatever name is looked for."""
+    return _NAMES

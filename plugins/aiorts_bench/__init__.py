@@ -1,0 +1,28 @@
+"""`aiorts bench`: measures aiorts, always beside a bare baseline of the same run.
+
+`harness/` takes the rounds and writes the reports; `push/`, `punctuality/` and `cases/` hold the benches. A package
+offers its own as an entry point `aiorts.benches` that is a `Bench`. Benches read `time.perf_counter_ns`; the rest of
+aiorts reads time from a `Clock` only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.late import late
+
+if TYPE_CHECKING:
+    from aiorts_bench.harness.bench import Bench, Options
+    from aiorts_bench.harness.case import Aim, Case, Reading
+    from aiorts_bench.harness.report import Report, Row
+
+__all__ = ("Aim", "Bench", "Case", "Options", "Reading", "Report", "Row")
+
+late(
+    globals(),
+    {
+        "aiorts_bench.harness.bench": "Bench Options",
+        "aiorts_bench.harness.case": "Aim Case Reading",
+        "aiorts_bench.harness.report": "Report Row",
+    },
+)

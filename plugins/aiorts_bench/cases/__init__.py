@@ -1,0 +1,1 @@
+"""The other benches: codecs, records, services, scale, start-up, recordings."""

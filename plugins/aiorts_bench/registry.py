@@ -1,0 +1,56 @@
+"""Finds benches by name: aiorts' own in a table, those of packages as entry points `aiorts.benches`."""
+
+from __future__ import annotations
+
+import importlib
+from difflib import get_close_matches
+from typing import Any, Final
+
+from aiorts import Catalogue
+from aiorts.errors import PluginError
+from aiorts_bench.harness.bench import Bench
+
+OWN: Final = {
+    "push": ("aiorts_bench.push.push", "Throughput and latency of the push policies: flush, new, periodic."),
+    "context": ("aiorts_bench.punctuality.context", "How punctual each kind of execution context is."),
+    "codec": ("aiorts_bench.cases.codec", "Records to bytes and back."),
+    "record": ("aiorts_bench.cases.record", "Building, checking and converting records."),
+    "log": ("aiorts_bench.cases.log", "Recording: samples into a file, beside bare writers of the same."),
+    "service": ("aiorts_bench.cases.service", "Calls through service ports, beside coroutines and queues."),
+    "scale": ("aiorts_bench.cases.scale", "One to ten thousand components and connectors."),
+    "startup": ("aiorts_bench.cases.startup", "Importing aiorts, starting its command, a first system."),
+}
+"""Name: module, which has a `BENCH`, and one line of help."""
+
+
+def names() -> dict[str, str]:
+    """One line of help for each bench, by name, without importing any."""
+    found = {name: line for name, (_, line) in OWN.items()}
+    for name, offers in Catalogue.default().extensions("benches").items():
+        found.setdefault(name, f"Of {' and '.join(offer.source for offer in offers)}.")
+    return found
+
+
+def load(name: str) -> Bench:
+    """Import the bench of that name; aiorts' own comes before a package's of the same name.
+
+    Raises:
+        PluginError: there is none (the message has a near name), it cannot be imported, or it is no `Bench`.
+    """
+    if name in OWN:
+        try:
+            found: Any = importlib.import_module(OWN[name][0]).BENCH
+        except ImportError as error:
+            raise PluginError(f"bench {name!r} cannot be loaded: {error}") from error
+        return _checked(name, found)
+    if name not in Catalogue.default().extensions("benches"):
+        near = get_close_matches(name, names(), n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names())}"
+        raise PluginError(f"no bench {name[:60]!r}; {hint}")
+    return _checked(name, Catalogue.default().find("benches", name).load())
+
+
+def _checked(name: str, found: Any) -> Bench:
+    if not isinstance(found, Bench):
+        raise PluginError(f"bench {name!r}: expected an aiorts_bench.Bench, got {type(found).__name__}")
+    return found

@@ -1,0 +1,34 @@
+"""The error for a mistake in typed text, with its place, so that a command line can mark it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from aiorts.errors import ConfigurationError
+
+_QUOTED: Final = 60
+"""Characters of the text that a message quotes: enough for one line."""
+
+
+class TypedTextError(ConfigurationError):
+    """A text does not follow its grammar. Attributes: `what` it is, the whole `text`, and the `place` from 0.
+
+    Args:
+        what: the kind of text ("map", "input0").
+        expected: what a correct text has there, or the reason of the refusal.
+        found: show what the text has there instead.
+    """
+
+    def __init__(self, what: str, text: str, place: int, expected: str, *, found: bool = True) -> None:
+        self.what, self.text, self.place = what, text, place
+        start = max(0, place - _QUOTED // 2)
+        rest = text[place : place + _QUOTED]
+        seen = "" if not found else f", found {rest!r}" if rest else ", found the end"
+        super().__init__(f"{what} {text[start : place + _QUOTED // 2]!r}, character {place + 1}: {expected}{seen}")
+        self.at(text, place)
+
+    def marked(self) -> str:
+        """Two lines: the text around the mistake, with "?" for control characters, and a mark under the place."""
+        start = max(0, self.place - _QUOTED)
+        quoted = "".join(c if c.isprintable() else "?" for c in self.text[start : self.place + _QUOTED])
+        return f"{quoted}\n{' ' * (self.place - start)}^"

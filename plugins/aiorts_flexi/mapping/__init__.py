@@ -1,0 +1,1 @@
+"""FlexiFilter and its language of maps from in-ports to out-ports."""

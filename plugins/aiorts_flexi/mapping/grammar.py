@@ -1,0 +1,178 @@
+"""Parses the language of FlexiFilter's map: text in, entries out, without knowledge of ports, types and values.
+
+    map   := entry { "," entry }
+    entry := in [":" pin] ">" [ mult [off] ">" ] out [":" pin]
+
+`in` and `out` are port numbers; a pin is a number (0 when missing) or a field path such as `position.x`. `mult` is a
+decimal with optional sign and exponent, `off` the same with its sign required; of two readings the longer number wins,
+so `0>1e3>0` is a factor of 1000 and `0>1-5e3>0` is x - 5000. Blanks are allowed beside "," and ">" only. Every other
+character that does not fit is an error with its place.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+
+from aiorts.errors import ConfigurationError
+from aiorts_flexi.common.place import TypedTextError
+
+LONGEST_MAP = 100_000
+_LONGEST_NUMBER = 100
+_QUOTED = 60
+
+_NUMBER = r"(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_PORT = re.compile(r"[0-9]{1,6}")
+_PIN = re.compile(r"[0-9]{1,9}|[A-Za-z_]\w*(?:\.[A-Za-z_]\w*|\[-?[0-9]{1,9}\])*")
+_MULT = re.compile(rf"[+-]?{_NUMBER}")
+_OFF = re.compile(rf"[+-]{_NUMBER}")
+_BLANKS = re.compile(r"[ \t\r\n]*")
+
+Pin = int | str
+Number = int | float
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the map: `target = source * mult + off`; without `mult` the value is only converted."""
+
+    source: int
+    source_pin: Pin
+    target: int
+    target_pin: Pin
+    mult: Number | None = None
+    off: Number | None = None
+    place: int = field(default=0, compare=False)
+    """Where it begins in the text, from 0."""
+
+    def __str__(self) -> str:
+        """The entry as text; parsing it gives an equal entry."""
+        factor = "" if self.mult is None else f"{_number_text(self.mult)}{_offset_text(self.off)}>"
+        return f"{self.source}:{self.source_pin}>{factor}{self.target}:{self.target_pin}"
+
+
+def parse_map(text: str) -> tuple[Entry, ...]:
+    """The entries of a map, in order. TypedTextError marks the first character that does not fit."""
+    if len(text) > LONGEST_MAP:
+        reason = f"expected at most {LONGEST_MAP} characters, got {len(text)}"
+        raise TypedTextError("map", text, LONGEST_MAP, reason, found=False)
+    scanner = _Scanner(text)
+    entries = []
+    while True:
+        scanner.blanks()
+        entries.append(_entry(scanner))
+        scanner.blanks()
+        if scanner.at_end:
+            return tuple(entries)
+        scanner.symbol(",", "a comma or the end")
+
+
+def parse_number(text: str, where: str) -> Number:
+    """Parse a decimal number: an int when written as one. ConfigurationError for other texts and infinite floats."""
+    if _MULT.fullmatch(text) is None or len(text) > _LONGEST_NUMBER:
+        raise ConfigurationError(f"{where}: expected a decimal number such as -1.5e3, got {text[:_QUOTED]!r}")
+    if text.lstrip("+-").isdecimal():
+        return int(text)
+    number = float(text)
+    if math.isinf(number):
+        raise ConfigurationError(f"{where}: {text[:_QUOTED]} is too large for a number of 64 bits")
+    if number == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0]):
+        raise ConfigurationError(f"{where}: {text[:_QUOTED]} is too small for a number of 64 bits, which makes it 0")
+    return number
+
+
+class _Scanner:
+    """The text, and the place of the next character."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.place = 0
+
+    @property
+    def at_end(self) -> bool:
+        return self.place == len(self.text)
+
+    def blanks(self) -> None:
+        self.take(_BLANKS)
+
+    def take(self, pattern: re.Pattern[str]) -> str | None:
+        match = pattern.match(self.text, self.place)
+        if match is None:
+            return None
+        self.place = match.end()
+        return match[0]
+
+    def expect(self, pattern: re.Pattern[str], expected: str) -> str:
+        found = self.take(pattern)
+        if found is None:
+            raise self.error(expected)
+        return found
+
+    def symbol(self, symbol: str, expected: str) -> None:
+        if not self.text.startswith(symbol, self.place):
+            raise self.error(expected)
+        self.place += len(symbol)
+
+    def has(self, symbol: str) -> bool:
+        return self.text.startswith(symbol, self.place)
+
+    def number(self, pattern: re.Pattern[str]) -> Number | None:
+        place = self.place
+        found = self.take(pattern)
+        return None if found is None else parse_number(found, f"map, character {place + 1}")
+
+    def error(self, expected: str) -> TypedTextError:
+        return TypedTextError("map", self.text, self.place, f"expected {expected}")
+
+
+def _entry(scanner: _Scanner) -> Entry:
+    start = scanner.place
+    source = int(scanner.expect(_PORT, "the number of an in-port"))
+    source_pin = _pin(scanner)
+    scanner.blanks()
+    scanner.symbol(">", "'>'" if isinstance(source_pin, str) else "':' and a pin, or '>'")
+    scanner.blanks()
+    mult, off = _factor(scanner)
+    target = int(scanner.expect(_PORT, "the number of an out-port"))
+    return Entry(source, source_pin, target, _pin(scanner), mult, off, start)
+
+
+def _pin(scanner: _Scanner) -> Pin:
+    if not scanner.has(":"):
+        return 0
+    scanner.symbol(":", "':'")
+    pin = scanner.expect(_PIN, "a pin: a number, or a field such as position.x")
+    return int(pin) if pin[0].isdecimal() else pin
+
+
+def _factor(scanner: _Scanner) -> tuple[Number | None, Number | None]:
+    """Multiplier and offset, or nothing when the number was the out-port."""
+    place = scanner.place
+    found = scanner.take(_MULT)
+    if found is None:
+        return None, None
+    with_offset = scanner.take(_OFF)
+    scanner.blanks()
+    if not scanner.has(">"):
+        if with_offset is not None or not found.isdecimal():
+            raise scanner.error("'>' after the factor")
+        scanner.place = place
+        return None, None
+    where = f"map, character {place + 1}"
+    mult = parse_number(found, where)
+    off = None if with_offset is None else parse_number(with_offset, where)
+    scanner.symbol(">", "'>'")
+    scanner.blanks()
+    return mult, off
+
+
+def _number_text(number: Number) -> str:
+    return repr(number)
+
+
+def _offset_text(off: Number | None) -> str:
+    if off is None:
+        return ""
+    text = repr(off)
+    return text if text.startswith("-") else f"+{text}"

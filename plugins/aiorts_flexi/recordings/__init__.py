@@ -1,0 +1,1 @@
+"""FlexiLogger: records any ports, and plays recordings back."""

@@ -1,0 +1,1 @@
+"""Works on whole recordings: figures, conversion, comparison, series, plots."""

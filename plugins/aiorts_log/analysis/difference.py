@@ -1,0 +1,329 @@
+"""Compares two recordings port by port: samples missing, extra or changed, and how their times differ.
+
+Both are read once, side by side; the samples that wait for a partner are bounded. Samples are partners when their log
+times are within a tolerance ("time"), when their own stamps are ("tm"), or by their number within the port ("order").
+By their stamps, and where "log_time" is ignored, values alone are compared: two runs never have the same log times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal, TypeAlias
+
+from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.types import to_plain
+from aiorts.wire import MsgpackCodec
+from aiorts_log.errors import DamagedError, RecordingError
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
+
+By: TypeAlias = Literal["time", "tm", "order"]
+LOG_TIME: Final = "log_time"
+"""The name, among the ignored fields, of what is none of the record."""
+_MOST_PLACES: Final = 10
+_WAITING: Final = 64 * 2**20
+_SMALL: Final = 256
+_LATEST: Final = 2**64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiffOptions:
+    """What counts as equal.
+
+    Attributes:
+        by: what makes samples partners; None is "time", or "order" where log times are ignored.
+        time_tolerance: ns by which their times may differ; None is 0, and of partners by "tm" any log time.
+        absolute, relative: tolerances of numbers: |a - b| <= max(absolute, relative * max(|a|, |b|)).
+        ignored: fields that are not compared, such as "tm"; "log_time" is the log time.
+        from_start: take times from the first sample of each recording.
+    """
+
+    by: By | None = None
+    time_tolerance: int | None = None
+    absolute: float = 0.0
+    relative: float = 0.0
+    ignored: frozenset[str] = frozenset()
+    from_start: bool = False
+
+    def __post_init__(self) -> None:
+        if self.by == "time" and LOG_TIME in self.ignored:
+            raise ConfigurationError('partners by log time, which is ignored; choose by "tm" or "order"')
+
+    @property
+    def partners_by(self) -> By:
+        """What makes samples partners."""
+        return self.by or ("order" if LOG_TIME in self.ignored else "time")
+
+    @property
+    def tolerance(self) -> int:
+        """ns by which times may differ."""
+        return self.time_tolerance or 0
+
+    @property
+    def compares_log_times(self) -> bool:
+        """Whether partners at other log times are a difference."""
+        return LOG_TIME not in self.ignored and (self.by != "tm" or self.time_tolerance is not None)
+
+
+@dataclass(slots=True)
+class PortDifference:
+    """One port in both recordings; times in ns from the start of the first.
+
+    Attributes:
+        left, right: number of samples in each.
+        missing, extra: only in the first, only in the second; changed: with other values.
+        late: partners whose log times, where they are compared, differ by more than the tolerance.
+        furthest, mean: difference of the log times of partners, in ns.
+        types: both types when they differ; nothing is compared then.
+        places: the first differences: time, kind, and for a change the field and both values.
+    """
+
+    name: str
+    left: int = 0
+    right: int = 0
+    missing: int = 0
+    extra: int = 0
+    changed: int = 0
+    late: int = 0
+    partners: int = 0
+    furthest: int = 0
+    total: int = 0
+    types: tuple[str, str] | None = None
+    places: list[tuple[int, str, str]] = field(default_factory=list)
+
+    @property
+    def equal(self) -> bool:
+        """Whether there is no difference."""
+        return not (self.missing or self.extra or self.changed or self.late or self.types)
+
+    @property
+    def mean(self) -> float:
+        """Mean absolute difference of the log times of partners, in ns."""
+        return self.total / self.partners if self.partners else 0.0
+
+    def note(self, time: int, what: str, detail: str = "") -> None:
+        """Keep a difference, if it is one of the first."""
+        if len(self.places) < _MOST_PLACES:
+            self.places.append((time, what, detail))
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The differences of two recordings.
+
+    Attributes:
+        ports: those in both; only_left, only_right: number of samples of the other ports, by name.
+    """
+
+    ports: tuple[PortDifference, ...]
+    only_left: dict[str, int]
+    only_right: dict[str, int]
+
+    @property
+    def equal(self) -> bool:
+        """Whether there is no difference."""
+        return not (self.only_left or self.only_right) and all(port.equal for port in self.ports)
+
+
+def difference(
+    left: Recording, right: Recording, options: DiffOptions | None = None, ports: Collection[str] | None = None
+) -> Difference:
+    """Compare two open recordings.
+
+    Args:
+        ports: those that are compared; None is all of both.
+
+    Raises:
+        RecordingError: partners are too far apart to be held, or a port is in neither.
+        DamagedError: one of them is damaged.
+    """
+    names = [name for name in dict.fromkeys([*left.ports, *right.ports]) if ports is None or name in ports]
+    if ports is not None and (absent := [name for name in ports if name not in names]):
+        raise RecordingError(f"no port {absent[0][:60]!r} in {left.path} or {right.path}; there are {', '.join(names)}")
+    both = [name for name in names if name in left.ports and name in right.ports]
+    pairs = [_Pair(left.ports[name], right.ports[name], name, options or DiffOptions()) for name in both]
+    return Difference(
+        _Walk(left, right, pairs, options or DiffOptions()).run(),
+        {name: left.ports[name].count for name in names if name not in right.ports},
+        {name: right.ports[name].count for name in names if name not in left.ports},
+    )
+
+
+class _Pair:
+    """A port of both recordings, and the samples that wait for a partner."""
+
+    def __init__(self, left: RecordedPort, right: RecordedPort, name: str, options: DiffOptions) -> None:
+        self.found = PortDifference(name)
+        self.sides = left, right
+        self.waiting: tuple[deque[Any], deque[Any]] = (deque(), deque())
+        self._options = options
+        self._same_bytes = left.encoding == right.encoding and left.schema == right.schema
+        self._packed = None if left.unknown or right.unknown else _packed
+        if left.type_name != right.type_name:
+            self.found.types = left.type_name, right.type_name
+
+    def compare(self, one: tuple[int, RecordedSample], other: tuple[int, RecordedSample]) -> None:
+        """Compare two partners."""
+        found, options = self.found, self._options
+        apart = abs(one[0] - other[0])
+        found.partners += 1
+        found.total += apart
+        found.furthest = max(found.furthest, apart)
+        if options.compares_log_times and apart > options.tolerance:
+            found.late += 1
+            found.note(one[0], "late", f"{(other[0] - one[0]) / 1e6:+.6g} ms")
+        if self._same_bytes and one[1].data == other[1].data:
+            return
+        if self._packed is not None and self._packed(one[1]) == self._packed(other[1]):
+            return
+        change = first_change(_plain(one[1]), _plain(other[1]), options)
+        if change is not None:
+            found.changed += 1
+            found.note(one[0], "changed", change)
+
+
+_encode: Final = MsgpackCodec().encode
+
+
+def _packed(sample: RecordedSample) -> bytes:
+    """The record encoded, for a comparison of every bit: half the work of comparing field by field."""
+    if sample.port.encoding == "msgpack":
+        return sample.data
+    try:
+        return _encode(sample.port.decode(sample.data))
+    except AiortsError as error:
+        raise DamagedError(f"port {sample.port.name!r}, sample {sample.sequence}: {error}") from None
+
+
+def _plain(sample: RecordedSample) -> Any:
+    port = sample.port
+    if port.unknown:
+        return port.plain(sample.data)
+    try:
+        return to_plain(port.decode(sample.data))
+    except AiortsError as error:
+        raise DamagedError(f"port {port.name!r}, sample {sample.sequence}: {error}") from None
+
+
+class _Walk:
+    """One pass through both recordings."""
+
+    def __init__(self, left: Recording, right: Recording, pairs: list[_Pair], options: DiffOptions) -> None:
+        self._options = options
+        self._pairs = pairs
+        self._by_port = [{id(pair.sides[side]): pair for pair in pairs} for side in (0, 1)]
+        names = [pair.found.name for pair in pairs]
+        self._streams = [self._timed(reader, names) for reader in (left, right)]
+        self._held = 0
+
+    def _timed(self, reader: Recording, names: list[str]) -> Iterator[tuple[int, RecordedSample]]:
+        zero = reader.start if self._options.from_start else 0
+        for sample in reader.samples(ports=names):
+            yield sample.log_time - zero, sample
+
+    def run(self) -> tuple[PortDifference, ...]:
+        """Compare everything."""
+        heads = [next(stream, None) for stream in self._streams]
+        while heads[0] is not None or heads[1] is not None:
+            times = [head[0] if head is not None else _LATEST for head in heads]
+            side = 0 if times[0] <= times[1] else 1
+            self._take(side, heads[side])
+            heads[side] = next(self._streams[side], None)
+        for pair in self._pairs:
+            self._resolve(pair, _LATEST)
+        return tuple(pair.found for pair in self._pairs)
+
+    def _take(self, side: int, head: Any) -> None:
+        time, sample = head
+        pair = self._by_port[side][id(sample.port)]
+        found = pair.found
+        if side:
+            found.right += 1
+        else:
+            found.left += 1
+        if found.types is not None:
+            return
+        pair.waiting[side].append(head)
+        self._held += len(sample.data) + _SMALL
+        self._resolve(pair, time)
+        if self._held > _WAITING:
+            for other in self._pairs:
+                self._resolve(other, time)
+            if self._held > _WAITING:
+                raise RecordingError(
+                    f"port {found.name!r}: partners lie more than {_WAITING >> 20} MiB of samples apart; "
+                    "--from-start, another --by, or --port"
+                )
+
+    def _resolve(self, pair: _Pair, now: int) -> None:
+        """Compare the partners that are there; a sample that can have none any more is missing or extra."""
+        left, right = pair.waiting
+        by, tolerance = self._options.partners_by, self._options.tolerance
+        while left and right:
+            if by == "order":
+                pair.compare(self._pop(left), self._pop(right))
+                continue
+            first, second = _key(left[0], by), _key(right[0], by)
+            if abs(first - second) <= tolerance:
+                pair.compare(self._pop(left), self._pop(right))
+            else:
+                self._alone(pair, 0 if first < second else 1)
+        for side, queue in enumerate(pair.waiting):
+            while queue and (now == _LATEST or (by == "time" and queue[0][0] + tolerance < now)):
+                self._alone(pair, side)
+
+    def _alone(self, pair: _Pair, side: int) -> None:
+        time, _ = self._pop(pair.waiting[side])
+        if side:
+            pair.found.extra += 1
+        else:
+            pair.found.missing += 1
+        pair.found.note(time, "extra" if side else "missing")
+
+    def _pop(self, queue: deque[Any]) -> Any:
+        head = queue.popleft()
+        self._held -= len(head[1].data) + _SMALL
+        return head
+
+
+def _key(head: tuple[int, RecordedSample], by: By) -> int:
+    return head[0] if by == "time" else head[1].publish_time
+
+
+def first_change(left: Any, right: Any, options: DiffOptions, path: str = "") -> str | None:
+    """Where two pieces of plain data differ first, as "field: a -> b"; None when they do not."""
+    if path in options.ignored:
+        return None
+    if isinstance(left, dict) and isinstance(right, dict):
+        if left.keys() != right.keys():
+            return f"{path or 'record'}: other fields"
+        front = f"{path}." if path else ""
+        found = (first_change(left[key], right[key], options, f"{front}{key}") for key in left)
+        return next((change for change in found if change is not None), None)
+    if isinstance(left, list) and isinstance(right, list):
+        if len(left) != len(right):
+            return f"{path}: {len(left)} items -> {len(right)}"
+        items = (first_change(a, b, options, f"{path}[{i}]") for i, (a, b) in enumerate(zip(left, right, strict=True)))
+        return next((change for change in items if change is not None), None)
+    if _same(left, right, options):
+        return None
+    return f"{path or 'value'}: {_brief(left)} -> {_brief(right)}"
+
+
+def _same(left: Any, right: Any, options: DiffOptions) -> bool:
+    if type(left) is type(right) and left == right:
+        # 0.0 == -0.0, but they are different samples unless there is a tolerance.
+        return (
+            not isinstance(left, float) or bool(options.absolute) or math.copysign(1, left) == math.copysign(1, right)
+        )
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (left, right))
+    if not numbers or not (options.absolute or options.relative):
+        return False
+    return bool(abs(left - right) <= max(options.absolute, options.relative * max(abs(left), abs(right))))
+
+
+def _brief(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,142 @@
+"""Reads fields of a recording as numbers over time, in one pass, with two numbers for each sample and field."""
+
+from __future__ import annotations
+
+import math
+import re
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any, Final
+
+from aiorts.errors import AiortsError, ConfigurationError, RecordError
+from aiorts.progress import Step
+from aiorts.types import convert, path_type, read_path
+from aiorts_log.errors import DamagedError
+from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
+
+_MOST: Final = 16
+"""Items of a sequence that are drawn, a curve for each."""
+_STEP: Final = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,9})\]")
+_BATCH: Final = 2048
+
+
+@dataclass(slots=True)
+class Series:
+    """A curve: seconds since the first sample of the recording, and values; `unit` is "" when unknown."""
+
+    label: str
+    unit: str = ""
+    times: array[float] = field(default_factory=lambda: array("d"))
+    values: array[float] = field(default_factory=lambda: array("d"))
+
+
+class _Field:
+    """A field of a port, and the curves read from it."""
+
+    def __init__(self, port: RecordedPort, name: str, path: str) -> None:
+        self.port = port
+        self.label = f"{name}.{path}" if path else name
+        self._path = path
+        self.unit = port.metadata.get("unit", "")
+        simple = re.fullmatch(r"\w+(\.\w+)*", path) is not None
+        self._get: Callable[[Any], Any] = attrgetter(path) if simple else lambda record: read_path(record, path)
+        self._series: list[Series] = []
+        self.numbers: Callable[[RecordedSample], Sequence[float]] = self._of_plain if port.unknown else self._of_record
+        if not port.unknown and hasattr(port.type, "__dataclass_fields__"):
+            try:
+                path_type(port.type, path)
+            except AiortsError as error:
+                raise ConfigurationError(f"{self.label}: {error}") from None
+
+    @property
+    def series(self) -> list[Series]:
+        """The curves: one, or one for each item."""
+        if len(self._series) == 1:
+            return [Series(self.label, self.unit, self._series[0].times, self._series[0].values)]
+        return self._series
+
+    def add(self, seconds: float, sample: RecordedSample) -> None:
+        """Add the values of a sample."""
+        for number, value in enumerate(self.numbers(sample)):
+            if number == len(self._series):
+                self._series.append(Series(f"{self.label}[{number}]", self.unit))
+            one = self._series[number]
+            one.times.append(seconds)
+            one.values.append(value)
+
+    def _of_record(self, sample: RecordedSample) -> Sequence[float]:
+        try:
+            record = sample.port.decode(sample.data)
+        except AiortsError as error:
+            raise DamagedError(f"port {sample.port.name!r}, sample {sample.sequence}: {error}") from None
+        if not hasattr(type(record), "__dataclass_fields__"):
+            return self._checked(record)
+        try:
+            value = self._get(record)
+        except (AttributeError, RecordError):
+            value = None  # the path is right, and leads through what is absent
+        return self._checked(value)
+
+    def _of_plain(self, sample: RecordedSample) -> Sequence[float]:
+        value = sample.port.plain(sample.data)
+        for name, index in _STEP.findall(self._path):
+            try:
+                value = value[int(index)] if index else value[name]
+            except (KeyError, IndexError, TypeError):
+                raise ConfigurationError(f"{self.label}: there is no {name or index} in its samples") from None
+        return self._checked(value)
+
+    def _checked(self, value: Any) -> Sequence[float]:
+        if hasattr(value, "ravel"):
+            value = value.ravel()[:_MOST].tolist()
+        values = list(value[:_MOST]) if isinstance(value, tuple | list) else [value]
+        values = [_number(one) for one in values]
+        if not all(isinstance(one, int | float) for one in values):
+            raise ConfigurationError(f"{self.label}: is {type(values[0]).__name__}, not a number; name a field of it")
+        return [float(one) for one in values]
+
+
+def _number(value: Any) -> Any:
+    """Not a number for what is absent, which leaves a gap in the curve; nanoseconds for a datetime."""
+    if value is None:
+        return math.nan
+    return convert(value, "i64") if hasattr(value, "utcoffset") else value
+
+
+def read_series(
+    reader: Recording, names: Sequence[str], start: int | None, end: int | None, step: Step
+) -> list[list[Series]]:
+    """Read the curves of each of these fields (PORT.FIELD, or PORT for its `data`).
+
+    Raises:
+        ConfigurationError: there is no such port or field, or it is no number.
+        DamagedError: the recording is damaged.
+    """
+    fields = [_find(reader, name) for name in names]
+    by_port: dict[int, list[_Field]] = {}
+    for one in fields:
+        by_port.setdefault(id(one.port), []).append(one)
+    zero = reader.start
+    wanted = [name for name, port in reader.ports.items() if id(port) in by_port]
+    number = 0
+    for number, sample in enumerate(reader.samples(start=start, end=end, ports=wanted), 1):
+        seconds = (sample.log_time - zero) / 1e9
+        for one in by_port[id(sample.port)]:
+            one.add(seconds, sample)
+        if not number % _BATCH:
+            step(_BATCH)
+    step(number % _BATCH)
+    return [one.series for one in fields]
+
+
+def _find(reader: Recording, name: str) -> _Field:
+    for port in sorted(reader.ports, key=len, reverse=True):
+        if name == port:
+            bare = reader.ports[port].unknown or not hasattr(reader.ports[port].type, "__dataclass_fields__")
+            return _Field(reader.ports[port], port, "" if bare else "data")
+        if name.startswith((f"{port}.", f"{port}[")):
+            return _Field(reader.ports[port], port, name[len(port) :].removeprefix("."))
+    there = ", ".join(list(reader.ports)[:20]) or "none"
+    raise ConfigurationError(f"{reader.path}: no port for {name[:60]!r}; write PORT.FIELD; ports: {there}")

@@ -1,0 +1,80 @@
+"""Shared by the commands of recordings: option types, and output of times, sizes and names."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from aiorts_log.commands.moment import moment_ns
+from aiorts_log.mcap.source import Limits
+from aiorts_log.mcap.survey import Gap
+
+FILE: Final = click.Path(path_type=Path)
+MOST_LINES: Final = 10
+"""Lines of a list that are printed; the rest is a number."""
+UNLIMITED: Final = click.option(
+    "--unlimited",
+    "limits",
+    is_flag=True,
+    callback=lambda _context, _option, given: Limits.unlimited() if given else Limits(),
+    help="Read it although it is small and holds very much.",
+)
+"""The option whose value is the `limits` for `open_recording`."""
+
+
+class Finite(click.FloatRange):
+    """A finite number that is not negative."""
+
+    def __init__(self, least: float = 0.0, most: float | None = None) -> None:
+        super().__init__(least, most)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse what is not finite as well: no range refuses NaN, since comparisons with it are false."""
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{found!r} is no finite number", param, ctx)
+        return found
+
+
+def moment(option: str, text: str | None, start: int) -> int | None:
+    """A time of the command line in ns; None when it was not given."""
+    return None if text is None else moment_ns(option, text, start)
+
+
+def strict(plain: Any) -> Any:
+    """The same data with numbers that are not finite as texts, since JSON has none."""
+    if isinstance(plain, float) and not math.isfinite(plain):
+        return str(plain)
+    if isinstance(plain, dict):
+        return {str(key): strict(value) for key, value in plain.items()}
+    return [strict(value) for value in plain] if isinstance(plain, list) else plain
+
+
+def safe(text: object) -> str:
+    """A text of a file with control characters escaped, so that it cannot command a terminal."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text)[:300])
+
+
+def number(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def size(count: int) -> str:
+    return f"{count} bytes" if count < 10_000 else f"{count / 1e6:.2f} MB"
+
+
+def date(ns: int) -> str:
+    try:
+        moment = datetime.fromtimestamp(ns // 10**9, UTC)
+    except (OverflowError, ValueError, OSError):
+        return f"{ns} ns"
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{ns % 10**9 // 10**6:03d} UTC"
+
+
+def gap_lines(gaps: tuple[Gap, ...]) -> list[str]:
+    lines = [f"{gap.length} bytes from byte {gap.offset}: {safe(gap.why)}" for gap in gaps[:MOST_LINES]]
+    return [*lines, *([f"and {len(gaps) - MOST_LINES} more places"] if len(gaps) > MOST_LINES else [])]

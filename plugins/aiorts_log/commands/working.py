@@ -1,0 +1,50 @@
+"""The base of commands that write files: a signal ends them in order, a failed write is one line and exit status 1."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any, Final
+
+import click
+
+from aiorts import exits
+from aiorts_log.errors import UnwrittenError
+
+_SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class WritingCommand(click.Command):
+    """A command that leaves no half-written file, however it ends."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; returns the exit status."""
+        try:
+            with _ending_in_order():
+                return super().invoke(ctx)
+        except UnwrittenError as error:
+            click.echo(f"aiorts: {error.code}: {error}", err=True)
+            return exits.FAILED
+
+
+@contextlib.contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """Let signals raise in this block instead of ending the process."""
+    before = {}
+    for number in (signal.Signals[name] for name in _SIGNALS if name in signal.Signals.__members__):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell script
+            with contextlib.suppress(ValueError):  # not the main thread, which has the signals
+                before[number] = signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
+    raise SystemExit(exits.of_signal(number))

@@ -1,0 +1,1 @@
+"""Imports recordings of other systems: ROS 2 bags and JSON messages."""

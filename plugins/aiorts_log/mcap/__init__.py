@@ -1,0 +1,1 @@
+"""The MCAP format: reading, writing, checking and salvaging files."""

@@ -1,0 +1,1 @@
+"""Writes a recording in a thread of its own: queue, chunks, rotation, durability."""

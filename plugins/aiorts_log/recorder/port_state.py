@@ -1,0 +1,64 @@
+"""The state of a recorded port: how its samples are encoded, their channels, and their counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from aiorts.types import describe, has_tm
+from aiorts_log.recorder.options import RecordingStatistics
+from aiorts_log.recorder.weight import weigher
+
+
+class PortState:
+    """A recorded port with one channel, or more when there are records of subclasses."""
+
+    def __init__(self, name: str, cls: type, metadata: Mapping[str, str]) -> None:
+        self.name = name
+        self.cls = cls
+        self.metadata = metadata
+        self.weigh = weigher(cls)
+        self.stamped = has_tm(cls)
+        self.mutable = hasattr(cls, "__dataclass_fields__") and not describe(cls).checked
+        """Whether a sample can still change: it is of a dataclass that is no record, frozen or not."""
+        self.kind: type | None = None
+        self.encode: Callable[[Any], bytes] = bytes
+        """Makes bytes of the records of that class."""
+        self.split: Callable[[Any], tuple[bytes, bytes]] | None = None
+        """The same in two parts, for large ones; None when that is no gain."""
+        self.seen: type | None = None
+        """The class of the sample before; channel and sequence are those of its samples."""
+        self.channel = 0
+        self.sequence = 0
+        self.next: dict[int, int] = {}
+        """The next sequence number of the other channels."""
+        self.offered = 0
+        self.dropped = 0
+        self.refused = 0
+        self.unfit = 0
+        """Refused at once, by the thread that offered it."""
+        self.stored = 0
+
+
+def tally(
+    ports: Sequence[PortState], ended: bool, durable: int, clamped: int, size: int, files: int
+) -> RecordingStatistics:
+    """The counts of all ports; once the recording has `ended`, samples that are not stored were dropped."""
+    stored = sum(port.stored for port in ports)
+    dropped = {p.name: p.offered - p.refused - p.unfit - p.stored if ended else p.dropped for p in ports}
+    return RecordingStatistics(
+        sum(port.offered for port in ports),
+        stored,
+        min(durable, stored),
+        {name: count for name, count in dropped.items() if count},
+        {port.name: port.refused + port.unfit for port in ports if port.refused + port.unfit},
+        clamped,
+        size,
+        files,
+    )
+
+
+def end_report(found: RecordingStatistics) -> dict[str, object]:
+    """The counts that a recording has in its end report."""
+    known = {"stored": found.stored, "dropped": dict(found.dropped), "refused": dict(found.refused)}
+    return {**known, "clamped": found.clamped}

@@ -1,0 +1,1 @@
+"""The text formats: flat text, JSON lines, and tables (CSV)."""

@@ -1,0 +1,38 @@
+"""What is quick, and what is far from it."""
+
+from __future__ import annotations
+
+import pytest
+
+import tiers
+
+TABLE = {"tests/a.py::test_long": "tests/a.py::test_short", "tests/a.py::test_alone": tiers.FIRST}
+
+
+@pytest.fixture(autouse=True)
+def _table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiers, "table", lambda: TABLE)
+
+
+def test_of_a_test_that_nothing_quicker_replaces_the_first_case_is_quick() -> None:
+    cases = ["test_short", "test_long[1]", "test_alone[1]", "test_alone[2]", "test_alone[3]"]
+    assert tiers.are_slow(f"tests/a.py::{case}" for case in cases) == [False, True, False, True, True]
+
+
+def test_far_from_quick_is_what_takes_four_times_the_limit_and_is_not_meant_to() -> None:
+    took = {
+        "tests/a.py::test_short[1]": 1.1,
+        "tests/a.py::test_short[2]": 0.99,
+        "tests/a.py::test_alone[1]": 9.0,
+        "tests/architecture/test_layers.py::test_x": 9.0,
+    }
+    others = {f"tests/b.py::test_x[{case}]": tiers.USUAL for case in range(10_000)}
+    assert tiers.far_from_quick(took | others) == {"tests/a.py::test_short[1]"}
+    slower = {case: 3 * seconds for case, seconds in others.items()}
+    assert tiers.far_from_quick(took | slower) == set()
+
+
+def test_a_test_takes_as_long_as_its_longest_case_with_all_its_fixtures() -> None:
+    calls = "0.30s call     tests/a.py::test_x[1]\n", "0.35s call     tests/a.py::test_x[2]\n"
+    log = "".join([*calls, "0.10s setup    tests/a.py::test_x[1]\n"])
+    assert tiers.measured(log) == {"tests/a.py::test_x": pytest.approx(0.4)}

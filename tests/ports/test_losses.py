@@ -1,0 +1,221 @@
+"""Samples lost at a connector with default options are said once, then counted; who chose to lose some is not told."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+
+from aiorts import (
+    Component,
+    Connector,
+    EventPort,
+    InPort,
+    Kernel,
+    OutPort,
+    PeriodicContext,
+    StateMachineComponent,
+    Supervision,
+    ThreadContext,
+)
+from aiorts.statechart import Chart, On, State
+from aiorts.testing import simulated
+from aiorts.types import TimedLong
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+
+
+class Sink(Component):
+    inp = InPort(TimedLong)
+
+
+class Blocking(Component):
+    """In a thread of its own; takes nothing."""
+
+    inp = InPort(TimedLong)
+
+
+def lines(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """What was said since the last time."""
+    said = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
+    caplog.clear()
+    return said
+
+
+async def connected(kernel: Kernel, **options: Any) -> tuple[Source, Sink, Connector]:
+    source, sink = await kernel.create(Source), await kernel.create(Sink)
+    return source, sink, await kernel.connect(source.out, sink.inp, **options)
+
+
+def write(source: Source, count: int) -> None:
+    for number in range(count):
+        assert source.out.write_nowait(TimedLong(0, number))
+
+
+@pytest.mark.parametrize("readers", [1, 2], ids=["one writer", "two writers"])
+@simulated
+async def test_the_first_is_said_at_once_and_more_are_counted_ever_rarer(
+    readers: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Kernel() as kernel:
+        source, sink, connector = await connected(kernel)
+        if readers == 2:  # what comes through both is kept in the order of arrival
+            await kernel.connect((await kernel.create(Source)).out, sink.inp)
+        write(source, 8)
+        await kernel.sleep(60.0)
+        assert lines(caplog) == []
+        write(source, 1)
+        assert lines(caplog) == []  # no log handler runs inside a write
+        await kernel.sleep(0.0)
+        (line,) = lines(caplog)
+        assert line.startswith(
+            f"{source.out.path} -> {sink.inp.path}: 1 sample lost so far: overwritten, the reader is slower"
+        )
+        write(source, 100)
+        await kernel.sleep(9.9)
+        assert lines(caplog) == []
+        await kernel.sleep(0.2)
+        assert lines(caplog) == [f"{source.out.path} -> {sink.inp.path}: 100 samples more lost"]
+        write(source, 1)
+        await kernel.sleep(19.8)
+        assert lines(caplog) == []
+        await kernel.sleep(0.2)
+        assert lines(caplog) == [f"{source.out.path} -> {sink.inp.path}: 1 sample more lost"]
+        await kernel.sleep(40.0)  # nothing was lost: the next one is the first again
+        assert lines(caplog) == []
+        write(source, 3)
+        await kernel.sleep(0.0)
+        assert "105 samples lost so far: overwritten" in lines(caplog)[0]
+        write(source, 5)
+        assert connector.statistics.dropped == {"overwritten": 110}
+    assert lines(caplog) == [f"{source.out.path} -> {sink.inp.path}: 5 samples more lost"]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"length": 8},
+        {"full": "overwrite"},
+        {"push": "all"},
+        {"dataport.inport.buffer.length": 8},
+        {"dataport.buffer.write.full_policy": "overwrite"},
+        {"subscription": "new"},
+        {"subscription": "periodic", "push_rate": 1.0},
+        {"dataflow": "pull"},
+    ],
+    ids=repr,
+)
+@simulated
+async def test_who_chose_what_is_lost_hears_nothing(options: dict[str, Any], caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        source, _, connector = await connected(kernel, **options)
+        write(source, 20)
+        await kernel.sleep(60.0)
+        assert connector.statistics.dropped
+    assert lines(caplog) == []
+
+
+@pytest.mark.parametrize("options", [{}, {"out_length": 5}, {"dataport.outport.buffer.length": 5}], ids=repr)
+@simulated
+async def test_other_options_change_nothing(options: dict[str, Any], caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        source, _, _ = await connected(kernel, name="wire", stamp="send", subscription="flush", length=None, **options)
+        lines(caplog)
+        write(source, 9)
+        await kernel.sleep(0.0)
+        assert len(lines(caplog)) == 1
+
+
+@simulated
+async def test_of_many_connectors_a_few_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        made = [await connected(kernel) for _ in range(30)]
+        for source, *_ in made:
+            write(source, 9)
+        await kernel.sleep(0.0)
+        assert len(lines(caplog)) == 8
+        await kernel.sleep(10.5)
+        assert lines(caplog) == ["kernel: 22 more connectors lost samples; kernel.connectors has each"]
+
+
+@pytest.mark.anyio
+async def test_a_loss_at_a_thread_is_said_too(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        source, blocking = await kernel.create(Source), await kernel.create(Blocking)
+        await kernel.connect(source.out, blocking.inp)
+        await kernel.start(ThreadContext(100.0), blocking, activate=True)
+        write(source, 20)
+        await kernel.sleep(0.0)
+        await kernel.sleep(0.0)
+        assert "12 samples lost so far: overwritten" in lines(caplog)[0]
+
+
+class Deep(Component):
+    inp = InPort(TimedLong, length=8)
+
+
+@simulated
+async def test_a_length_that_the_port_declares_was_chosen(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        source, deep, plain = [await kernel.create(kind) for kind in (Source, Deep, Sink)]
+        await kernel.connect(source.out, deep.inp, plain.inp)
+        write(source, 20)
+        await kernel.sleep(0.0)
+        (line,) = lines(caplog)
+        assert line.startswith(f"{source.out.path} -> {plain.inp.path}: 12 samples lost so far")
+
+
+class Told(StateMachineComponent):
+    knock = EventPort(TimedLong)
+    chart = Chart(State("only", On("knock", to="only"), initial=True))
+
+
+@simulated
+async def test_events_that_find_no_room_are_told_by_their_machine_alone(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel() as kernel:
+        source, told = await kernel.create(Source), await kernel.create(Told)
+        await kernel.connect(source.out, told.knock)
+        await kernel.start(PeriodicContext(100.0), told, activate=True)
+        write(source, 9000)
+        await kernel.sleep(1.0)
+        (line,) = lines(caplog)
+        assert "808 events were dropped: more than 8192 waited" in line
+
+
+class Failing(Source):
+    made = 0
+
+    def on_initialize(self) -> None:
+        type(self).made += 1
+
+    def on_execute(self) -> None:
+        if self.made == 1:
+            write(self, 20)  # told soon: not yet when its place is noted
+            raise ValueError("this one only")
+
+
+@pytest.mark.parametrize("options", [{}, {"length": 8}], ids=["", "chosen"])
+@simulated
+async def test_what_is_lost_after_a_restart_is_told_as_before(
+    options: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    class Once(Failing):
+        """Its own count."""
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.create(Once), await kernel.create(Sink)
+        before = await kernel.connect(source.out, sink.inp, name="wire", **options)
+        kernel.supervise(source, Supervision("restart"))
+        await kernel.start(PeriodicContext(100.0), source, activate=True)
+        await kernel.sleep(5.0)
+        assert kernel.connectors["wire"] is not before
+        lines(caplog)
+        new: Any = kernel.components[source.name]
+        write(new, 20)
+        await kernel.sleep(0.0)
+        assert [line.partition(": ")[2][:22] for line in lines(caplog)] == (
+            [] if options else ["12 samples lost so far"]
+        )
