@@ -45,7 +45,8 @@ long = pytest.mark.skipif(not CAMPAIGN, reason="a long one; AIORTS_CAMPAIGN=1")
     ("context", "most"),
     [
         pytest.param(EventContext, BYTES_EACH, id="event"),
-        pytest.param(ExternalContext, 7000, id="external"),
+        # 6,910 behind other tests, 7,055 alone: where the kernel's dictionaries grow differs.
+        pytest.param(ExternalContext, 7_500, id="external"),
         # A rate costs a schedule, and a watch over its deadlines with a descriptor for some: 9,000 bytes. One that was
         # late on a busy machine keeps whom it blames: up to 12,500 were seen.
         pytest.param(lambda: PeriodicContext(10.0), 14_000, id="periodic"),
