@@ -7,9 +7,10 @@ and the same text stands in `last_error`. Classes also derive from the built-in 
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import ClassVar, Final, NamedTuple, TypeVar
 
 __all__ = (
+    "SLOW_READER",
     "AiortsError",
     "BusyError",
     "ClosedError",
@@ -46,6 +47,11 @@ __all__ = (
 )
 
 _E = TypeVar("_E", bound="AiortsError")
+
+SLOW_READER: Final = (
+    'take all (drain()), read oftener, send less (subscription = "new"), or full = "block": length helps bursts alone'
+)
+"""What to do about a reader that is slower than its writer: one text for whatever finds that samples are lost."""
 
 
 class Place(NamedTuple):

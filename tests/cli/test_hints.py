@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from aiorts.cli.console.codes import CODES
+from aiorts.errors import SLOW_READER
 from run_parts import aiorts, here, limited
 
 PARTS = '''
@@ -140,6 +142,16 @@ def test_samples_that_a_reader_passed_over_unawares_are_told(
     why = ".latest takes the newest alone; drain() or read() takes every one"
     said = f"aiorts: W-DROPPED: reader.raw: 99 of 100 samples superseded: {why}"
     assert lines == ([said] if told else [])
+
+
+def test_what_helps_a_slow_reader_is_the_same_in_the_run_and_in_the_explanation(folder: Path) -> None:
+    """`aiorts check` and `aiorts bench push` have this text, too; see tests/flexi and tests/bench."""
+    text = SYSTEM.replace("length = 200", "length = 8")
+    (folder / "system.toml").write_text(text.format(reader="Every", kind="event", option=""))
+    done = here(folder, "run", "system.toml", "--simulate", "-v")
+    (line,) = [line for line in done.stderr.splitlines() if "W-DROPPED" in line]
+    assert line.endswith(f"samples overwritten: the reader is slower than the writer; {SLOW_READER}")
+    assert CODES["W-DROPPED"].remedy == f"{SLOW_READER.capitalize()}."
 
 
 @pytest.mark.parametrize(("name", "told"), [("newest", True), ("every", False)])

@@ -19,6 +19,7 @@ from aiorts import (
     Supervision,
     ThreadContext,
 )
+from aiorts.errors import SLOW_READER
 from aiorts.statechart import Chart, On, State
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
@@ -74,6 +75,7 @@ async def test_the_first_is_said_at_once_and_more_are_counted_ever_rarer(
         assert line.startswith(
             f"{source.out.path} -> {sink.inp.path}: 1 sample lost so far: overwritten, the reader is slower"
         )
+        assert line.endswith(SLOW_READER)
         write(source, 100)
         await kernel.sleep(9.9)
         assert lines(caplog) == []

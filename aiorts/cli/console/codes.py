@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from aiorts.errors import SLOW_READER
+
 
 class Code(NamedTuple):
     """The explanation of a code."""
@@ -225,7 +227,7 @@ CODES: Final[dict[str, Code]] = {
     "E-WRITE-TIMEOUT": Code(
         "Readers with full = block had no room in time; the others have the sample.",
         "A reader is slower than the writer, or has stopped.",
-        "Look at the reader that the line names; choose another policy or a longer buffer.",
+        "Look at the reader that the line names; choose a longer timeout, or another policy.",
     ),
     "N-COPY": Code(
         "A port's type is mutable: aiorts check notes that each write makes a snapshot.",
@@ -255,7 +257,7 @@ CODES: Final[dict[str, Code]] = {
     "W-DROPPED": Code(
         "A connection was to deliver every sample and did not, or as aiorts check sees, cannot.",
         "The reader takes the newest alone (.latest), or is slower than the writer.",
-        "Read with drain() or read(); give the connection a longer length or full = block, or subscription = new.",
+        f"{SLOW_READER.capitalize()}.",
     ),
     "W-EMPTY": Code(
         "The system file has no components: there is nothing to run.",

@@ -13,6 +13,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts import Component, InPort, Kernel
+from aiorts.errors import SLOW_READER
 from aiorts.model.policy import Dataflow, Subscription
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ Tell: TypeAlias = Callable[[str, str], None]
 """Takes a code and a message."""
 _WHY: Final = {
     "superseded": ".latest takes the newest alone; drain() or read() takes every one",
-    "overwritten": "the reader is slower than the writer; give the connection a longer length, or full = block",
-    "rejected": "the reader is slower than the writer; give the connection a longer length, or full = block",
+    "overwritten": f"the reader is slower than the writer; {SLOW_READER}",
+    "rejected": f"the reader is slower than the writer; {SLOW_READER}",
 }
 _NEVER_AWAITED: Final = re.compile(r"coroutine '(.+)' was never awaited")
 _FRAMES: Final = 20

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from aiorts.errors import SLOW_READER
 from aiorts.kernel.loop.guarded import KernelLog
 
 if TYPE_CHECKING:
@@ -63,11 +64,12 @@ class Losses:
     def _begun(self, connector: Connector) -> None:
         self._reported[connector] = lost = _lost(connector)
         self._report(
-            "%s -> %s: %s lost so far: overwritten, the reader is slower than the writer; say at connect what is right:"
-            ' a longer length, push = "new" or full = "block"; from now on they are counted (connector.statistics)',
+            "%s -> %s: %s lost so far: overwritten, the reader is slower than the writer; from now on they are counted"
+            " (connector.statistics); %s",
             connector.out.path,
             connector.in_.path,
             _samples(lost),
+            SLOW_READER,
         )
         if connector.closed:
             self.end(connector)

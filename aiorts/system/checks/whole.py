@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from aiorts.contexts import EventContext
-from aiorts.errors import StateError, SystemFileError
+from aiorts.errors import SLOW_READER, StateError, SystemFileError
 from aiorts.kernel.ports import OutPort, Port
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.options import connector_profile
@@ -232,7 +232,7 @@ def _outrun(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
                 text = (
                     f"{writer} writes {sum(written):g} times in a second, {reader} reads {sum(looks):g} times: {many} "
                     f"samples come meanwhile and there is room for {profile.length}; set length = {2 * many} or more, "
-                    f'full = "block", or let {reader} run on events'
+                    f"enough where {reader} takes all in each cycle, or {SLOW_READER}"
                 )
                 key = ("connections", connection.number - 1)
                 yield Said("warning", "W-DROPPED", key, text, of_key=True)

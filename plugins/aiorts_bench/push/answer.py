@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
+from aiorts.errors import SLOW_READER
 from aiorts_bench.harness.report import Row
 from aiorts_bench.push.load import Load
 
@@ -137,10 +138,10 @@ def _answer(found: list[_Found]) -> str:
     if not behind or taken is None:
         lost = "nothing is dropped" if best.lost < 0.0005 else f"{best.lost:.1%} are dropped"
         return f"{take}{instead}; {lost}, for the reader keeps up."
-    held = ", or held up by block," if any(one.load.full == "block" for one in found) else ""
+    held = " or held up by block" if any(one.load.full == "block" for one in found) else ""
     return (
-        f"{take}{instead}; the reader takes {taken:g} of {every:.4g} messages a second, so {every - taken:.4g} are "
-        f"dropped{held} whatever the policy (port.drain() would take all in each cycle)."
+        f"{take}{instead}; the reader takes {taken:g} of {every:.4g} messages a second, and {every - taken:.4g} are "
+        f"dropped{held}; {SLOW_READER}."
     )
 
 
