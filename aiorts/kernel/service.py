@@ -32,7 +32,8 @@ def setting(default: T, doc: str, *, option: bool | str = False, **schema: Any) 
     Args:
         doc: what it is for, with its unit; editors and `aiorts run --help` show it.
         option: whether it is an option of `aiorts run`, too: `--SERVICE-FIELD`; a text is the word after `--SERVICE-`
-            in the place of the field's, and "" makes it `--SERVICE` itself, the service's main setting.
+            in the place of the field's, "" makes it `--SERVICE` itself, the service's main setting, and "--word" is
+            the whole option.
         schema: what JSON Schema says of it beyond its type: `exclusiveMinimum=0`, `enum=["warn", "exit"]`.
     """
     from dataclasses import field

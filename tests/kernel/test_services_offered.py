@@ -312,15 +312,17 @@ def test_the_main_setting_is_the_option_of_the_services_name_and_texts_are_repea
     fields = (
         'file: Path | None = setting(None, "where", option="")\n'
         'ports: tuple[str, ...] = setting((), "of what", option="port")\n'
-        'file_format: str = setting("x", "which", option="format")'
+        'file_format: str = setting("x", "which", option="format")\n'
+        'fresh: bool = setting(False, "from nothing", option="--fresh")'
     )
     system = str(offering(tmp_path, opts=fields) / "system.toml")
-    words = ["--opts", "x", "--opts-port", "a.*", "--opts-port", "b.c", "--opts-format", "y"]
-    given = {"file": Path("x"), "ports": ("a.*", "b.c"), "file_format": "y"}
+    words = ["--opts", "x", "--opts-port", "a.*", "--opts-port", "b.c", "--opts-format", "y", "--fresh"]
+    given = {"file": Path("x"), "ports": ("a.*", "b.c"), "file_format": "y", "fresh": True}
     assert chosen(run.make_context("run", [system, *words]).params) == {"opts": given}
     assert chosen(run.make_context("run", [system, "--opts", "x"]).params) == {"opts": {"file": Path("x")}}
     shown = CliRunner().invoke(run, [system, "--help"]).output
-    assert [shown.count(f"{flag} ") for flag in ("--opts PATH", "--opts-port TEXT", "--opts-file")] == [1, 1, 0]
+    flags = ("--opts PATH", "--opts-port TEXT", "--opts-file", "--fresh / --no-fresh")
+    assert [shown.count(f"{flag} ") for flag in flags] == [1, 1, 0, 1]
 
 
 def test_a_path_of_its_table_is_counted_from_the_folder_of_the_file(tmp_path: Path) -> None:

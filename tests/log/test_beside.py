@@ -127,10 +127,10 @@ def test_a_file_that_is_there_is_kept_unless_it_is_said_what_becomes_of_it(folde
     before = path.read_bytes()
     status, out, said = in_process("run", system, "--record", str(path))
     assert (status, out, path.read_bytes() == before) == (2, "", True)
-    assert "run.mcap: exists already; --record-append continues it, --record-overwrite replaces it" in said
-    assert in_process("run", system, "--record", str(path), "--record-append")[0] == 0
+    assert "run.mcap: exists already; --append continues it, --overwrite replaces it" in said
+    assert in_process("run", system, "--record", str(path), "--append")[0] == 0
     assert data(path) == {"one.out": [*ALL, *ALL], "other.out": ALL}
-    assert in_process("run", system, "--record", str(path), "--record-overwrite")[0] == 0
+    assert in_process("run", system, "--record", str(path), "--overwrite")[0] == 0
     assert data(path) == {"one.out": ALL, "other.out": ALL}
 
 
@@ -143,7 +143,7 @@ def test_a_file_that_is_there_is_kept_unless_it_is_said_what_becomes_of_it(folde
         (["--record", "no/run.mcap"], "no/run.mcap: there is no folder"),
         (["--record", "/"], "expected the name of a file, such as run.mcap"),
         (["--record", "/dev"], "/dev: is no regular file; a recording needs one"),
-        (["--record", "r.mcap", "--record-append", "--record-overwrite"], "choose one of the two"),
+        (["--record", "r.mcap", "--append", "--overwrite"], "choose one of the two"),
     ],
 )
 def test_what_cannot_be_recorded_is_refused_before_the_start(folder: Path, words: list[str], said: str) -> None:

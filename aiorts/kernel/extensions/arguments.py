@@ -113,6 +113,8 @@ def path_settings(settings: type) -> frozenset[str]:
 def option_flag(service: str, field: dataclasses.Field[Any]) -> str:
     """The option of `aiorts run` that a field of a service's settings is."""
     word = field.metadata.get("option")
+    if isinstance(word, str) and word.startswith("--"):
+        return word
     parts = (service, field.name if word is True else word)
     return f"--{'-'.join(filter(None, parts))}".replace("_", "-")
 

@@ -67,8 +67,8 @@ class RecordSettings:
     ports: tuple[str, ...] = setting(
         (), "Record these out-ports, COMPONENT.PORT with * and ?; repeatable; all by default.", option="port"
     )
-    append: bool = setting(False, "Continue a file that is there.", option=True)
-    overwrite: bool = setting(False, "Replace a file that is there.", option=True)
+    append: bool = setting(False, "Continue the file of --record when it is there.", option="--append")
+    overwrite: bool = setting(False, "Replace the file of --record when it is there.", option="--overwrite")
     encoding: Literal["msgpack", "json"] = setting(
         "msgpack", "Of the samples; json opens in Foxglove.", enum=["msgpack", "json"]
     )
@@ -184,7 +184,7 @@ class Beside(KernelService):
             raise ConfigurationError(str(error)) from None
         if refuses and path.exists():
             raise ConfigurationError(
-                f"{path}: exists already; --record-append continues it, --record-overwrite replaces it, "
+                f"{path}: exists already; --append continues it, --overwrite replaces it, "
                 "or name another file, such as run-{time}.mcap"
             )
         return path
