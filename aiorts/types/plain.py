@@ -50,27 +50,32 @@ def to_plain(record: Any) -> Plain:
     return {field.name: _put(field.kind, getattr(record, field.name)) for field in describe(original(cls)).fields}
 
 
-def from_plain(cls: type[T], plain: Plain) -> T:
-    """The record that `to_plain` wrote. RecordError names the field that is missing, unknown or wrong."""
+def from_plain(cls: type[T], plain: Plain, *, defaults: bool = False) -> T:
+    """The record that `to_plain` wrote. RecordError names the field that is missing, unknown or wrong.
+
+    Args:
+        defaults: fields that have a default may be missing.
+    """
     if cls in PLAIN_TYPES:
-        return cast("T", _take(kind_of(cls, cls.__name__), plain, cls.__name__))
-    return cast("T", _take_record(cls, plain, cls.__qualname__))
+        return cast("T", _take(kind_of(cls, cls.__name__), plain, cls.__name__, defaults))
+    return cast("T", _take_record(cls, plain, cls.__qualname__, defaults))
 
 
-def _take_record(cls: type, plain: Plain, where: str) -> Any:
+def _take_record(cls: type, plain: Plain, where: str, defaults: bool) -> Any:
     structure = describe(cls)
     names = [field.name for field in structure.fields]
     if not isinstance(plain, dict):
         raise wrong_type(where, f"a mapping with {', '.join(names)}", plain)
     unknown = [str(name) for name in plain if name not in names]
-    missing = [name for name in names if name not in plain]
+    missing = [one.name for one in structure.fields if one.name not in plain and not (defaults and one.has_default)]
     if unknown or missing:
         parts = (
             f"unknown field {', '.join(unknown)[:200]}" if unknown else "",
             f"missing field {', '.join(missing)}" if missing else "",
         )
         raise RecordError(f"{where}: {'; '.join(filter(None, parts))}; expected {', '.join(names)}")
-    values = {field.name: _take(field.kind, plain[field.name], f"{where}.{field.name}") for field in structure.fields}
+    given = [(field, plain[field.name]) for field in structure.fields if field.name in plain]
+    values = {field.name: _take(field.kind, value, f"{where}.{field.name}", defaults) for field, value in given}
     return build(cls, values)
 
 
@@ -79,7 +84,7 @@ def build(cls: type, values: dict[str, Any]) -> Any:
     structure = describe(cls)
     if not structure.checked:
         for field in structure.fields:
-            kind, value = field.kind, values[field.name]
+            kind, value = field.kind, values.get(field.name)
             kind = kind.inner if isinstance(kind, OptionalKind) else kind
             if isinstance(kind, TupleKind) and kind.restore is list and value is not None:
                 values[field.name] = list(value)
@@ -106,10 +111,13 @@ def _put(kind: Kind, value: Any) -> Plain:
     return value
 
 
-def _take(kind: Kind, plain: Plain, where: str) -> Any:
+def _take(kind: Kind, plain: Plain, where: str, defaults: bool) -> Any:
     for base, take in _TAKE:
         if isinstance(kind, base):
             return take(kind, plain, where)
+    for base, take_parts in _TAKE_PARTS:
+        if isinstance(kind, base):
+            return take_parts(kind, plain, where, defaults)
     return kind.check(plain, where)
 
 
@@ -217,31 +225,32 @@ def _put_rows(kind: Any, value: Any) -> Plain:
     return [to_plain(record) for record in value]
 
 
-def _take_rows(kind: Any, plain: Plain, where: str) -> Any:
+def _take_rows(kind: Any, plain: Plain, where: str, defaults: bool) -> Any:
     if not isinstance(plain, list):
         raise wrong_type(where, "a list", plain)
-    return kind.check([_take_record(kind.cls, item, f"{where}[{index}]") for index, item in enumerate(plain)], where)
+    items = [_take_record(kind.cls, item, f"{where}[{index}]", defaults) for index, item in enumerate(plain)]
+    return kind.check(items, where)
 
 
 def _put_tuple(kind: Any, value: Any) -> Plain:
     return [_put(kind.item, item) for item in value]
 
 
-def _take_tuple(kind: Any, plain: Plain, where: str) -> Any:
+def _take_tuple(kind: Any, plain: Plain, where: str, defaults: bool) -> Any:
     if not isinstance(plain, list):
         raise wrong_type(where, "a list", plain)
-    return tuple(_take(kind.item, item, f"{where}[{index}]") for index, item in enumerate(plain))
+    return tuple(_take(kind.item, item, f"{where}[{index}]", defaults) for index, item in enumerate(plain))
 
 
 def _put_fixed(kind: Any, value: Any) -> Plain:
     return [_put(item_kind, item) for item_kind, item in zip(kind.items, value, strict=True)]
 
 
-def _take_fixed(kind: Any, plain: Plain, where: str) -> Any:
+def _take_fixed(kind: Any, plain: Plain, where: str, defaults: bool) -> Any:
     if not isinstance(plain, list) or len(plain) != len(kind.items):
         raise wrong_type(where, f"a list of {len(kind.items)}", plain)
     pairs = zip(kind.items, plain, strict=True)
-    return tuple(_take(item_kind, item, f"{where}[{index}]") for index, (item_kind, item) in enumerate(pairs))
+    return tuple(_take(item_kind, item, f"{where}[{index}]", defaults) for index, (item_kind, item) in enumerate(pairs))
 
 
 def _put_map(kind: Kind, value: Any) -> Plain:
@@ -283,16 +292,16 @@ def _take_entry(entry: Plain, where: str, levels: int) -> Any:
     return _take_ndarray(NDArrayKind(), entry, where)
 
 
-def _take_nested(kind: Any, plain: Plain, where: str) -> Any:
-    return _take_record(kind.cls, plain, where)
+def _take_nested(kind: Any, plain: Plain, where: str, defaults: bool) -> Any:
+    return _take_record(kind.cls, plain, where, defaults)
 
 
 def _put_optional(kind: Any, value: Any) -> Plain:
     return None if value is None else _put(kind.inner, value)
 
 
-def _take_optional(kind: Any, plain: Plain, where: str) -> Any:
-    return None if plain is None else _take(kind.inner, plain, where)
+def _take_optional(kind: Any, plain: Plain, where: str, defaults: bool) -> Any:
+    return None if plain is None else _take(kind.inner, plain, where, defaults)
 
 
 _PUT: tuple[tuple[type, Callable[[Any, Any], Plain]], ...] = (
@@ -310,15 +319,18 @@ _PUT: tuple[tuple[type, Callable[[Any, Any], Plain]], ...] = (
     (DateTimeKind, lambda kind, value: datetime_ns(value)),
 )
 _TAKE: tuple[tuple[type, Callable[[Any, Plain, str], Any]], ...] = (
-    (RecordKind, _take_nested),
     (FloatKind, _take_float),
     (BytesKind, _take_bytes),
     (EnumKind, _take_enum),
     (NDArrayKind, _take_ndarray),
     (ArrayKind, _take_array),
+    (MapKind, _take_map),
+)
+_TAKE_PARTS: tuple[tuple[type, Callable[[Any, Plain, str, bool], Any]], ...] = (
+    (RecordKind, _take_nested),
     (RowsKind, _take_rows),
     (TupleKind, _take_tuple),
     (FixedTupleKind, _take_fixed),
-    (MapKind, _take_map),
     (OptionalKind, _take_optional),
 )
+"""Kinds that may hold records."""

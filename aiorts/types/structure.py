@@ -52,6 +52,11 @@ class Field:
         return self.kind.element
 
     @property
+    def has_default(self) -> bool:
+        """Whether the constructor can do without it."""
+        return self.default is not MISSING or self.factory is not MISSING
+
+    @property
     def record(self) -> type | None:
         """The record type of a nested record or of a sequence of records."""
         kind = getattr(self.kind, "item", self.kind)

@@ -2,8 +2,8 @@
 
 A line out: `{"port": "output0", "type": "TimedLong", "tm": 1700000000000000000, "data": 6200}`. A record whose fields
 besides `tm` are not `data` alone has an object of them as its `data`; where a header holds the time, both tell it, and
-a line in is believed at its `tm`. A line in may leave out all but `data`; an object with the key `data` is a line, any
-other value is the data itself.
+a line in is believed at its `tm`. A line in may leave out all but `data`, and there each field that has a default; an
+object with the key `data` is a line, any other value is the data itself.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class _Form:
             raise RecordError(f"{self._name}: expected an object with its fields, got {_shown(data)}")
         if self._timed and "tm" not in plain:
             plain["tm"] = tm
-        return from_plain(self._cls, plain)
+        return from_plain(self._cls, plain, defaults=True)
 
 
 def _no_constant(name: str) -> NoReturn:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import random
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
@@ -74,6 +75,43 @@ def test_what_a_line_may_leave_out(line: str, expected: TimedDouble) -> None:
     port, sample = NUMBER.sample(line, NOW)
     assert port == "input0"
     assert difference(sample, expected) is None
+
+
+@record
+class Echo:
+    distance: float
+    angle: float = 0.5
+
+
+@dataclass
+class Sweep:
+    echoes: list[Echo]
+    first: Echo | None = None
+    label: str = "sweep"
+    tm: int = 0
+    spots: list[float] = field(default_factory=lambda: [1.0])
+
+
+def test_a_line_may_leave_out_fields_that_have_a_default_at_any_depth() -> None:
+    reader = LineReader({"input0": Sweep})
+    _, sample = reader.sample('{"echoes": [{"distance": 1}], "first": {"distance": 2}}', NOW)
+    assert sample == Sweep([Echo(1.0, 0.5)], Echo(2.0, 0.5), "sweep", NOW, [1.0])
+    _, other = reader.sample('{"tm": 7, "data": {"echoes": [], "label": "own"}}', NOW)
+    assert other == Sweep([], None, "own", 7, [1.0])
+    assert sample.spots is not other.spots
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('{"label": "x"}', "Sweep: missing field echoes; expected echoes, first"),
+        ('{"echoes": [{"angle": 1}]}', r"Sweep.echoes\[0\]: missing field distance; expected distance, angle"),
+        ('{"echoes": [], "lable": "x"}', "Sweep: unknown field lable"),
+    ],
+)
+def test_a_line_without_a_field_that_has_no_default_names_it(line: str, message: str) -> None:
+    with pytest.raises(RecordError, match=message):
+        LineReader({"input0": Sweep}).sample(line, NOW)
 
 
 def test_with_several_in_ports_a_line_names_its_own() -> None:

@@ -75,7 +75,7 @@ def profile_of_type(cls: type) -> dict[str, Any]:
             "name": field.name,
             "type": field.spelling,
             "default": _default(field),
-            "required": field.default is field.factory is dataclasses.MISSING,
+            "required": not field.has_default,
             "unit": str(notes.get(field.name, {}).get("unit", "ns" if field.name == "tm" and has_tm(cls) else "")),
             "doc": str(notes.get(field.name, {}).get("doc", _TM_DOC if field.name == "tm" and has_tm(cls) else "")),
         }
@@ -106,6 +106,7 @@ def types(pattern: str, group: str | None, modules: tuple[str, ...], as_json: bo
     """List the record types whose name contains PATTERN, with their fields in short.
 
     PATTERN may have * and ?, as in "Timed*Seq"; upper and lower case are the same. All of one: `aiorts inspect NAME`.
+    A line of JSON may leave out each field that has a default.
     """
     import aiorts.types.ros  # noqa: F401 - else loaded when a name of theirs is asked for
 
