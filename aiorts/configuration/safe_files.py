@@ -26,7 +26,7 @@ def read_text(path: Path, largest: int) -> str:
         return raw.decode()
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
-        raise ConfigurationError(f"{path}, line {line}: not UTF-8: {error.reason}") from None
+        raise ConfigurationError(f"{path}:{line}: not UTF-8: {error.reason}") from None
 
 
 def replace_text(path: Path, text: str) -> None:

@@ -282,7 +282,7 @@ def _is_own(value: object, module: ModuleType) -> bool:
 
 def _line_of(function: Any) -> str:
     code = getattr(inspect.unwrap(function), "__code__", None) if callable(function) else None
-    return "" if code is None else f", line {code.co_firstlineno}"
+    return "" if code is None else f":{code.co_firstlineno}"
 
 
 def _rename(values: Iterable[Any], aside: str, name: str) -> None:

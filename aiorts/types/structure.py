@@ -32,6 +32,10 @@ NUMBERS = frozenset({*(f"{sign}{bits}" for sign in "iu" for bits in (8, 16, 32, 
 STRUCTURE = "__aiorts_structure__"
 
 
+class UnresolvedName(DeclarationError):
+    """An annotation has a name that does not exist, at least not yet."""
+
+
 @dataclass(frozen=True, slots=True)
 class Field:
     """One field of a record type."""
@@ -141,7 +145,7 @@ def resolve(cls: type) -> dict[str, Any]:
     try:
         return typing.get_type_hints(cls, localns=_locals_of(cls), include_extras=True)
     except NameError as error:
-        raise DeclarationError(
+        raise UnresolvedName(
             f"{cls.__qualname__}: the name {error.name!r} in its annotations cannot be found; "
             "import it at run time (not under TYPE_CHECKING) and define it before this class"
         ) from None

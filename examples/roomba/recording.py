@@ -59,7 +59,7 @@ def read_rows(path: Path) -> list[Row]:
         try:
             rows.append(parse(line))
         except (ValueError, OverflowError) as error:
-            raise ValueError(f"{path}, line {number}: {error}") from None
+            raise ValueError(f"{path}:{number}: {error}") from None
     return rows
 
 

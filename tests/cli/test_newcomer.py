@@ -178,7 +178,7 @@ def test_a_plugin_s_error_names_its_own_file_and_keeps_cause_and_remedy(folder: 
     assert done.returncode == 2
     assert "signature.py" not in done.stderr
     assert "the result has no type hint; write" in done.stderr
-    assert done.stderr.endswith("lp.py, line 3)\n")
+    assert done.stderr.endswith("lp.py:3)\n")
     assert f"{deep}/lp.py" in done.stderr
 
 
@@ -236,7 +236,7 @@ def test_the_message_of_a_field_that_cannot_travel_is_whole() -> None:
 
     with pytest.raises(DeclarationError) as caught:
         record(Scan)
-    text = f"aiorts: E-PLUGIN: scan.py:Watch cannot be loaded: DeclarationError: {caught.value} (scan.py, line 7)"
+    text = f"aiorts: E-PLUGIN: scan.py:Watch cannot be loaded: DeclarationError: {caught.value} (scan.py:7)"
     assert len(text) > 300
     assert shortened(text) == text
 

@@ -65,7 +65,7 @@ def test_a_module_that_does_not_load_is_named_with_its_line(
     assert done.returncode == status
     assert done.stderr.count("\n") == 1
     assert said.replace("bad.py", home) in done.stderr
-    assert f" ({folder / 'bad.py'}, line {1 + source.startswith('x')})" in done.stderr
+    assert f" (bad.py:{1 + source.startswith('x')})" in done.stderr
 
 
 @pytest.mark.fault("F04")

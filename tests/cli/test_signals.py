@@ -255,7 +255,7 @@ def test_an_interrupt_in_a_blocked_hook_ends_it(folder: Path, times: int) -> Non
     assert time.monotonic() - at < (ORDERLY if times == 1 else AT_ONCE) + SLACK
     assert process.returncode == 130
     if times == 1:
-        assert unwatched(errors).startswith("aiorts: E-STOP: not everything ended in 4.8 s: parts.py, line ")
+        assert unwatched(errors).startswith("aiorts: E-STOP: not everything ended in 4.8 s: parts.py:")
         assert errors.endswith(", in on_execute still runs; the process ends now\n")
     else:
         assert errors == ""

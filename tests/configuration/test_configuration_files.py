@@ -181,34 +181,37 @@ async def test_a_file_written_by_hand_says_all_there_is_to_say_of_its_components
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("", "line 1: schema: expected schema = 1"),
-        ("schema = true", "line 1: schema"),
+        ("", "conf.toml:1: schema: expected schema = 1"),
+        ("schema = true", "conf.toml:1: schema"),
         ("schema = 2", "got 2"),
         ("schema = 1\n[components", r"not valid TOML.*line 2"),
-        ("schema = 1\n\n[component.arm]", "line 3: component: unknown key; did you mean 'components'"),
-        ("schema = 1\ncomponents = 5", "line 2: components: expected a table, got 5"),
-        ("schema = 1\n[components]\n\narm = 5", "line 4: components.arm: expected a table"),
-        ("schema = 1\n[components.amr]", r"line 2: components.amr: no such component; did you mean arm\?"),
+        ("schema = 1\n\n[component.arm]", "conf.toml:3: component: unknown key; did you mean 'components'"),
+        ("schema = 1\ncomponents = 5", "conf.toml:2: components: expected a table, got 5"),
+        ("schema = 1\n[components]\n\narm = 5", "conf.toml:4: components.arm: expected a table"),
+        ("schema = 1\n[components.amr]", r"conf.toml:2: components.amr: no such component; did you mean arm\?"),
         (
             "schema = 1\n[components.arm]\n\nactve = 'x'",
-            "line 4: .*actve: unknown key; did you mean 'active'",
+            "conf.toml:4: .*actve: unknown key; did you mean 'active'",
         ),
-        ("schema = 1\n[components.arm]\nactive = 5", "line 3: .*expected the name of a set, got 5"),
-        ("schema = 1\n[components.arm]\nactive = 'stif'", "line 3: components.arm.active: arm: no set 'stif'"),
-        ("schema = 1\n[components.arm.sets]\ndefault = 5", "line 3: .*default: expected a table"),
+        ("schema = 1\n[components.arm]\nactive = 5", "conf.toml:3: .*expected the name of a set, got 5"),
+        ("schema = 1\n[components.arm]\nactive = 'stif'", "conf.toml:3: components.arm.active: arm: no set 'stif'"),
+        ("schema = 1\n[components.arm.sets]\ndefault = 5", "conf.toml:3: .*default: expected a table"),
         (
             "schema = 1\n[components.arm.sets.default]\nhigh = 9.0\nlwo = 1.0",
-            r"line 4: components.arm.sets.default.lwo: arm.lwo: no such parameter; did you mean low\?",
+            r"conf.toml:4: components.arm.sets.default.lwo: arm.lwo: no such parameter; did you mean low\?",
         ),
-        ("schema = 1\n[components.arm.sets.a]\nlow = '''\n\n'''\nhigh = 'x'", "line 6: .*must be a float"),
-        ("schema = 1\n[components.arm.sets.a]\nlow = -1.0", r"line 3: .*arm \(set a\).low = -1.0: must be >= 0.0"),
-        ("schema = 1\n[components.arm]\nsets = {a = {low = -1.0}}", "line 3: .*must be >= 0.0"),
-        ("schema = 1\n[components.arm.sets._a]\n", "line 2: .*begin with '_'"),
-        ("schema = 1\n[components.arm.sets.a]\nlow = {none = true}", "line 3: .*must be a float, got dict"),
-        ("schema = 1\n[components.arm.sets.a]\nlow = 2024-01-01", "line 3: .*must be a float"),
-        ("schema = 1\n[components.arm.parameters.p]\ntype = 'int'", "line 2: .*default is missing"),
-        ("schema = 1\n[components.arm.parameters.p]\ntype = 'foo'\ndefault = 1", "line 2: .*type 'foo': expected bool"),
-        ("schema = 1\n[components.arm.parameters.p]\ntype = 'int'\ndefault = 'x'", "line 2: .*must be an int"),
+        ("schema = 1\n[components.arm.sets.a]\nlow = '''\n\n'''\nhigh = 'x'", "conf.toml:6: .*must be a float"),
+        ("schema = 1\n[components.arm.sets.a]\nlow = -1.0", r"conf.toml:3: .*arm \(set a\).low = -1.0: must be >= 0.0"),
+        ("schema = 1\n[components.arm]\nsets = {a = {low = -1.0}}", "conf.toml:3: .*must be >= 0.0"),
+        ("schema = 1\n[components.arm.sets._a]\n", "conf.toml:2: .*begin with '_'"),
+        ("schema = 1\n[components.arm.sets.a]\nlow = {none = true}", "conf.toml:3: .*must be a float, got dict"),
+        ("schema = 1\n[components.arm.sets.a]\nlow = 2024-01-01", "conf.toml:3: .*must be a float"),
+        ("schema = 1\n[components.arm.parameters.p]\ntype = 'int'", "conf.toml:2: .*default is missing"),
+        (
+            "schema = 1\n[components.arm.parameters.p]\ntype = 'foo'\ndefault = 1",
+            "conf.toml:2: .*type 'foo': expected bool",
+        ),
+        ("schema = 1\n[components.arm.parameters.p]\ntype = 'int'\ndefault = 'x'", "conf.toml:2: .*must be an int"),
         (
             "schema = 1\n[components.arm.parameters.log]\ntype = 'int'\ndefault = 1",
             "something of that name",
@@ -218,8 +221,8 @@ async def test_a_file_written_by_hand_says_all_there_is_to_say_of_its_components
             "schema = 1\n[components.arm.sets.a]\nlow = 5.0",
             "arm: set a: low 5.0 is above high 2.0; nothing was",
         ),
-        ("schema = 1\n" + "a." * 40 + "b = 1", "line 2: a key of so many parts"),
-        ("schema = 1\nb = " + "[" * 100_000, "line 2: nesting so deep"),
+        ("schema = 1\n" + "a." * 40 + "b = 1", "conf.toml:2: a key of so many parts"),
+        ("schema = 1\nb = " + "[" * 100_000, "conf.toml:2: nesting so deep"),
         ("schema = 1\n[components.arm.sets]\n" + "".join(f"s{n} = {{}}\n" for n in range(2000)), "2000 sets; at most"),
         ("schema = 1\n# " + "x" * LARGEST, "larger than"),
     ],
@@ -251,7 +254,7 @@ async def test_everything_that_is_wrong_is_named_at_once(tmp_path: Path) -> None
         with pytest.raises(ConfigurationError) as caught:
             await kernel.load_configuration(path)
         assert [line.partition(": ")[0] for line in str(caught.value).splitlines()] == [
-            f"{path}, line {number}" for number in (3, 4, 6)
+            f"{path}:{number}" for number in (3, 4, 6)
         ]
 
 
@@ -264,7 +267,7 @@ async def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
             (tmp_path / "nothing.toml", "cannot be read: No such file"),
             (tmp_path, "cannot be read|not a regular"),
             (Path("/dev/zero"), "not a regular file"),
-            (binary, "line 2: not UTF-8"),
+            (binary, "binary:2: not UTF-8"),
         ):
             with pytest.raises(ConfigurationError, match=why):
                 await kernel.load_configuration(path)

@@ -153,6 +153,6 @@ def test_a_bad_row_is_named_with_file_and_line(tmp_path: Path, column: int, valu
     done = here("run", SYSTEM, "--set", f"imu.path={recording(tmp_path, rows)}")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-    assert f"{tmp_path / 'other.txt'}, line 42: " in done.stderr
+    assert f"{tmp_path / 'other.txt'}:42: " in done.stderr
     assert said in done.stderr
     assert len(done.stderr.splitlines()) == 1

@@ -113,7 +113,7 @@ def test_a_broken_pyproject_is_a_problem_and_hides_nothing(tmp_path: Path, text:
     catalogue = Catalogue([tmp_path])
     assert catalogue.find("components", "Good").source == f"folder {tmp_path / 'good'}"
     assert len(catalogue.problems) == 2
-    assert any("half.py, line 1" in problem.source for problem in catalogue.problems)
+    assert any("half.py:1" in problem.source for problem in catalogue.problems)
 
 
 def test_a_folder_that_is_not_there_is_a_problem(tmp_path: Path) -> None:

@@ -436,9 +436,40 @@ def test_a_type_in_quotes_is_refused_with_class_and_port_when_the_class_is_made(
             obstacle = InPort("Obstacle")  # type: ignore[arg-type]
 
 
-def test_a_type_that_cannot_travel_is_refused_with_component_and_port() -> None:
-    class Watch(Component):
-        seen = OutPort(complex)
+def test_a_type_that_cannot_travel_is_refused_when_the_class_is_made() -> None:
+    said = r"Watch\.seen: complex cannot be the type of a port"
+    with pytest.raises(DeclarationError, match=said):
 
+        class Watch(Component):
+            seen = OutPort(complex)
+
+
+def test_a_field_of_a_dataclass_that_cannot_travel_is_refused_when_the_class_of_the_component_is_made() -> None:
+    @dataclass
+    class Seen:
+        marks: set[int]
+
+    said = r"Watch\.seen: .*Seen\.marks: a value of type set\[int\] cannot travel; use"
+    with pytest.raises(DeclarationError, match=said):
+
+        class Watch(Component):
+            seen = OutPort(Seen)
+
+
+def test_a_dataclass_may_name_a_class_that_is_defined_after_the_component() -> None:
+    space = {"__name__": __name__, "dataclass": dataclass, "Component": Component, "OutPort": OutPort}
+    exec(
+        compile(
+            "@dataclass\nclass Outer:\n    inner: 'Inner'\n\n"
+            "class Watch(Component):\n    seen = OutPort(Outer)\n\n"
+            "@dataclass\nclass Inner:\n    value: float = 0.0\n",
+            "later.py",
+            "exec",
+        ),
+        space,
+    )
+
+
+def test_a_type_that_cannot_travel_is_refused_when_the_port_is_added() -> None:
     with pytest.raises(DeclarationError, match=r"watch0\.seen: complex cannot be the type of a port"):
-        Watch("watch0")
+        Component("watch0").add_port("seen", OutPort(complex))

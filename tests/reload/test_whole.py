@@ -350,7 +350,7 @@ async def test_an_error_names_file_and_line(source: Make) -> None:
             with pytest.raises(kind) as raised:
                 await kernel.reload("One")
             assert str(file.path) in str(raised.value)
-            assert f"line {file.line_of(line)}" in str(raised.value)
+            assert f"{file.path}:{file.line_of(line)}" in str(raised.value)
 
 
 @simulated

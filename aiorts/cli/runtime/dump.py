@@ -20,6 +20,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from aiorts.cli.console.report import printed
+from aiorts.kernel.loop.origins import place
 from aiorts.kernel.service import reports
 
 if TYPE_CHECKING:
@@ -124,9 +125,7 @@ def where_now() -> str:
     found = _outside(sys._current_frames().get(threading.main_thread().ident or 0))
     if found is None:
         return ""
-    return (
-        f": {os.path.basename(found.f_code.co_filename)}, line {found.f_lineno}, in {found.f_code.co_name} still runs"
-    )
+    return f": {place(found.f_code.co_filename, found.f_lineno)}, in {found.f_code.co_name} still runs"
 
 
 def _outside(frame: FrameType | None) -> FrameType | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import sys
 import traceback
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts import Component, InPort, Kernel
 from aiorts.errors import SLOW_READER
+from aiorts.kernel.loop.origins import place
 from aiorts.model.policy import Dataflow, Subscription
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ def unawaited_reported(tell: Tell) -> Iterator[None]:
             return
         what = found[1]
         instead = "use write_nowait, or async def and await" if what.endswith(".write") else "use async def and await"
-        place = f"{os.path.basename(filename)}:{lineno}"
-        tell("W-AWAIT", f"{_hook_at(filename, lineno)}{place}: {what} was never awaited and did nothing; {instead}")
+        where = f"{_hook_at(filename, lineno)}{place(filename, lineno)}"
+        tell("W-AWAIT", f"{where}: {what} was never awaited and did nothing; {instead}")
 
     warnings.showwarning = show
     try:

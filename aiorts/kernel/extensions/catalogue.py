@@ -238,7 +238,7 @@ class Catalogue:
                 tree = ast.parse(self._content(path), str(path))
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             line = getattr(error, "lineno", None)
-            where = "" if line is None else f", line {line}"
+            where = "" if line is None else f":{line}"
             self._problem(f"file {path}{where}", str(getattr(error, "msg", error)))
             return
         components = {"Component"}

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 from aiorts.errors import PluginError
 from aiorts.kernel.extensions.files import load_file, load_module, make_importable
 from aiorts.kernel.loop.exceptions import trace_of
+from aiorts.kernel.loop.origins import place
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -113,7 +114,7 @@ def cause_of(error: BaseException) -> str:
         if not name.startswith(("<", _OURS)):
             file, line = name, trace.tb_lineno
         trace = trace.tb_next
-    where = "" if file is None else f" ({file}, line {line})"
+    where = "" if file is None else f" ({place(file, line)})"
     return f"{type(error).__name__}: {text}{where}"
 
 

@@ -5,6 +5,7 @@ An exception is the application's own, so that nothing here may fail however it 
 
 from __future__ import annotations
 
+import contextlib
 import os
 from functools import lru_cache
 from typing import Final
@@ -75,12 +76,11 @@ def _origin(error: BaseException, *, installed: bool) -> str:
             packages = file, trace.tb_lineno
         trace, left = trace.tb_next, left - 1
     found = users or (packages if installed else None)
-    return "" if found is None else f"{_shown(found[0])}:{found[1]}"
+    return "" if found is None else place(*found)
 
 
-def _shown(file: str) -> str:
-    """The file as it is named from the current folder, if it lies in it."""
-    try:
-        return file.removeprefix(os.path.join(os.getcwd(), ""))
-    except OSError:  # the folder was deleted
-        return file
+def place(file: str, line: int | None) -> str:
+    """`file:line`, the one form of a place in Python; the file as named from the current folder, if it lies in it."""
+    with contextlib.suppress(OSError):  # the folder was deleted
+        file = file.removeprefix(os.path.join(os.getcwd(), ""))
+    return file if line is None else f"{file}:{line}"

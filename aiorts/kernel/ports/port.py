@@ -142,6 +142,15 @@ class Port(PortDeclaration, Generic[T]):
                 f"{cls.__qualname__}.{attribute}: {self.type!r:.60} is text; give the class itself, without quotes: "
                 f"{type(self).__name__}({self.type:.60})"
             )
+        from aiorts.types.samples import check_port_type
+        from aiorts.types.structure import UnresolvedName
+
+        try:
+            check_port_type(self.type)
+        except UnresolvedName:
+            return  # defined further down in its module, maybe: then it is known when the port is made
+        except DeclarationError as error:
+            raise DeclarationError(f"{cls.__qualname__}.{attribute}: {error}") from None
 
     def declared_profile(self, attribute: str, ports: Mapping[str, PortProfile]) -> PortProfile:
         return replace(self.profile, name=self.name or attribute)

@@ -134,7 +134,7 @@ class Document:
         return ConfigurationError(self._at(place, what))
 
     def _at(self, place: Sequence[str], what: str) -> str:
-        return f"{self.path}, line {line_of(self.lines, place)}: {'.'.join(place)}: {what}"
+        return f"{self.path}:{line_of(self.lines, place)}: {'.'.join(place)}: {what}"
 
 
 # -- reading ---------------------------------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ def parse_document(text: str, path: str) -> Document:
         raise ConfigurationError(f"{path}: larger than {LARGEST} bytes; a configuration file is not")
     text = text.removeprefix("\ufeff")
     if (found := excess(text)) is not None:
-        raise ConfigurationError(f"{path}, line {text.count(chr(10), 0, found[0]) + 1}: {found[1]}")
+        raise ConfigurationError(f"{path}:{text.count(chr(10), 0, found[0]) + 1}: {found[1]}")
     try:
         top = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
