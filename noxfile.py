@@ -113,6 +113,17 @@ def types(session: nox.Session) -> None:
         session.run("pyright", "--pythonpath", f"{session.bin}/python")
 
 
+@nox.session
+def docs(session: nox.Session) -> None:
+    """The guide as a site, in the folder after `--` or in none that is kept; its links and anchors are checked."""
+    session.install("-q", "-e", ".[docs]")
+    with tempfile.TemporaryDirectory() as folder:
+        site = session.posargs[0] if session.posargs else folder
+        session.run(
+            "mkdocs", "build", "-q", "--strict", "-f", "aiorts/guide/mkdocs.yml", "-d", str(Path(site).resolve())
+        )
+
+
 @nox.session(venv_backend="none")
 def readme_test(session: nox.Session) -> None:
     """README's test command, to the letter, in a copy of the sources."""

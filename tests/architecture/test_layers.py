@@ -19,6 +19,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[2]
 ORDER = """
 aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py
+aiorts/guide
 aiorts/timer_heap.py
 aiorts/clock.py
 aiorts/model

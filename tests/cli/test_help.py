@@ -148,7 +148,12 @@ def test_whatever_is_optional_is_in_an_extra_and_says_so() -> None:
 
     assert set(PACKAGES.values()) - {"dora-rs"} <= named["bench"]
     assert named["all"] == {"aiorts"}
-    assert set(re.findall(r"[a-z]+", extras["all"][0].partition("[")[2])) == set(extras) - {"all", "test", "dev"}
+    assert set(re.findall(r"[a-z]+", extras["all"][0].partition("[")[2])) == set(extras) - {
+        "all",
+        "test",
+        "dev",
+        "docs",
+    }
 
 
 def test_a_missing_extra_says_which_command_installs_it() -> None:

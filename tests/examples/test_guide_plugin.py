@@ -17,7 +17,7 @@ import aiorts
 from aiorts import Catalogue
 from aiorts.errors import RecordError
 
-PAGE = Path(aiorts.__file__).parent / "guide" / "pages" / "plugin.md"
+PAGE = Path(aiorts.__file__).parent / "guide" / "pages" / "tutorial" / "plugin.md"
 FILES = ("pyproject.toml", "acme_tanks.py", "test_tanks.py", "system.toml", "app.py")
 
 

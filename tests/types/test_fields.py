@@ -327,7 +327,7 @@ def test_conversion_takes_a_moment_as_its_nanoseconds() -> None:
 
 
 def test_the_record_of_the_guide_is_one() -> None:
-    page = (Path(__file__).parents[2] / "aiorts/guide/pages/records.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "aiorts/guide/pages/howto/records.md").read_text(encoding="utf-8")
     space: dict[str, Any] = {"__name__": __name__}
     code = page.partition("```python\n")[2].partition("```")[0]
     exec(compile(code, "records.md", "exec", dont_inherit=True), space)

@@ -232,7 +232,7 @@ def test_any_record_may_have_its_time_stamp_elsewhere() -> None:
 
 
 def test_the_page_of_the_guide_is_so() -> None:
-    page = (Path(aiorts.__file__).parent / "guide" / "pages" / "ros.md").read_text(encoding="utf-8")
+    page = (Path(aiorts.__file__).parent / "guide" / "pages" / "howto" / "ros-bag.md").read_text(encoding="utf-8")
     code = page.partition("```python\n")[2].partition("```")[0]
     exec(compile(code, "ros.md", "exec"), {"__name__": "ros_page"})
     assert all(name.rpartition("/")[2] in page for name in MESSAGES)

@@ -1,42 +1,85 @@
-"""`aiorts help`: prints the help of a command, or the meaning, cause and remedy of an error code."""
+"""`aiorts help`: the help of a command, the meaning of an error code, or a page of the guide."""
 
 from __future__ import annotations
 
+import sys
 from difflib import get_close_matches
-from typing import Any
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import Any, Final
 
 import click
 
 from aiorts import exits
 from aiorts.cli.console.codes import CODES
 from aiorts.cli.console.output import say, table
+from aiorts.cli.console.report import has_colours
+
+_SHOWN: Final = 8
+"""Places that a search shows."""
+_LONGEST_LINE: Final = 90
 
 
 def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     from aiorts.cli.console.completion import items
+    from aiorts.guide import pages
 
     words = ctx.params.get("topic") or ()
     if tuple(words[:1]) == ("errors",):
         return items(CODES, incomplete)
     group = ctx.find_root().command
     names = group.list_commands(ctx) if isinstance(group, click.Group) else []
-    return items((*names, "errors"), incomplete)
+    return items((*names, "errors", *(page.name for page in pages())), incomplete)
 
 
-@click.command("help", short_help="Help for a command, or for an error code.")
-@click.argument("topic", nargs=-1, metavar="[COMMAND | errors [E-CODE]]", shell_complete=_topics)
+@click.command("help", short_help="Help for a command, an error code or a topic; the guide.")
+@click.argument("topic", nargs=-1, metavar="[COMMAND | errors [E-CODE] | TOPIC]", shell_complete=_topics)
+@click.option("--list", "listed", is_flag=True, help="List the pages of the guide.")
+@click.option("--search", metavar="WORDS", help="Find the pages that answer a question.")
+@click.option(
+    "--save", metavar="FOLDER", type=click.Path(path_type=Path), help="Write the files of the page TOPIC there."
+)
+@click.option("--serve", is_flag=True, help="Show the guide in a browser, on this machine alone.")
+@click.option(
+    "--port", metavar="N", type=click.IntRange(0, 65535), default=8765, show_default=True, help="For --serve."
+)
 @click.pass_context
-def help_(ctx: click.Context, topic: tuple[str, ...]) -> int:
-    """Show the help of COMMAND; or all error codes, or what one of them means and what to do.
+def help_(
+    ctx: click.Context,
+    topic: tuple[str, ...],
+    listed: bool,
+    search: str | None,
+    save: Path | None,
+    serve: bool,
+    port: int,
+) -> int:
+    """Show the help of COMMAND, the meaning of an error code, or the page TOPIC of the guide.
 
+    \b
+    aiorts help run
     aiorts help errors E-LINE
+    aiorts help policies
+    aiorts help --search "slow consumer"
     """
+    if search is not None:
+        return _search(" ".join([search, *topic]))
+    if listed:
+        say(_contents())
+        return exits.DONE
+    if serve:
+        from aiorts.guide.server import serve as serve_guide
+
+        return serve_guide(port, say)
+    if save is not None:
+        return _save(ctx, topic, save)
     root = ctx.find_root()
     if topic and (topic[0] == "errors" or topic[0].upper().startswith(("E-", "W-", "N-"))):
         codes = topic[1:] if topic[0] == "errors" else topic
         say("\n\n".join(_explained(code) for code in codes) if codes else _all_codes())
         return exits.DONE
     command: click.Command = root.command
+    if len(topic) == 1 and isinstance(command, click.Group) and topic[0] not in command.list_commands(ctx):
+        return _show(ctx, topic[0])
     context = root
     for name in topic:
         if not isinstance(command, click.Group):
@@ -47,6 +90,70 @@ def help_(ctx: click.Context, topic: tuple[str, ...]) -> int:
         context = click.Context(found, parent=context, info_name=found_name)
         command = found
     say(command.get_help(context))
+    return exits.DONE
+
+
+def _show(ctx: click.Context, name: str) -> int:
+    """Print the page of this name.
+
+    Raises:
+        UsageError: there is none.
+    """
+    from aiorts.guide import page, pages, rendered
+
+    found = page(name)
+    if found is None:
+        root = ctx.find_root().command
+        commands = root.list_commands(ctx) if isinstance(root, click.Group) else []
+        near = get_close_matches(name[:60].lower(), [*commands, *(one.name for one in pages())], n=1)
+        hint = f"did you mean {near[0]}?" if near else "aiorts --help lists commands, aiorts help --list topics"
+        raise click.UsageError(f"no command, error code or topic {name[:60]!r}; {hint}", ctx)
+    coloured = has_colours(sys.stdout)
+    click.echo(rendered(found.text, get_terminal_size().columns, bold=coloured), color=coloured)
+    return exits.DONE
+
+
+def _contents() -> str:
+    from aiorts.guide import SECTIONS, pages
+
+    parts = []
+    for section, (title, _) in SECTIONS.items():
+        rows = [(page.name, page.title) for page in pages() if page.section == section]
+        parts.append(f"{title}\n{table(rows)}")
+    return "\n\n".join(
+        [*parts, "aiorts help TOPIC shows a page; --search WORDS finds, --serve shows all in a browser."]
+    )
+
+
+def _search(question: str) -> int:
+    from aiorts.guide import search
+
+    hits = search(question)
+    if not hits:
+        raise click.UsageError(f"no page has a word of {question[:60]!r}; aiorts help --list shows all pages")
+    for hit in hits[:_SHOWN]:
+        line = hit.line if len(hit.line) <= _LONGEST_LINE else f"{hit.line[: _LONGEST_LINE - 3]}..."
+        place = hit.page.title if hit.heading == hit.page.title else f"{hit.page.title}: {hit.heading}"
+        say(f"aiorts help {hit.page.name}   {place}\n    {line}")
+    return exits.DONE
+
+
+def _save(ctx: click.Context, topic: tuple[str, ...], folder: Path) -> int:
+    from aiorts.guide import blocks, page
+
+    found = page(topic[0]) if len(topic) == 1 else None
+    if found is None:
+        raise click.UsageError("--save FOLDER writes the files of one page: aiorts help TOPIC --save FOLDER", ctx)
+    files = {block.title: block.text for block in blocks(found.text) if block.title}
+    if not files:
+        raise click.UsageError(f"the page {found.name} has no files", ctx)
+    there = [name for name in files if (folder / name).exists()]
+    if there:
+        raise click.UsageError(f"{folder / there[0]} exists already; nothing was written", ctx)
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+        say(str(folder / name))
     return exits.DONE
 
 

@@ -1,0 +1,71 @@
+"""Which pages there are, in which order, and where they lie."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Final, NamedTuple
+
+FOLDER: Final = Path(__file__).with_name("pages")
+SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
+    "tutorial": (
+        "Tutorial: an hour from the first component to a plugin",
+        ("plugin",),
+    ),
+    "howto": (
+        "How to",
+        ("records", "ros-bag"),
+    ),
+    "reference": (
+        "Reference",
+        (),
+    ),
+    "explanation": (
+        "Explanation",
+        ("architecture",),
+    ),
+    "coming-from": (
+        "Coming from",
+        (),
+    ),
+}
+"""Folder of a section -> its title and the names of its pages, in the order in which they are read."""
+
+
+class Page(NamedTuple):
+    """A page of the guide."""
+
+    name: str
+    """What `aiorts help` finds it by; no other page and no command has the same."""
+    section: str
+    path: Path
+
+    @property
+    def text(self) -> str:
+        """The page as it was written, in Markdown."""
+        return self.path.read_text(encoding="utf-8")
+
+    @property
+    def title(self) -> str:
+        """Its first heading."""
+        with self.path.open(encoding="utf-8") as lines:
+            return next(lines).lstrip("# ").rstrip()
+
+
+def pages() -> list[Page]:
+    """All pages, in the order in which they are read."""
+    return [
+        Page(name, section, FOLDER / section / f"{name}.md")
+        for section, (_, names) in SECTIONS.items()
+        for name in names
+    ]
+
+
+def anchor(heading: str) -> str:
+    """The fragment by which a heading is linked, as GitHub makes it."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
+
+
+def page(name: str) -> Page | None:
+    """The page of this name, in any case; None where there is none."""
+    return next((one for one in pages() if one.name == name.lower()), None)

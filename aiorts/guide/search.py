@@ -1,0 +1,100 @@
+"""Finds the places of the guide that answer a question."""
+
+from __future__ import annotations
+
+import re
+from typing import Final, NamedTuple
+
+from aiorts.guide.contents import Page, pages
+
+_WORD: Final = re.compile(r"[a-z0-9]+(?:[-_.][a-z0-9]+)*")
+_HEADING: Final = re.compile(r"^#{1,4} ")
+_COMMON: Final = frozenset(
+    (
+        *(
+            "a",
+            "an",
+            "and",
+            "are",
+            "as",
+            "at",
+            "be",
+            "by",
+            "can",
+            "do",
+            "does",
+            "for",
+            "from",
+            "get",
+            "have",
+            "how",
+            "i",
+        ),
+        *("if", "in", "is", "it", "its", "my", "not", "of", "on", "or", "that", "the", "this", "to", "use", "using"),
+        *("want", "what", "when", "where", "which", "who", "why", "will", "with"),
+    )
+)
+_IN_TITLE: Final = 8.0
+_IN_HEADING: Final = 4.0
+_MOST: Final = 8.0
+"""A word counts so often in one place at most."""
+
+
+class Hit(NamedTuple):
+    """A place of the guide: a page, a heading in it, and the first line below that has a word of the question."""
+
+    page: Page
+    heading: str
+    line: str
+    score: float
+
+
+def search(question: str) -> list[Hit]:
+    """The best place of each page that has words of the question, best first.
+
+    A place is what stands below one heading. One that has more of the words comes before one that has them more often;
+    words in headings weigh more.
+    """
+    wanted = {_stem(word) for word in _WORD.findall(question.lower())}
+    wanted = wanted - _COMMON or wanted
+    hits = [max(found, key=lambda hit: hit.score) for one in pages() if (found := _hits(one, wanted))]
+    return sorted(hits, key=lambda hit: -hit.score)
+
+
+def _hits(one: Page, wanted: set[str]) -> list[Hit]:
+    lines = one.text.splitlines()
+    in_title = _words(f"{one.title} {one.name}")
+    hits, heading, place, fenced = [], one.title, list[str](), False
+    for line in [*lines[1:], "# "]:
+        fenced ^= line.startswith("```")
+        if fenced or not _HEADING.match(line):
+            place.append(line)
+            continue
+        counts = dict.fromkeys(wanted, 0.0)
+        for text in place:
+            for word in _words(text):
+                if word in counts:
+                    counts[word] = min(counts[word] + 1, _MOST)
+        for word in counts:
+            counts[word] += _IN_TITLE * (word in in_title) + _IN_HEADING * (word in _words(heading))
+        found = [count for count in counts.values() if count]
+        if found and any(word in _words(" ".join([heading, *place])) for word in wanted):
+            first = next((text for text in place if wanted.intersection(_words(text))), "")
+            hits.append(Hit(one, heading, first.strip(), 100.0 * len(found) / len(wanted) + sum(found)))
+        heading, place = line.lstrip("# "), []
+    return hits
+
+
+def _words(text: str) -> list[str]:
+    found = _WORD.findall(text.lower())
+    return [
+        _stem(word) for word in [*found, *(part for word in found for part in re.split(r"[-_.]", word) if part != word)]
+    ]
+
+
+def _stem(word: str) -> str:
+    """The word without the endings that a plural or a verb has."""
+    for ending in ("ing", "ies", "es", "ed", "s"):
+        if word.endswith(ending) and len(word) - len(ending) >= 3 and not word.endswith("ss"):
+            return word.removesuffix(ending) + ("y" if ending == "ies" else "")
+    return word.removesuffix("e") if len(word) > 4 else word

@@ -1,0 +1,62 @@
+"""The guide as a reader uses it: every page is found, every link leads somewhere, every block does what it shows."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import click
+import pytest
+
+from aiorts.cli.app import aiorts as root
+from aiorts.guide import Page, anchor, blocks, pages
+from aiorts.guide.contents import FOLDER
+from guide_blocks import run_page
+
+README = Path(__file__).parents[2] / "README.md"
+ELSEWHERE = {"ros-bag": 1}
+"""Pages with blocks that are not run here, and how many: they need another machine, an administrator or a network."""
+LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)|!\[[^\]]*\]\(([^)\s]+)\)")
+NAMES = [pytest.param(page, id=page.name) for page in pages()]
+
+
+def prose(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(text: str) -> set[str]:
+    return {anchor(heading) for heading in re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)}
+
+
+def test_the_contents_are_the_files_that_are_there() -> None:
+    listed = [page.path for page in pages()]
+    assert sorted(listed) == sorted(FOLDER.rglob("*.md"))
+    assert len({page.name for page in pages()}) == len(listed)
+
+
+def test_no_page_has_the_name_of_a_command() -> None:
+    context = click.Context(root)
+    assert not {page.name for page in pages()} & {name.lower() for name in root.list_commands(context)}
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_a_page_begins_with_its_title_and_its_links_lead_somewhere(page: Page) -> None:
+    text = page.text
+    assert re.match(r"# \S.*\n\n\S", text), "a page begins with its title, and a sentence below"
+    wrong = []
+    for link, picture in LINK.findall(prose(text)):
+        target, _, fragment = (link or picture).partition("#")
+        if "://" in target:
+            continue
+        path = (page.path.parent / target).resolve() if target else page.path
+        if not path.is_file() or not path.is_relative_to(FOLDER):
+            wrong.append(f"{link or picture}: no page or picture of the guide")
+        elif fragment and fragment not in anchors(path.read_text(encoding="utf-8")):
+            wrong.append(f"{link}: the page has no such heading")
+    assert wrong == []
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_every_block_runs_as_pasted_and_prints_what_is_shown(page: Page, tmp_path: Path) -> None:
+    run_page(page.text, tmp_path)
+    assert len([block for block in blocks(page.text) if "elsewhere" in block.marks]) == ELSEWHERE.get(page.name, 0)

@@ -1,0 +1,114 @@
+"""The guide in the terminal and the browser: found, searched, shown at any width, and never from outside."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from aiorts.cli.app import run_command
+from aiorts.guide import blocks, pages, rendered, search
+from aiorts.guide.server import answer, renderer
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    capsys.readouterr()
+    status = run_command(arguments)
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_a_topic_is_a_page_a_command_comes_first_and_a_misspelt_one_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, out, _ = run(capsys, "help", "Records")
+    assert (status, out.splitlines()[0]) == (0, "# Records of your own")
+    assert run(capsys, "help", "log")[1].startswith("Usage: aiorts log")
+    assert run(capsys, "help", "E-LINE")[1].startswith("E-LINE: ")
+    status, _, err = run(capsys, "help", "recrds")
+    assert status == 2
+    assert "did you mean records?" in err
+
+
+def test_the_list_names_every_page_with_its_title(capsys: pytest.CaptureFixture[str]) -> None:
+    out = run(capsys, "help", "--list")[1]
+    for page in pages():
+        assert re.search(rf"^  {page.name} +{re.escape(page.title)}$", out, re.MULTILINE), page.name
+
+
+def test_a_search_names_the_page_first_that_the_question_is_about(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "help", "--search", "record types of my own")
+    assert status == 0
+    assert out.startswith("aiorts help records ")
+    assert search("rosbag2")[0].page.name == "ros-bag"
+    status, _, err = run(capsys, "help", "--search", "xyzzy")
+    assert status == 2
+    assert "--list" in err
+
+
+@pytest.mark.parametrize("width", [20, 80, 200])
+def test_a_page_keeps_every_word_and_is_no_wider_than_the_terminal(width: int) -> None:
+    for page in pages():
+        shown = rendered(page.text, width, bold=False)
+        code = {f"    {line}".rstrip() for block in blocks(page.text) for line in block.text.splitlines()}
+        longest = max(map(len, re.findall(r"\S+", shown)), default=0)
+        for line in shown.splitlines():
+            assert line in code or line.startswith("#") or len(line) <= max(width, 8 + longest), line
+        written = re.sub(r"^```.*?^```$|<!--.*?-->", "", page.text, flags=re.DOTALL | re.MULTILINE)
+        written = re.sub(
+            r"^\|[^|\n]*(.*\n\|-)", r"\1", written, flags=re.MULTILINE
+        )  # in a list, the first cell is its head
+        words = re.findall(r"\w+", re.sub(r"!?\[([^\]]+)\]\([^)\s]+\)", r"\1", written))
+        assert set(words) <= set(re.findall(r"\w+", shown)), page.name
+
+
+def test_heads_are_bold_on_a_terminal_and_nothing_else() -> None:
+    shown = rendered("# A head\n\nText\n\n```python\n# no head\n```\n", 80, bold=True)
+    assert shown == "\x1b[1m# A head\x1b[0m\n\nText\n\n    # no head"
+
+
+def test_files_of_a_page_are_saved_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "help", "plugin", "--save", str(tmp_path / "tanks"))
+    assert status == 0
+    assert out.splitlines() == [str(path) for path in map(Path, out.splitlines()) if path.is_file()]
+    assert (tmp_path / "tanks" / "acme_tanks.py").read_text(encoding="utf-8").startswith("from aiorts import")
+    status, _, err = run(capsys, "help", "plugin", "--save", str(tmp_path / "tanks"))
+    assert (status, "nothing was written" in err) == (2, True)
+    assert run(capsys, "help", "--save", str(tmp_path))[0] == 2
+
+
+def test_the_browser_gets_every_page_with_links_that_lead_somewhere_and_nothing_from_outside() -> None:
+    pytest.importorskip("markdown_it")
+    render = renderer()
+    for target in ["/", "/search?q=record", *(f"/{page.name}" for page in pages())]:
+        status, kind, body = answer(target, render)
+        text = body.decode()
+        assert (status, kind) == (200, "text/html; charset=utf-8"), target
+        for link in re.findall(r'(?:href|src|action)="([^"]*)"', text):
+            if link.startswith(("http", "#")):
+                assert f'src="{link}"' not in text, link
+            else:
+                assert answer(link, render)[0] == 200, f"{target}: {link}"
+    assert answer("/../../../etc/passwd", render)[0] == 404
+    assert b"<script" not in answer("/search?q=<script>x</script>", render)[2]
+
+
+def test_it_serves_on_this_machine_alone_until_it_is_interrupted() -> None:
+    pytest.importorskip("markdown_it")
+    command = [sys.executable, "-m", "aiorts", "help", "--serve", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            port = re.search(r"http://127\.0\.0\.1:(\d+)/", line)
+            assert port, line
+            with socket.create_connection(("127.0.0.1", int(port[1])), timeout=10) as client:
+                client.sendall(b"GET /records HTTP/1.0\r\n\r\n")
+                assert client.makefile("rb").readline().split()[1] == b"200"
+        finally:
+            process.send_signal(2)
+        assert process.wait(timeout=10) == 130
