@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from aiorts.cli.app import run_command
-from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, to_plain
+from aiorts.types import Map, NDArray, Point2D, Seq, TimedDouble, TimedDoubleSeq, TimedLong, f32, to_plain, u8
+from aiorts.types import record as record_type
+from aiorts.types.registry import _by_full_name
 from aiorts_log import RecordingOptions, RecordingWriter, open_recording
 from aiorts_log.analysis.convert import convert
 from aiorts_log.analysis.difference import Difference, DiffOptions, difference, first_change
 from log_parts import make
 
 Samples = list[tuple[int, Any]]
+EMPTY: Any = {}
 
 
 def record(path: Path, **ports: Samples) -> Path:
@@ -189,3 +195,113 @@ def test_every_sample_is_a_partner_missing_or_extra(
     if not tolerance:
         common = sum(min(left.count(time), right.count(time)) for time in set(left))
         assert found.partners == common + 1
+
+
+@record_type
+class Scan:
+    """A scan, in each kind of array."""
+
+    tm: int = 0
+    ranges: NDArray = np.zeros(0)
+    image: Seq[u8] = ()  # type: ignore[assignment]
+    weights: Seq[f32] = ()  # type: ignore[assignment]
+    points: Seq[Point2D] = ()  # type: ignore[assignment]
+    data: Map = EMPTY
+
+
+@dataclass
+class Sweep:
+    """What a user without records of aiorts has."""
+
+    ranges: np.ndarray[Any, Any]
+
+
+@pytest.fixture(params=[True, False], ids=["known", "unknown"])
+def known(request: pytest.FixtureRequest) -> Iterator[bool]:
+    """Whether the types are known to who compares."""
+    types = {name: cls for name, cls in _by_full_name.items() if cls in (Scan, Sweep)}
+    yield request.param
+    _by_full_name.update(types)
+
+
+def forget() -> None:
+    for name in [name for name, cls in _by_full_name.items() if cls in (Scan, Sweep)]:
+        del _by_full_name[name]
+
+
+RANGES = np.linspace(0.0, 36.0, 37).reshape(37)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"ranges": RANGES + (RANGES == 4) * 0.25}, "ranges[4]: 4.0 -> 4.25"),
+        ({"ranges": RANGES.astype("f4")}, "ranges: float64 -> float32"),
+        ({"ranges": RANGES[:36].reshape(6, 6)}, "ranges: shape (37,) -> (6, 6)"),
+        ({"ranges": RANGES[:36]}, "ranges: 37 items -> 36"),
+        ({"ranges": np.where(RANGES == 2, math.nan, RANGES)}, "ranges[2]: 2.0 -> 'NaN'"),
+        ({"image": [7, 255, 9]}, "image[1]: 0 -> 255"),
+        ({"weights": [0.5, 1.75]}, "weights[1]: 1.5 -> 1.75"),
+        ({"points": [Point2D(1, 2), Point2D(3, 5)]}, "points[1].y: 4.0 -> 5.0"),
+        ({"data": {"a": {"b": np.array([[1, 2], [3, 5]])}}}, "data.a.b[1][1]: 4 -> 5"),
+        ({"data": {"a": {"b": np.array([[1 + 1j]])}}}, "data.a.b: int64 -> complex128"),
+    ],
+)
+def test_arrays_are_compared_item_by_item_whether_or_not_their_type_is_known(
+    change: dict[str, Any], said: str, known: bool, tmp_path: Path
+) -> None:
+    whole: dict[str, Any] = {
+        "ranges": RANGES,
+        "image": [7, 0, 9],
+        "weights": [0.5, 1.5],
+        "points": [Point2D(1, 2), Point2D(3, 4)],
+        "data": {"a": {"b": np.array([[1, 2], [3, 4]])}},
+    }
+    left = record(tmp_path / "a.mcap", a=[(1, Scan(**whole))])
+    right = record(tmp_path / "b.mcap", a=[(1, Scan(**{**whole, **change}))])
+    if not known:
+        forget()
+    found = compare(left, right)
+    assert [detail for _, _, detail in found.ports[0].places] == [said]
+
+
+@pytest.mark.parametrize("ending", ["mcap", "txt", "jsonl"])
+def test_tolerances_count_for_the_items_of_an_array(
+    ending: str, known: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    near = RANGES + (RANGES == 18) * 0.0099
+    near[3] = math.nan
+    first = np.where(RANGES == 3, math.nan, RANGES)
+    left = record(tmp_path / "a.mcap", a=[(1, Sweep(first))], b=[(1, Scan(image=[7, 0]))])
+    right = record(tmp_path / "b.mcap", a=[(1, Sweep(near))], b=[(1, Scan(image=[9, 0]))])
+    if ending != "mcap":
+        for path in (left, right):
+            convert(path, path.with_suffix(f".{ending}"))
+        left, right = left.with_suffix(f".{ending}"), right.with_suffix(f".{ending}")
+    if not known:
+        forget()
+    status, out = run(capsys, left, right, "--port", "a")
+    assert (status, "ranges[18]: 18.0 -> 18.0099" in out) == (1, True)
+    for words, equal in (("--abs 0.01", True), ("--abs 0.009", False), ("--rel 0.001", True), ("--rel 1e-5", False)):
+        assert run(capsys, left, right, "--port", "a", *words.split())[0] == (0 if equal else 1), words
+    if known or ending == "mcap":  # a text of bytes is no array to who does not know the type
+        assert run(capsys, left, right, "--abs", "2")[0] == 0
+        assert "image[0]: 7 -> 9" in run(capsys, left, right, "--abs", "1")[1]
+
+
+@given(
+    st.sampled_from(["f2", "f4", "f8", "i1", "u1", "i8", "u8"]),
+    st.lists(st.tuples(st.floats(width=16), st.floats(width=16)), max_size=5),
+    st.sampled_from([0.0, 0.5, 1e300]),
+    st.sampled_from([0.0, 0.1, 1.0]),
+)
+def test_an_array_differs_where_its_items_do(
+    code: str, pairs: list[tuple[float, float]], absolute: float, relative: float
+) -> None:
+    columns = [
+        [one[side] if code[0] == "f" else int(np.nan_to_num(one[side])) % 100 for one in pairs] for side in (0, 1)
+    ]
+    left, right = (np.array(column, dtype=code) for column in columns)
+    options = DiffOptions(absolute=absolute, relative=relative)
+    lists = [[to_plain(one) for one in array.tolist()] for array in (left, right)]
+    assert first_change(left, right, options) == first_change(*lists, options, "value")

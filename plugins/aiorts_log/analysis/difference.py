@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, TypeAlias
 from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.types import to_plain
 from aiorts.wire import MsgpackCodec
+from aiorts_log.analysis.values import values_of
 from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
 
@@ -178,7 +179,7 @@ class _Pair:
             return
         if self._packed is not None and self._packed(one[1]) == self._packed(other[1]):
             return
-        change = first_change(_plain(one[1]), _plain(other[1]), options)
+        change = first_change(values_of(one[1]), values_of(other[1]), options)
         if change is not None:
             found.changed += 1
             found.note(one[0], "changed", change)
@@ -195,16 +196,6 @@ def _packed(sample: RecordedSample) -> bytes:
         return _encode(sample.port.decode(sample.data))
     except AiortsError as error:
         raise DamagedError(f"port {sample.port.name!r}, sample {sample.sequence}: {error}") from None
-
-
-def _plain(sample: RecordedSample) -> Any:
-    port = sample.port
-    if port.unknown:
-        return port.plain(sample.data)
-    try:
-        return to_plain(port.decode(sample.data))
-    except AiortsError as error:
-        raise DamagedError(f"port {port.name!r}, sample {sample.sequence}: {error}") from None
 
 
 class _Walk:
@@ -293,9 +284,12 @@ def _key(head: tuple[int, RecordedSample], by: By) -> int:
 
 
 def first_change(left: Any, right: Any, options: DiffOptions, path: str = "") -> str | None:
-    """Where two pieces of plain data differ first, as "field: a -> b"; None when they do not."""
+    """Where two pieces of plain data, or arrays in them, differ first, as "field: a -> b"; None when they do not."""
     if path in options.ignored:
         return None
+    if hasattr(left, "dtype") and hasattr(right, "dtype"):
+        return _array_change(left, right, options, path or "value")
+    left, right = _listed(left), _listed(right)
     if isinstance(left, dict) and isinstance(right, dict):
         if left.keys() != right.keys():
             return f"{path or 'record'}: other fields"
@@ -312,13 +306,51 @@ def first_change(left: Any, right: Any, options: DiffOptions, path: str = "") ->
     return f"{path or 'value'}: {_brief(left)} -> {_brief(right)}"
 
 
+def _array_change(left: Any, right: Any, options: DiffOptions, path: str) -> str | None:
+    import numpy as np  # late: most commands need none
+
+    if left.dtype != right.dtype:
+        return f"{path}: {left.dtype} -> {right.dtype}"
+    if left.shape != right.shape:
+        if left.ndim == right.ndim == 1:
+            return f"{path}: {len(left)} items -> {len(right)}"
+        return f"{path}: shape {left.shape} -> {right.shape}"
+    kind = left.dtype.kind
+    differs = left != right
+    if kind == "f":
+        differs |= np.signbit(left) != np.signbit(right)
+    differs &= (left == left) | (right == right)  # a NaN equals a NaN
+    if (options.absolute or options.relative) and (kind == "f" or (kind in "iu" and left.dtype.itemsize < 8)):
+        a, b = left.astype("f8"), right.astype("f8")  # without loss: what `_same` does for most, for all at once
+        with np.errstate(all="ignore"):
+            most = np.maximum(options.absolute, options.relative * np.maximum(np.abs(a), np.abs(b)))
+            differs &= ~((a != b) & np.isfinite(a - b) & (np.abs(a - b) <= most))
+    for index in map(tuple, np.argwhere(differs)):
+        place = f"{path}{''.join(f'[{one}]' for one in index)}"
+        found = None if place in options.ignored else (_item(left[index].item()), _item(right[index].item()))
+        if found is not None and not _same(*found, options):
+            return f"{place}: {_brief(found[0])} -> {_brief(found[1])}"
+    return None
+
+
+def _listed(value: Any) -> Any:
+    """An array as lists: the other recording has lists."""
+    if not hasattr(value, "dtype"):
+        return value
+    return [_listed(one) for one in value] if value.ndim else _item(value.item())
+
+
+def _item(value: Any) -> Any:
+    return to_plain(value) if isinstance(value, float) else value
+
+
 def _same(left: Any, right: Any, options: DiffOptions) -> bool:
     if type(left) is type(right) and left == right:
         # 0.0 == -0.0, but they are different samples unless there is a tolerance.
         return (
             not isinstance(left, float) or bool(options.absolute) or math.copysign(1, left) == math.copysign(1, right)
         )
-    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (left, right))
+    numbers = all(isinstance(value, int | float | complex) and not isinstance(value, bool) for value in (left, right))
     if not numbers or not (options.absolute or options.relative):
         return False
     return bool(abs(left - right) <= max(options.absolute, options.relative * max(abs(left), abs(right))))

@@ -227,8 +227,14 @@ def taker(cls: type, encoding: str) -> Callable[[bytes], Any]:
     return take
 
 
-def plain_of(data: bytes, encoding: str, schema: Schema | None) -> Any:
-    """Decode a message of a type that is not loaded to plain data for JSON, as far as its schema explains it."""
+def plain_of(
+    data: bytes, encoding: str, schema: Schema | None, array: Callable[[bytes, Any], Any] | None = None
+) -> Any:
+    """Decode a message of a type that is not loaded to plain data for JSON, as far as its schema explains it.
+
+    Args:
+        array: makes a value of an array of a frame and what the schema says of it; None makes lists.
+    """
     try:
         if encoding == "json":
             return json.loads(data)
@@ -241,7 +247,7 @@ def plain_of(data: bytes, encoding: str, schema: Schema | None) -> Any:
                 max_map_len=min(_LONGEST, len(data)),
                 max_ext_len=0,
             )
-            return _plain(found, _explained(schema))
+            return _plain(found, _explained(schema), array or _lists)
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException, WireError, RecordError):
         pass  # given as bytes
     return {"encoding": encoding, "bytes": base64.b64encode(data).decode("ascii")}
@@ -257,40 +263,48 @@ def _explained(schema: Schema | None) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _plain(value: Any, schema: Any) -> Any:
+def _plain(value: Any, schema: Any, array: Callable[[bytes, Any], Any]) -> Any:
     schema = schema if isinstance(schema, dict) else {}
     either = schema.get("anyOf")
     if isinstance(either, list) and either and isinstance(either[0], dict):
         schema = either[0]
     if isinstance(value, bytes):
-        return _array(value) if "x-array" in schema else base64.b64encode(value).decode("ascii")
+        return array(value, schema["x-array"]) if "x-array" in schema else base64.b64encode(value).decode("ascii")
     if isinstance(value, dict):
         # A map within a map holds what the outer one does.
         inner, rest = schema.get("properties"), schema if "x-array" in schema else schema.get("additionalProperties")
         inner = inner if isinstance(inner, dict) else {}
-        return {str(key): _plain(item, inner.get(key, rest)) for key, item in value.items()}
+        return {str(key): _plain(item, inner.get(key, rest), array) for key, item in value.items()}
     if isinstance(value, list):
         first, rest = schema.get("prefixItems"), schema.get("items")
         first = first if isinstance(first, list) else []
-        plain = [_plain(item, first[i] if i < len(first) else rest) for i, item in enumerate(value)]
+        plain = [_plain(item, first[i] if i < len(first) else rest, array) for i, item in enumerate(value)]
         return plain[2] if len(plain) == 3 and first and "x-array-layout" in schema else plain
+    return _json_number(value)
+
+
+def _json_number(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
     return value
 
 
-def _array(data: bytes) -> Any:
-    """The numbers of an array as lists; WireError when the bytes contradict its head."""
+def array_parts(data: bytes) -> tuple[str, tuple[int, ...], int]:
+    """Element type, shape and length of the head of an array in a frame; WireError when it has none."""
     head = 8 + 8 * (data[1] if len(data) > 1 else 0)
     if len(data) < max(head, 8) or not 1 <= data[0] <= len(ELEMENTS) or data[1] > 8:
         raise WireError("no array")
-    shape = struct.unpack_from(f"<{data[1]}Q", data, 8)
-    element = ELEMENTS[data[0] - 1]
+    return ELEMENTS[data[0] - 1], struct.unpack_from(f"<{data[1]}Q", data, 8), head
+
+
+def _lists(data: bytes, _: Any) -> Any:
+    """The numbers of an array as lists; WireError when the bytes contradict its head."""
+    element, shape, head = array_parts(data)
     code = _STRUCT.get(element)
     count = math.prod(shape)
     if code is None or count * struct.calcsize(f"<{code}") != len(data) - head:
         raise WireError("no array")
-    flat: list[Any] = [_plain(one, None) for one in struct.unpack_from(f"<{count}{code}", data, head)]
+    flat: list[Any] = [_json_number(one) for one in struct.unpack_from(f"<{count}{code}", data, head)]
     for length in reversed(shape[1:]):
         flat = [flat[i : i + length] for i in range(0, len(flat), length)] if length else []
     return flat if shape else flat[0]
