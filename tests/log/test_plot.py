@@ -7,15 +7,17 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from enum import Enum
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from aiorts.cli.app import run_command
-from aiorts.types import Point2D, Pose2D, TimedDouble, TimedDoubleSeq, TimedPose2D, TimedString
+from aiorts.types import NDArray, Point2D, Pose2D, TimedDouble, TimedDoubleSeq, TimedPose2D, TimedString, record
 from aiorts_log import RecordingOptions, RecordingWriter, open_recording
 from aiorts_log.analysis.series import read_series
 from aiorts_log.analysis.thinning import thinned, thinned_path
@@ -144,13 +146,102 @@ def test_a_path_and_curves_are_drawn_the_same_every_time(drive: Path) -> None:
     assert "base.speed.data [m/s]" in drive.with_name("times0.svg").read_text()
 
 
+class Mode(Enum):
+    """What a robot does."""
+
+    IDLE = 0
+    RUN = 3
+
+
+class Word(Enum):
+    """An enumeration without numbers."""
+
+    YES = "yes"
+    NO = "no"
+
+
+@record
+class Scan:
+    """A scan of a user."""
+
+    tm: int = 0
+    ranges: NDArray = np.zeros(0)
+    mode: Mode = Mode.IDLE
+    word: Word = Word.YES
+
+
+LONG = "lidar_front_left.everything_around"
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> Path:
+    path = tmp_path / "scans.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        port, grid = writer.add_port(LONG, Scan), writer.add_port("grid", Scan)
+        for i in range(20):
+            mode = Mode.RUN if i % 2 else Mode.IDLE
+            writer.write(port, Scan(i, np.arange(36.0) + i, mode), i)
+            writer.write(grid, Scan(i, np.arange(40.0).reshape(5, 8)), i)
+    return path
+
+
+def test_items_that_are_not_drawn_are_told_with_how_to_draw_them(
+    scans: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aiorts_log.analysis.plot.find_spec", lambda name: True)
+    monkeypatch.setattr("aiorts_log.commands.drawing.draw_times", lambda file, *more: file.write_text("drawn"))
+    for name, said in (
+        (f"{LONG}.ranges", f"  not in it: {LONG}.ranges: 16 of 36 items drawn; name others, as {LONG}.ranges[16]\n"),
+        ("grid.ranges", "  not in it: grid.ranges: 16 of 40 items drawn; name others, as grid.ranges[2][0]\n"),
+        ("grid.ranges[2][0]", ""),
+        ("grid.ranges[4]", ""),
+    ):
+        target = scans.with_name("x.svg")
+        status, out, err = run(capsys, scans, name, "-o", target, "--overwrite")
+        assert (status, out.startswith(f"{target}: "), err) == (0, True, said)
+    with open_recording(scans) as reader:
+        ((*_, last),) = read_series(reader, ["grid.ranges"], None, None, lambda done: None)
+    assert (last.label, list(last.values)) == ("grid.ranges[1][7]", [15.0] * 20)
+
+
+def test_an_enumeration_is_drawn_as_its_number_or_it_is_said_what_can_be(
+    scans: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aiorts_log.analysis.plot.find_spec", lambda name: True)
+    with open_recording(scans) as reader:
+        ((mode,),) = read_series(reader, [f"{LONG}.mode"], None, None, lambda done: None)
+    assert list(mode.values) == [0.0, 3.0] * 10
+    status, _, err = run(capsys, scans, f"{LONG}.word", "-o", scans.with_name("x.svg"))
+    said = "word: is Word, not a number; numbers, moments, and enumerations of numbers whose type is known can be drawn"
+    assert (status, said in err) == (2, True)
+
+
+LEGEND = """
+import sys, warnings
+from matplotlib.image import imread
+from aiorts.cli.app import run_command
+warnings.simplefilter("error")
+for size in ("3", "8"):
+    assert run_command(["log", "plot", "scans.mcap", *sys.argv[1:], "-o", "x.png", "--overwrite", "--size", size]) == 0
+    print(imread("x.png")[:, -3:, 3].max())
+"""
+
+
+def test_a_legend_stays_within_the_picture(scans: Path) -> None:
+    pytest.importorskip("matplotlib")
+    words = [f"{LONG}.{name}" for name in ("ranges", "ranges[20]", "tm")]
+    line = [sys.executable, "-c", LEGEND, *words]
+    done = subprocess.run(line, cwd=scans.parent, capture_output=True, text=True, timeout=100)
+    assert done.stdout.splitlines()[1::2] == ["0.0", "0.0"], done.stderr
+
+
 def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     target = drive.with_name("x.svg")
     for arguments, why in (
         (["nix.data"], "no port for 'nix.data'; write PORT.FIELD; ports: odometry.pose"),
         (["base.speed.date"], "base.speed.date: TimedDouble has no field 'date'; did you mean data?"),
-        (["odometry.pose"], "odometry.pose.data: is Pose2D, not a number; name a field of it"),
+        (["odometry.pose"], "odometry.pose.data: is Pose2D, not a number; name a field of it: position, heading"),
         (["note"], "note.data: is str, not a number"),
         (["base.speed", "--start", "+100"], "base.speed has no sample there; nothing is drawn"),
         ([], "expected PORT.FIELD once or more, or --xy X Y, and not both"),

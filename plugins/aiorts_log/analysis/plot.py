@@ -23,6 +23,12 @@ _COLOURS: Final = ("#2f81f7", "#e8730c", "#2da44e", "#cf3b9a", "#9a6fe0", "#d134
 _PIECES: Final = 1600
 """Number of pieces of the time axis: twice as many as a curve has pixels."""
 _CELLS: Final = 1200
+_ROW: Final = 0.2
+"""Inches of a row of a legend; of what stands beside a diagram; of a legend's line and the space beside it."""
+_MARGIN: Final = 0.8
+_KEY: Final = 0.65
+_TALL: Final = 1.8
+"""Inches of a name beside a diagram; a longer one stands above it."""
 _RC: Final = {
     "svg.hashsalt": "aiorts",
     "svg.fonttype": "none",
@@ -79,22 +85,46 @@ def draw_times(file: Path, file_type: str, groups: Sequence[Sequence[Series]], p
         for one in group:
             diagrams.setdefault((one.unit, 0 if one.unit else number), []).append(one)
     with _matplotlib() as figure_of:
-        height = picture.height or 1.0 + 2.2 * len(diagrams)
+        columns = [_columns(several, picture.width) for several in diagrams.values()]
+        rows = sum(-(-len(several) // most) for several, most in zip(diagrams.values(), columns, strict=True))
+        height = picture.height or 1.0 + 2.0 * len(diagrams) + _ROW * rows
         figure = figure_of(figsize=(picture.width, height), layout="constrained")
         axes = figure.subplots(len(diagrams), 1, sharex=True, squeeze=False)
-        for ((unit, _), several), axis in zip(diagrams.items(), axes[:, 0], strict=True):
+        for ((unit, _), several), most, axis in zip(diagrams.items(), columns, axes[:, 0], strict=True):
             for number, one in enumerate(several):
                 kept = thinned(one.times, one.values, _PIECES)
                 xs, ys = [one.times[i] for i in kept], [one.values[i] for i in kept]
                 mark = "." if len(kept) < 2 else ""
-                axis.plot(xs, ys, color=_COLOURS[number % len(_COLOURS)], label=one.label, marker=mark)
-            if len(several) == 1:
-                axis.set_ylabel(f"{several[0].label}{f' [{unit}]' if unit else ''}")
+                axis.plot(
+                    xs, ys, color=_COLOURS[number % len(_COLOURS)], label=_cut(one.label, picture.width), marker=mark
+                )
+            name = f"{several[0].label}{f' [{unit}]' if unit else ''}"
+            if len(several) == 1 and _inches(name) <= _TALL:
+                axis.set_ylabel(name)
             else:
                 axis.set_ylabel(f"[{unit}]" if unit else "")
-                axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.0)
+                axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=most, borderaxespad=0.0)
         axes[-1, 0].set_xlabel("time [s]")
         _save(figure, file, file_type, picture)
+
+
+def _columns(several: Sequence[Series], width: float) -> int:
+    """Columns of a legend that stay within a picture of that width."""
+    return max(1, min(4, int((width - _MARGIN) / (max(_inches(one.label) for one in several) + _KEY))))
+
+
+def _cut(label: str, width: float) -> str:
+    """The label, or the end of it that a legend of one column has room for."""
+    kept = label
+    while len(kept) > 1 and _inches(kept) > width - _MARGIN - _KEY:
+        kept = f"\N{HORIZONTAL ELLIPSIS}{kept[2:]}"
+    return kept
+
+
+def _inches(text: str) -> float:
+    measure = import_module("matplotlib.textpath").text_to_path.get_text_width_height_descent
+    font = import_module("matplotlib.font_manager").FontProperties(size=_RC["font.size"])
+    return float(measure(text, font, False)[0]) / 72
 
 
 def draw_path(file: Path, file_type: str, x: Series, y: Series, picture: Picture) -> None:

@@ -7,12 +7,14 @@ import re
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from operator import attrgetter
 from typing import Any, Final
 
 from aiorts.errors import AiortsError, ConfigurationError, RecordError
 from aiorts.progress import Step
 from aiorts.types import convert, path_type, read_path
+from aiorts_log.analysis.values import values_of
 from aiorts_log.errors import DamagedError
 from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
 
@@ -24,10 +26,14 @@ _BATCH: Final = 2048
 
 @dataclass(slots=True)
 class Series:
-    """A curve: seconds since the first sample of the recording, and values; `unit` is "" when unknown."""
+    """A curve: seconds since the first sample of the recording, and values; `unit` is "" when unknown.
+
+    `left_out` says, of the first item of a sequence, which items have no curve; "" when all have one.
+    """
 
     label: str
     unit: str = ""
+    left_out: str = ""
     times: array[float] = field(default_factory=lambda: array("d"))
     values: array[float] = field(default_factory=lambda: array("d"))
 
@@ -43,6 +49,8 @@ class _Field:
         simple = re.fullmatch(r"\w+(\.\w+)*", path) is not None
         self._get: Callable[[Any], Any] = attrgetter(path) if simple else lambda record: read_path(record, path)
         self._series: list[Series] = []
+        self._items = 0
+        self._shape: tuple[int, ...] = ()
         self.numbers: Callable[[RecordedSample], Sequence[float]] = self._of_plain if port.unknown else self._of_record
         if not port.unknown and hasattr(port.type, "__dataclass_fields__"):
             try:
@@ -54,17 +62,28 @@ class _Field:
     def series(self) -> list[Series]:
         """The curves: one, or one for each item."""
         if len(self._series) == 1:
-            return [Series(self.label, self.unit, self._series[0].times, self._series[0].values)]
+            return [Series(self.label, self.unit, "", self._series[0].times, self._series[0].values)]
+        if self._items > _MOST:
+            other = f"{self.label}{self._place(_MOST)}"
+            self._series[0].left_out = f"{self.label}: {_MOST} of {self._items} items drawn; name others, as {other}"
         return self._series
 
     def add(self, seconds: float, sample: RecordedSample) -> None:
         """Add the values of a sample."""
         for number, value in enumerate(self.numbers(sample)):
             if number == len(self._series):
-                self._series.append(Series(f"{self.label}[{number}]", self.unit))
+                self._series.append(Series(f"{self.label}{self._place(number)}", self.unit))
             one = self._series[number]
             one.times.append(seconds)
             one.values.append(value)
+
+    def _place(self, number: int) -> str:
+        """The index of an item, in an array of any shape."""
+        places = []
+        for length in reversed(self._shape[1:]):
+            number, rest = divmod(number, length)
+            places.append(rest)
+        return "".join(f"[{one}]" for one in (number, *reversed(places)))
 
     def _of_record(self, sample: RecordedSample) -> Sequence[float]:
         try:
@@ -80,7 +99,7 @@ class _Field:
         return self._checked(value)
 
     def _of_plain(self, sample: RecordedSample) -> Sequence[float]:
-        value = sample.port.plain(sample.data)
+        value = values_of(sample)
         for name, index in _STEP.findall(self._path):
             try:
                 value = value[int(index)] if index else value[name]
@@ -90,19 +109,34 @@ class _Field:
 
     def _checked(self, value: Any) -> Sequence[float]:
         if hasattr(value, "ravel"):
+            self._shape, self._items = value.shape or (1,), max(self._items, value.size)
             value = value.ravel()[:_MOST].tolist()
+        elif isinstance(value, tuple | list):
+            self._items = max(self._items, len(value))
         values = list(value[:_MOST]) if isinstance(value, tuple | list) else [value]
-        values = [_number(one) for one in values]
-        if not all(isinstance(one, int | float) for one in values):
-            raise ConfigurationError(f"{self.label}: is {type(values[0]).__name__}, not a number; name a field of it")
-        return [float(one) for one in values]
+        numbers = [_number(one) for one in values]
+        if not all(isinstance(one, int | float) for one in numbers):
+            raise ConfigurationError(f"{self.label}: is {type(values[0]).__name__}, not a number; {_way(values[0])}")
+        return [float(one) for one in numbers]
 
 
 def _number(value: Any) -> Any:
     """Not a number for what is absent, which leaves a gap in the curve; nanoseconds for a datetime."""
     if value is None:
         return math.nan
+    if isinstance(value, Enum):
+        return value.value
     return convert(value, "i64") if hasattr(value, "utcoffset") else value
+
+
+def _way(value: Any) -> str:
+    """What can be drawn in the place of a value that is no number."""
+    fields = value if isinstance(value, dict) else getattr(value, "__dataclass_fields__", ())
+    if fields:
+        return f"name a field of it: {', '.join(list(fields)[:_MOST])}"
+    if isinstance(value, tuple | list):
+        return "name an item of it"
+    return "numbers, moments, and enumerations of numbers whose type is known can be drawn"
 
 
 def read_series(

@@ -47,7 +47,8 @@ def plot(
       aiorts log plot run.mcap pid0.command motor0.speed.data -o run.png
       aiorts log plot run.mcap --xy odometry.pose.data.position.x odometry.pose.data.position.y -o path.svg
 
-    A port alone is its data; each item of a sequence is a curve, 16 at most. Long recordings are thinned so that no
+    A port alone is its data; each item of a sequence is a curve, the first 16 unless others are
+    named (scan.ranges[20]). An enumeration is its number. Long recordings are thinned so that no
     peak is lost. Needs matplotlib: pip install "aiorts[plot]".
     """
     file_type = check_picture(output)
@@ -68,6 +69,8 @@ def plot(
             draw_path(part, file_type, x, y, picture)
         else:
             draw_times(part, file_type, groups, picture)
+    for one in (one for group in groups for one in group if one.left_out):
+        click.echo(f"  not in it: {safe(one.left_out)}", err=True)
     total = sum(len(one.times) for group in groups for one in group)
     click.echo(f"{safe(output)}: {number(total, 'value')} of {number(sum(map(len, groups)), 'curve')}")
 
