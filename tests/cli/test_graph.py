@@ -43,9 +43,18 @@ def test_a_file_that_cannot_be_written_is_one_line_and_what_was_there_stays(tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_system_with_mistakes_of_its_parts_is_drawn_all_the_same(tmp_path: Path, capsys: Out) -> None:
-    (tmp_path / "s.toml").write_text('schema = 1\n[components.a]\ntype = "gone.py:A"\n')
-    assert run_command(["graph", str(tmp_path / "s.toml")]) == 0
-    assert "<b>a</b>" in capsys.readouterr().out
+def test_a_system_with_mistakes_of_its_parts_is_drawn_all_the_same_and_they_are_told(
+    tmp_path: Path, capsys: Out
+) -> None:
+    text = '[contexts.loop]\nkind = "event"\nmembers = ["a"]\n'
+    (tmp_path / "s.toml").write_text(f'schema = 1\n[components.a]\ntype = "FlexiDmp"\n{text}')
+    assert run_command(["graph", str(tmp_path / "s.toml")]) == run_command(["check", str(tmp_path / "s.toml")]) == 2
+    printed = capsys.readouterr()
+    assert "<b>a</b>" in printed.out
+    assert printed.err.startswith(f"aiorts: E-PLUGIN: {tmp_path / 's.toml'}:3:8: components.a.type: ")
+    assert "did you mean FlexiDump" in printed.err
+    assert "^^^" in printed.err
+    assert run_command(["graph", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.svg")]) == 2
+    assert (tmp_path / "s.svg").exists()
     (tmp_path / "s.toml").write_text("schema = 1\n[component.a]\n")
     assert run_command(["graph", str(tmp_path / "s.toml")]) == 2

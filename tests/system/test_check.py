@@ -51,6 +51,24 @@ def test_a_good_system_has_nothing_to_say_and_no_hook_of_it_runs(write: Write, t
     assert not (tmp_path / "HOOK").exists()
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "meant"),
+    [
+        ('from = "source.out"', 'form = "source.out"', "from"),
+        ('to = "sink.input"', 'too = "sink.input"', "to"),
+        ('kind = "event"', 'knd = "event"', "kind"),
+        ('type = "parts.py:Sink"', 'typ = "parts.py:Sink"', "type"),
+    ],
+)
+def test_a_misspelt_key_is_marked_once_where_it_stands_with_what_mends_it(
+    old: str, new: str, meant: str, write: Write
+) -> None:
+    misspelt = new.partition(" ")[0]
+    (one,) = [one for one in found(write(changed(old, new)), "error") if one.cause == f"unknown key {misspelt!r}"]
+    assert (marked(one), one.where.rpartition(".")[2], one.mended) == (misspelt, misspelt, meant)
+    assert not [other for other in found(write(changed(old, new))) if "is missing" in other.cause]
+
+
 def test_all_mistakes_are_found_at_once_in_the_order_of_the_file(write: Write) -> None:
     text = changed("params.rate_limit = 3", "params.rate_limit = 30\nparams.rate_limt = 2")
     text = changed('type = "parts.py:Middle"', 'type = "parts.py:Midle"', text)

@@ -97,7 +97,7 @@ def test_bytes_that_are_no_text_are_refused_with_their_line(tmp_path: Path) -> N
         ('type = "Plant"', "type = 5", "expected text"),
         ("params.gain", "parms.gain", "did you mean 'params'"),
         ("params.gain = 2.0", "params = 2.0", "expected a table"),
-        ('from = "pid0.command"', 'form = "pid0.command"', "from is missing"),
+        ('from = "pid0.command"', 'form = "pid0.command"', "unknown key 'form'; did you mean 'from'"),
         ('from = "pid0.command"', 'from = "pid.command"', "did you mean 'pid0'"),
         ('from = "pid0.command"', 'from = "pid0"', "names no port"),
         ('to = "plant0.input"', 'to = "plant.input"', "did you mean 'plant0'"),

@@ -10,8 +10,9 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.console.finding import below, line_of
 from aiorts.errors import ConfigurationError
-from aiorts.system import GRAPH_FORMATS, graph, load
+from aiorts.system import GRAPH_FORMATS, check, graph, load
 
 _ENDINGS: Final = {
     "": "mermaid",
@@ -35,17 +36,22 @@ def graph_command(
 ) -> int:
     """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
 
-    mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run.
+    mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run. What
+    `aiorts check` calls an error is told on standard error; the rest is drawn all the same, and the exit status is 2.
     """
     language = language or _language_of(output)
     system = load(file, changes)
     with quietly():
-        text = graph(system, language, catalogue_of(system, plugins))
+        catalogue = catalogue_of(system, plugins)
+        text = graph(system, language, catalogue)
+        wrong = [one for one in check(file, changes, catalogue.folders) if one.severity == "error"]
     if output is None or output == "-":
         click.echo(text, nl=False)
     else:
         _write(Path(output), text)
-    return exits.DONE
+    for one in wrong:
+        click.echo("\n".join((line_of(one), *below(one))), err=True)
+    return exits.REFUSED if wrong else exits.DONE
 
 
 def _language_of(output: str | None) -> str:

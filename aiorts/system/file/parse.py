@@ -167,8 +167,6 @@ class _Reader(Reading):
     def _component(self, name: str, table: dict[str, Any]) -> ComponentEntry:
         key: Key = ("components", name)
         unknown = self._only(key, table, _COMPONENT)
-        if "type" not in table and get_close_matches("type", unknown):
-            table = {**table, "type": ""}  # its wrong spelling has been named
         params = self._get(key, table, "params", dict, {})
         given = self._get(key, table, "options", object, [])
         kind = self._get(key, table, "type", str)

@@ -51,7 +51,7 @@ class Reading:
         """The value of a key; `default` when it is absent, which is a mistake where there is none (then `missing`)."""
         if word not in table:
             if default is NOTHING:
-                self._say(key, f"{word} is missing{near_hint(word, table)}", of_key=True)
+                self._missing(key, table, word)
                 return missing
             return default
         value = table[word]
@@ -59,6 +59,15 @@ class Reading:
             self._say((*key, word), f"expected {_WORDS.get(kind, 'a value')}, got {value!r:.80}")
             return missing if default is NOTHING else default
         return value
+
+    def _missing(self, key: Key, table: Mapping[str, Any], word: str) -> None:
+        """Say so where the key stands in another spelling, once; else where it would stand."""
+        near = get_close_matches(word, [str(other) for other in table], n=1)
+        misspelt = (*key, *near)
+        if not near:
+            self._say(key, f"{word} is missing", of_key=True)
+        elif all(one.key != misspelt for one in self.mistakes):
+            self._say(misspelt, f"unknown key {near[0][:80]!r}; did you mean {word!r}?", of_key=True)
 
     def _tables(self, top: dict[str, Any], key: str, word: str) -> dict[str, dict[str, Any]]:
         tables = top.get(key, {})
