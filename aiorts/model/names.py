@@ -99,7 +99,11 @@ class Path:
                 check_host(host)
             return cls(component, port, kernel, host)
         except InvalidNameError as error:
-            raise InvalidNameError(f"path {_shown(text)}: {error}") from None
+            # A recorded port `lidar.scan` is replayed as `lidar_scan`, and other dots are no better here.
+            flat = port.replace(".", "_")
+            meant = "." in port and _NAME.fullmatch(flat) and _NAME.fullmatch(component)
+            hint = f"; did you mean {text.removesuffix(port) + flat!r}?" if meant else ""
+            raise InvalidNameError(f"path {_shown(text)}: {error}{hint}") from None
 
     def __str__(self) -> str:
         before = "".join(f"{part}/" for part in (self.host, self.kernel) if part)

@@ -25,7 +25,7 @@ from aiorts.testing.samples import difference, sample_of, value_of
 from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine, Iterator
+    from collections.abc import Coroutine, Iterator, Mapping
 
     from aiorts.kernel import Connector, Context
     from aiorts.kernel.ports import Port
@@ -41,8 +41,13 @@ class Caught:
 class Rig:
     """Components under test. `async with` opens it, on any asyncio loop and inside `simulate`.
 
+    The test keeps each component itself, with its own type: `pid = Pid("pid0")`, then `Rig(pid, params={"gain": 2.0})`.
+    While the rig is open, `await pid.configure(gain=3.0)` changes parameters as `--set` and tools do.
+
     Args:
         components: in order of execution, all in one context.
+        params: values of parameters of the only component, in force before its `on_initialize`, as in `Kernel.create`;
+            ConfigurationError when it is opened and one does not fit.
         rate: Hz of an external context: each tick is one period later than the last. None: ticks take no time.
         context: the context they run in; an ExternalContext by default.
         clock: simulated; by default that of the loop, or a new one at 0.
@@ -54,6 +59,7 @@ class Rig:
     def __init__(
         self,
         *components: Component,
+        params: Mapping[str, object] | None = None,
         rate: float | None = None,
         context: Context | None = None,
         clock: SimulatedClock | None = None,
@@ -61,7 +67,10 @@ class Rig:
         debug: bool = True,
         activate: bool = True,
     ) -> None:
+        if params and len(components) != 1:
+            raise ValueError(f"params: is for one component, there are {len(components)}; configure() each of them")
         self.components = components
+        self._params = dict(params or {})
         self.context: Context = ExternalContext() if context is None else context
         """The context of the components."""
         if rate is not None and not is_ticked(self.context):
@@ -100,7 +109,7 @@ class Rig:
         kernel.bus.subscribe(HookFailed, self._failures.append)
         instruments = self._instruments = await kernel.add(Instruments(None if self._debug else MsgpackCodec().encode))
         for component in self.components:
-            await kernel.add(component)
+            await kernel.add(component, **self._params)
             for port in component.ports.values():
                 if isinstance(port, OutPort):
                     instruments.tap(port)

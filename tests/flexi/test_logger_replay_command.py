@@ -12,7 +12,7 @@ import pytest
 
 import aiorts
 from aiorts.cli.app import run_command
-from aiorts.system import parse_options
+from aiorts.system import check, parse_options
 from aiorts.types import TimedDouble
 from aiorts_bench.cases.replay import measure_replay
 from aiorts_flexi.recordings.logger import FlexiLogger
@@ -29,6 +29,22 @@ def command(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[
     status = run_command(["flexilogger", "-o", *map(str, arguments)])
     said = capfd.readouterr()
     return status, [json.loads(line) for line in said.out.splitlines()], said.err.splitlines()
+
+
+def test_a_recorded_name_with_dots_is_told_in_the_form_that_its_replay_has(tmp_path: Path) -> None:
+    recorded(tmp_path / "run.mcap", [("lidar.scan", BEGIN, TimedDouble(BEGIN, 1.0))])
+    system = tmp_path / "system.toml"
+    system.write_text(
+        "schema = 1\n"
+        '[components.play]\ntype = "FlexiLogger"\noptions = ["-o", "-l", "run.mcap"]\n'
+        '[components.show]\ntype = "FlexiDump"\noptions = ["-p", "TimedDouble"]\n'
+        '[[connections]]\nfrom = "play.lidar.scan"\nto = "show.input0"\n'
+        '[contexts.all]\nkind = "event"\nmembers = ["play", "show"]\n'
+    )
+    (one,) = [one for one in check(system) if one.severity == "error"]
+    assert (one.remedy, one.mended) == ("did you mean 'play.lidar_scan'?", '"play.lidar_scan"')
+    system.write_text(system.read_text().replace("lidar.scan", "lidar_scan"))
+    assert [one for one in check(system) if one.severity == "error"] == []
 
 
 @pytest.mark.row(115)

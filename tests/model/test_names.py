@@ -107,6 +107,8 @@ def test_text_that_parses_is_written_back_unchanged(text: str) -> None:
         (".command", "component name '': is empty"),
         ("pid0.", "port name '': is empty"),
         ("pid0.a.b", "'.' not allowed"),
+        ("pid0.a.b", "did you mean 'pid0.a_b'?"),
+        ("host/k/pid0.a.b.c", "did you mean 'host/k/pid0.a_b_c'?"),
         ("/pid0", "kernel name '': is empty"),
         ("//pid0", "kernel name '': is empty"),
         ("a b/k/pid0", "' ' not allowed"),

@@ -22,7 +22,16 @@ from aiorts import (
     ThreadContext,
     run,
 )
-from aiorts.errors import ClosedError, ComponentError, PortTypeError, RecordError, StateError, ThreadError, WiringError
+from aiorts.errors import (
+    ClosedError,
+    ComponentError,
+    ConfigurationError,
+    PortTypeError,
+    RecordError,
+    StateError,
+    ThreadError,
+    WiringError,
+)
 from aiorts.testing import Rig, faults, simulate
 from aiorts.types import Pose2D, TimedDouble, TimedDoubleSeq, TimedLong, TimedMap, TimedPose2D
 
@@ -70,6 +79,25 @@ class PlainEcho(Component):
     def on_execute(self) -> None:
         for sample in self.input.drain():
             self.output.write_nowait(sample)
+
+
+async def test_parameters_are_in_force_before_on_initialize_and_a_bad_one_is_refused() -> None:
+    class Early(Pid):
+        seen = 0.0
+
+        def on_initialize(self) -> None:
+            self.seen = self.gain
+
+    early = Early("early")
+    async with Rig(early, params={"gain": 2.0}) as rig:
+        rig.feed("measured", 3.0)
+        await rig.tick()
+        assert (early.seen, rig.values("command")) == (2.0, [-6.0])
+    with pytest.raises(ConfigurationError, match="gian"):
+        async with Rig(Pid("pid0"), params={"gian": 2.0}):
+            pass
+    with pytest.raises(ValueError, match="is for one component, there are 2"):
+        Rig(Pid("pid0"), Plant("plant0"), params={"gain": 2.0})
 
 
 async def test_component_in_a_rig_is_fed_ticked_and_asked() -> None:
