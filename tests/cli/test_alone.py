@@ -57,6 +57,13 @@ class Failing(Counter):
     async def on_execute(self):
         raise ValueError("no")
 
+class Burst(Component):
+    """Sends more at once than there is room for, and does not wait."""
+    out = OutPort(TimedLong)
+    def on_execute(self):
+        for number in range(1500):
+            self.out.write_nowait(TimedLong(0, number))
+
 class BadRate(Counter):
     alone = {"rate": -1.0}
 
@@ -130,6 +137,42 @@ def test_one_that_takes_data_is_fed_as_before_or_periodically(folder: Path) -> N
     done = here(folder, "run", "parts.py:Echo", "--for", "0.01")
     assert (done.returncode, done.stdout) == (0, "")
     assert "event None" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "stdin", "printed"),
+    [
+        ("Counter", ["--count", "2", "--rate", "500", "--set", "last=5000"], "", [1, 2]),
+        ("Counter", ["--count", "2", "--simulate", "--set", "last=5000"], "", [1, 2]),
+        ("Counter", ["--count", "9", "--rate", "500"], "", [1, 2, 3, -1]),
+        ("Echo", ["--count", "2"], "1\n2\n3\n4\n", [1, 2]),
+        ("Echo", ["--count", "2", "--quiet"], "1\n2\nbad\n", []),
+    ],
+)
+def test_run_ends_after_a_count_of_samples(
+    folder: Path, name: str, options: list[str], stdin: str, printed: list[int]
+) -> None:
+    done = here(folder, "run", f"parts.py:{name}", *options, stdin=stdin)
+    assert (done.returncode, "bad" in done.stderr) == (0, False)
+    assert data(done.stdout) == printed
+
+
+def test_a_count_of_nothing_is_refused(folder: Path) -> None:
+    done = here(folder, "run", "parts.py:Counter", "--quiet", "--count", "2")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--count: no samples are printed and none are read" in done.stderr
+    (folder / "system.toml").write_text('schema = 1\ncomponents.a.type = "parts.py:Counter"\n')
+    done = here(folder, "run", "system.toml", "--count", "2")
+    assert done.returncode == 2
+    assert "--count is for a component alone" in done.stderr
+
+
+def test_a_burst_that_does_not_wait_is_an_error_with_its_remedy_after_what_had_room_was_printed(folder: Path) -> None:
+    done = here(folder, "run", "parts.py:Burst")
+    assert (done.returncode, data(done.stdout)) == (3, list(range(1000)))
+    assert "WouldBlock: burst.out: stdout.out has no room (1000 unread), and nobody got this sample; await write()" in (
+        done.stderr
+    )
 
 
 def test_count_and_quiet_end_and_silence_it(folder: Path) -> None:

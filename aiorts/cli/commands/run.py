@@ -29,6 +29,7 @@ from aiorts.errors import AiortsError, ComponentError
 @click.option(
     "--rate", type=float, metavar="HZ", help=f"Of a component alone; {DEFAULT_RATE:g} when it has no in-port."
 )
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="Of a component alone: end after N samples.")
 @click.option("--speed", type=float, metavar="X", help="Run X times as fast as real time.")
 @click.option("--simulate", is_flag=True, help="Run in virtual time: exact, and as fast as possible.")
 @click.option("--lenient", is_flag=True, help="A component that ended in error makes the exit status no worse.")
@@ -53,6 +54,7 @@ def run(
     changes: tuple[str, ...],
     folders: tuple[Path, ...],
     rate: float | None,
+    count: int | None,
     duration_once: float | None,
     quiet: bool,
     no_status: bool,
@@ -66,7 +68,8 @@ def run(
     does, and the run ends with them (1 after a bad line). A terminal, /dev/null (systemd) or a socket is not read, nor
     anything with --simulate or for a system file; a pipe that nobody writes to is waited for, and one that ends without
     a line (cron) ends only a component that works on data, not one with a rate. Samples of one without in-ports, or
-    that is fed, go to standard output as JSON lines, unless --quiet; it waits for whoever reads them.
+    that is fed, go to standard output as JSON lines, unless --quiet; it waits for whoever reads them. The run
+    ends after --count samples there, or that were read where nothing is printed.
 
     It ends when every source has finished, was removed, has stopped with its contexts, or is in error without recovery,
     and no sample is on its way; when a component requests it, after --for, or on Ctrl-C; a second Ctrl-C ends it at
@@ -86,7 +89,8 @@ def run(
     with stopper.signals(), log_of(options, stopper) as log:
         try:
             fed = not options.simulate and input_is_given()
-            found = find_target(target, changes, folders, rate, services, quiet=quiet or sys.stdout is None, fed=fed)
+            quiet = quiet or sys.stdout is None
+            found = find_target(target, changes, folders, rate, services, quiet=quiet, fed=fed, count=count)
         except AiortsError as error:
             status = exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
             return refuse(log, error, errors_of(target, changes, folders), status)

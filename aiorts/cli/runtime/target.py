@@ -75,6 +75,7 @@ def find_target(
     *,
     quiet: bool = True,
     fed: bool = False,
+    count: int | None = None,
 ) -> Target:
     """The system file or component that `text` names, loaded and checked.
 
@@ -85,6 +86,7 @@ def find_target(
         quiet: whether the samples of a component alone are left alone, in place of written to standard output.
         services: what options say, by service.
         fed: whether a component alone reads standard input.
+        count: samples of a component alone after which the run ends: those printed, else those read.
 
     Raises:
         AiortsError: says what is wrong with it. click.UsageError: options that do not go together.
@@ -97,13 +99,17 @@ def find_target(
     if is_file(text):
         if rate is not None:
             raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
+        if count is not None:
+            raise click.UsageError("--count is for a component alone; a system file ends with its sources, or by --for")
         return _system(text, changes, folders, services)
     catalogue = catalogue_of(folders)
     catalogue.make_default()
     if ":" not in text and text not in catalogue.extensions("components"):
         raise ConfigurationError(f"{in_quotes(text)}: {_no_such(text, catalogue)}")
     cls = extension_of(text, catalogue).load_class(Component)
-    return _alone(cls, changes, catalogue, rate, _fed_by(text, folders), services, shown=not quiet, fed=fed)
+    return _alone(
+        cls, changes, catalogue, rate, _fed_by(text, folders), services, shown=not quiet, fed=fed, count=count
+    )
 
 
 def _fed_by(text: str, folders: Sequence[Path]) -> str:
@@ -216,6 +222,7 @@ def _alone(
     *,
     shown: bool,
     fed: bool,
+    count: int | None,
 ) -> Target:
     name = cls.__name__.lower()
     draft = construct(cls, name)
@@ -223,6 +230,10 @@ def _alone(
     sends = outs_of(draft) or "ports_for" in declarations(cls).overrides
     fed = fed and takes_data(draft)
     shown = shown and bool(sends) and (fed or not takes_data(draft))
+    if count is not None and not (shown or fed):
+        raise ConfigurationError(
+            "--count: no samples are printed and none are read, so that none are counted; use --for"
+        )
     ends = Ends(None) if fed else None
     check_rate(rate)
     plans = [plan_service(catalogue, *one) for one in _settings((name,), {}, services).items()]
@@ -239,12 +250,13 @@ def _alone(
             service.starting()
         context = context_for(component, catalogue, rate)
         if shown and (outs := outs_of(component)):
-            sink = StandardOutput(_OUTPUT, outs)
+            sink = StandardOutput(_OUTPUT, outs, count=count, done=kernel.request_stop)
             await connect_output(kernel, component, sink)
             await kernel.start(EventContext(), sink, activate=True)
         source = None
         if ends is not None and takes_data(component):
-            source = await connect_input(kernel, component, ends, optional=context.kind != "event")
+            read = None if shown and outs_of(component) else count
+            source = await connect_input(kernel, component, ends, optional=context.kind != "event", count=read)
         with contextlib.suppress(ComponentError):  # its on_activated failed: it is in error, as it would be later on
             await kernel.start(context, component, activate=True)
         if source is not None:

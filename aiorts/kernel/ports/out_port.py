@@ -213,7 +213,10 @@ class OutPort(Port[T]):
         if sample.__class__ is not self._class:
             sample = self._checked(sample)
         if (self._blocking or self._others) and (full := self._without_room()) is not None:
-            raise WouldBlock(f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread)")
+            raise WouldBlock(
+                f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread), and nobody got this sample; "
+                "await write(), or write_blocking() in a thread, waits for room"
+            )
         return self._deliver(sample)
 
     def _without_room(self) -> Connector | None:
