@@ -52,8 +52,14 @@ class HelpfulGroup(click.Group):
 def strict(command: click.Command) -> click.Command:
     """The command, which from now on refuses an option that is given twice (the first would be lost), NaN and infinity.
 
+    Of a group, each of its commands does.
+
     NaN and infinity are refused where an option has a range: a comparison with NaN is never true, so none refuses it.
     """
+    if isinstance(command, click.Group):
+        for one in command.commands.values():
+            strict(one)
+        return command
     parse: Any = command.parse_args
 
     def parse_args(ctx: click.Context, args: list[str]) -> list[str]:
@@ -69,7 +75,7 @@ def strict(command: click.Command) -> click.Command:
             _refuse_endless(command, ctx)
         return rest
 
-    if not isinstance(command, click.Group) and "parse_args" not in vars(command):
+    if "parse_args" not in vars(command):
         vars(command)["parse_args"] = parse_args
     return command
 

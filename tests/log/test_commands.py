@@ -265,3 +265,39 @@ def test_compressed_chunks_without_the_library_name_the_command(
         "aiorts: E-EXTRA: a recording with compressed chunks needs zstandard, which is not installed; "
         'pip install "aiorts[log]"\n'
     )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--start", "+100"], ["--start", "1800000000"], ["--end", "5"], ["--start", "+0.0085", "--end", "+0.0088"]],
+)
+@pytest.mark.parametrize("command", ["cat", "cut"])
+def test_where_no_sample_is_it_is_said_where_they_are(
+    command: str, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make(path := tmp_path / "run.mcap", 11)
+    status, out, err = run(capsys, command, path, *([tmp_path / "new.mcap"] if command == "cut" else []), *words)
+    assert (status, out) == (0, "" if command == "cat" else f"{tmp_path / 'new.mcap'}: 0 samples of 3 ports\n")
+    assert err == (
+        "  no sample is there; the recording is from 2023-11-14 22:13:20.000 UTC to 2023-11-14 22:13:20.010 UTC, "
+        "which is +0.010\n"
+    )
+    assert run(capsys, "cat", path, "--start", "+0.010")[2] == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [("cat", "--start"), ("diff", "--abs"), ("convert", "--port"), ("info", "--type-mod"), ("plot", "-o")],
+)
+def test_an_option_without_its_value_names_the_help_of_its_command(
+    command: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    why = f"Option '{option}' requires an argument; see aiorts log {command} --help"
+    assert run(capsys, command, option) == (2, "", f"aiorts: E-USAGE: aiorts log {command}: {why}\n")
+
+
+def test_an_option_that_is_given_twice_is_refused_in_commands_of_a_group_too(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    status, out, err = run(capsys, "cat", "run.mcap", "--start", "+1", "--start", "+2")
+    assert (status, out, "--start is given twice; give it once" in err) == (2, "", True)

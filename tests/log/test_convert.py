@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -419,6 +420,28 @@ def test_long_work_shows_a_bar_on_a_terminal_alone(tmp_path: Path, monkeypatch: 
         monkeypatch.setattr(sys, "stderr", stream)
         convert(tmp_path / "run.mcap", tmp_path / f"{shown}.csv")
         assert ("converting" in stream.getvalue(), "100%" in stream.getvalue()) == (shown, shown)
+
+
+@pytest.mark.parametrize(
+    ("words", "label"),
+    [
+        (["diff", "run.mcap", "same.mcap"], "comparing"),
+        (["salvage", "run.mcap", "new.mcap"], "salvaging"),
+        (["salvage", "torn.mcap", "new.mcap"], "salvaging"),
+        (["salvage", "run.jsonl", "new.jsonl"], "salvaging"),
+    ],
+)
+def test_a_comparison_and_a_salvage_show_a_bar_too(
+    words: list[str], label: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    make(tmp_path / "run.mcap", 1000)
+    shutil.copy("run.mcap", "same.mcap")
+    Path("torn.mcap").write_bytes(Path("run.mcap").read_bytes()[:-5000])
+    convert(Path("run.mcap"), Path("run.jsonl"))
+    monkeypatch.setattr(sys, "stderr", stream := _Terminal())
+    assert run_command(["log", *words]) == 0
+    assert (label in stream.getvalue(), "100%" in stream.getvalue()) == (True, True)
 
 
 def test_lines_of_filters_are_a_recording(tmp_path: Path) -> None:

@@ -198,7 +198,11 @@ def test_an_empty_cell_is_a_nan_when_that_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "options", "why"),
     [
-        ("log_time,x\n", {}, "a table does not have the types of its columns; --port NAME --type TYPE"),
+        (
+            "log_time,x\n",
+            {},
+            "a table does not have the types of its columns; give --port NAME --type TYPE once for each",
+        ),
         ("log_time,x\n", {"ports": (("a", TimedDouble),)}, "TimedDouble.data: has no column; --map COLUMN=data"),
         ("t,x\n", {"ports": (("a", TimedDouble),)}, "--time: .* has no column 'log_time'; it has t, x"),
         ("log_time,x,x\n", {"ports": (("a", TimedDouble),)}, "two columns are called 'x'"),
@@ -256,9 +260,13 @@ def test_the_command_names_what_is_typed_wrong(tmp_path: Path, capsys: pytest.Ca
     source.write_text("log_time,data\n1,2\nx,3\n4,5\n")
     both = [str(source), str(tmp_path / "x.mcap")]
     for more, why in (
-        (["--port", "a"], "--port NAME --type TYPE"),
+        (["--port", "a"], "give --port NAME --type TYPE once for each port"),
         (["--port", "a", "--type", "TimedDuble"], "unknown type 'TimedDuble'"),
-        (["--type", "TimedDouble"], "--type: expected one for each --port, got 1 for 0"),
+        (["--type", "TimedDouble"], "--port NAME --type TYPE once for each port of the table, got 1 type for 0 ports"),
+        (
+            ["--port", "a", "--port", "b", "--type", "TimedLong"],
+            "once for each port of the table, got 1 type for 2 ports",
+        ),
         (["--port", "a", "--type", "TimedDouble", "--map", "x"], "--map: expected COLUMN=FIELD, got 'x'"),
         (["--port", "a", "--type", "TimedDouble"], "line 3: expected a time in ns, got 'x'; --skip-bad"),
     ):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias
 
 from aiorts.errors import AiortsError, ConfigurationError
+from aiorts.progress import Step, progress
 from aiorts.types import to_plain
 from aiorts.wire import MsgpackCodec
 from aiorts_log.analysis.values import values_of
@@ -27,6 +28,7 @@ _MOST_PLACES: Final = 10
 _WAITING: Final = 64 * 2**20
 _SMALL: Final = 256
 _LATEST: Final = 2**64
+_STEP: Final = 2048
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,8 +147,11 @@ def difference(
         raise RecordingError(f"no port {absent[0][:60]!r} in {left.path} or {right.path}; there are {', '.join(names)}")
     both = [name for name in names if name in left.ports and name in right.ports]
     pairs = [_Pair(left.ports[name], right.ports[name], name, options or DiffOptions()) for name in both]
+    total = sum(port.count for pair in pairs for port in pair.sides)
+    with progress("comparing", total) as step:
+        found = _Walk(left, right, pairs, options or DiffOptions()).run(step)
     return Difference(
-        _Walk(left, right, pairs, options or DiffOptions()).run(),
+        found,
         {name: left.ports[name].count for name in names if name not in right.ports},
         {name: right.ports[name].count for name in names if name not in left.ports},
     )
@@ -214,14 +219,19 @@ class _Walk:
         for sample in reader.samples(ports=names):
             yield sample.log_time - zero, sample
 
-    def run(self) -> tuple[PortDifference, ...]:
+    def run(self, step: Step) -> tuple[PortDifference, ...]:
         """Compare everything."""
+        number = 0
         heads = [next(stream, None) for stream in self._streams]
         while heads[0] is not None or heads[1] is not None:
             times = [head[0] if head is not None else _LATEST for head in heads]
             side = 0 if times[0] <= times[1] else 1
             self._take(side, heads[side])
             heads[side] = next(self._streams[side], None)
+            number += 1
+            if not number % _STEP:
+                step(_STEP)
+        step(number % _STEP)
         for pair in self._pairs:
             self._resolve(pair, _LATEST)
         return tuple(pair.found for pair in self._pairs)

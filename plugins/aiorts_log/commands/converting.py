@@ -13,7 +13,7 @@ from aiorts.errors import ConfigurationError, UnknownTypeError
 from aiorts.types import check_port_type, find_type
 from aiorts_log.analysis import convert as work
 from aiorts_log.analysis.convert import FORMATS, Converted, Format
-from aiorts_log.commands.output import FILE, MOST_LINES, UNLIMITED, moment, number, safe
+from aiorts_log.commands.output import FILE, MOST_LINES, UNLIMITED, moment, number, safe, span
 from aiorts_log.commands.working import WritingCommand
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.csv_format import LOG_TIME, TableOptions, TimeUnit
@@ -33,8 +33,12 @@ _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the 
 @click.option(
     "--to", "target_format", type=click.Choice(FORMATS), help="Format of TARGET, when its name does not show it."
 )
-@click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; of a table, one that it holds.")
-@click.option("--type", "types", multiple=True, metavar="TYPE", help="Table read: the type of each --port, in order.")
+@click.option(
+    "--port", "ports", multiple=True, metavar="NAME", help="Only this port; read from a table: one of its ports."
+)
+@click.option(
+    "--type", "types", multiple=True, metavar="TYPE", help="Table read: once for each --port, in the same order."
+)
 @click.option("--map", "columns", multiple=True, metavar="COLUMN=FIELD", help="Table read: x=data.x, 4=gyro.data[0].")
 @click.option("--set", "values", multiple=True, metavar="FIELD=VALUE", help="Table read: a field without a column.")
 @click.option("--time", default=LOG_TIME, show_default=True, metavar="COLUMN", help="Table: the column of log times.")
@@ -74,10 +78,12 @@ def convert(
       aiorts log convert imu.csv imu.mcap --port imu0.rate --type TimedAngularVelocity3D
         --time t --time-unit s --map wx=data.avx --map wy=data.avy --map wz=data.avz
 
-    A table has one port, or columns PORT.FIELD for several. Exit status 1 when something was left out.
+    A table has one port, or columns PORT.FIELD for several; --port and --type are given once for each of them. Exit
+    status 1 when something was left out.
     """
     if types and len(types) != len(ports):
-        raise ConfigurationError(f"--type: expected one for each --port, got {len(types)} for {len(ports)}")
+        given = f"{number(len(types), 'type')} for {number(len(ports), 'port')}"
+        raise ConfigurationError(f"--type: give --port NAME --type TYPE once for each port of the table, got {given}")
     made = work.convert(
         source,
         target,
@@ -126,10 +132,14 @@ def cut(
     """Write a part of a recording: some of its time, some of its ports. Samples go over as they are."""
     with open_recording(source, limits=limits) as reader:
         first, last = moment("--start", start, reader.start), moment("--end", end, reader.start)
+        lasts = span(reader)
     if first is not None and last is not None and first >= last:
         raise ConfigurationError(f"--end: expected a time behind --start, got {end}")
     wanted: dict[str, Any] = {"start": first, "end": last, "ports": ports or None}
-    return _report(target, work.cut(source, target, **wanted, overwrite=overwrite, limits=limits))
+    made = work.cut(source, target, **wanted, overwrite=overwrite, limits=limits)
+    if not any(made.samples.values()):
+        click.echo(f"  no sample is there; {lasts}", err=True)
+    return _report(target, made)
 
 
 @click.command(cls=WritingCommand, short_help="Write several recordings as one.")

@@ -25,6 +25,7 @@ from aiorts_log.commands.output import (
     number,
     safe,
     size,
+    span,
     strict,
 )
 from aiorts_log.mcap.reader import RecordedSample, RecordingReader
@@ -73,7 +74,8 @@ def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, 
         first, last = moment("--start", start, reader.start), moment("--end", end, reader.start)
         samples = reader.samples(start=first, end=last, ports=ports or None)
         try:
-            _write(_text_of(sample, log_time) for sample in samples)
+            if not _write(_text_of(sample, log_time) for sample in samples) and (start or end or ports):
+                click.echo(f"  no sample is there; {span(reader)}", err=True)
         except BrokenPipeError:  # the reader has gone: no error, and nothing must be flushed at exit
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, sys.stdout.fileno())
@@ -84,20 +86,23 @@ def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, 
     return exits.DONE
 
 
-def _write(lines: Iterator[str]) -> None:
-    """Print lines in blocks: one call for each line would cost more than reading it."""
+def _write(lines: Iterator[str]) -> int:
+    """Print lines in blocks, and return their number: one call for each line would cost more than reading it."""
     stream = sys.stdout
     block: list[str] = []
+    printed = 0
     try:
         for line in lines:
             block.append(line)
             if len(block) == _BLOCK:
                 text = "".join(block)
+                printed += _BLOCK
                 block.clear()
                 stream.write(text)
     finally:
         stream.write("".join(block))
         stream.flush()
+    return printed + len(block)
 
 
 def _text_of(sample: RecordedSample, log_time: bool) -> str:

@@ -10,6 +10,7 @@ from typing import Any, Final
 import click
 
 from aiorts_log.commands.moment import moment_ns
+from aiorts_log.mcap.reader import Recording
 from aiorts_log.mcap.source import Limits
 from aiorts_log.mcap.survey import Gap
 
@@ -73,6 +74,14 @@ def date(ns: int) -> str:
     except (OverflowError, ValueError, OSError):
         return f"{ns} ns"
     return f"{moment:%Y-%m-%d %H:%M:%S}.{ns % 10**9 // 10**6:03d} UTC"
+
+
+def span(reader: Recording) -> str:
+    """From when to when a recording has samples, in words."""
+    if not reader.count:
+        return "the recording has none"
+    seconds = (reader.end - reader.start) / 1e9
+    return f"the recording is from {date(reader.start)} to {date(reader.end)}, which is +{seconds:.3f}"
 
 
 def gap_lines(gaps: tuple[Gap, ...]) -> list[str]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import click
 
+from aiorts.progress import progress
 from aiorts_log.commands.output import FILE, UNLIMITED, gap_lines, number, safe
 from aiorts_log.commands.working import WritingCommand
 from aiorts_log.mcap.salvage import SalvageReport
@@ -27,10 +28,12 @@ from aiorts_log.text.salvage_lines import salvage_lines
 def salvage(source: Path, target: Path, overwrite: bool, as_json: bool, limits: Limits) -> None:
     """Write everything that is whole of SOURCE into TARGET, and report what is lost."""
     if format_of(source) == "mcap":
-        report = salvage_file(source, target, existing="overwrite" if overwrite else "refuse", limits=limits)
+        existing: Literal["overwrite", "refuse"] = "overwrite" if overwrite else "refuse"
+        with progress("salvaging", source.stat().st_size) as step:
+            report = salvage_file(source, target, existing=existing, limits=limits, step=step)
     else:
-        with open_recording(source) as reader:
-            report = salvage_lines(cast("FlatReader", reader), target, overwrite)
+        with open_recording(source) as reader, progress("salvaging", reader.size) as step:
+            report = salvage_lines(cast("FlatReader", reader), target, overwrite, step)
     if as_json:
         click.echo(json.dumps(_salvaged(report), indent=1))
         return

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from aiorts.progress import Step
 from aiorts_log.mcap.format import BadBytes
 from aiorts_log.mcap.index import read_index
 from aiorts_log.mcap.outfile import OutFile
@@ -41,11 +42,13 @@ def salvage(
     *,
     existing: Literal["refuse", "overwrite"] = "refuse",
     limits: Limits | None = None,
+    step: Step | None = None,
 ) -> SalvageReport:
     """Copy what is whole of a recording into a new one, which appears when it is complete; report what is lost.
 
     Args:
         existing: what to do when the new file exists.
+        step: called with the bytes of each chunk that was copied, in the end with those that were not.
 
     Raises:
         RecordingError: one of the files cannot be opened, or the new one cannot be written whole.
@@ -55,7 +58,7 @@ def salvage(
         with whole_file(Path(target), [old.path], existing == "overwrite") as part:
             new = OutFile(part, "refuse", 0)
             try:
-                return _Salvage(old, new).run()
+                return _Salvage(old, new).run(step)
             finally:
                 new.abandon()
     finally:
@@ -73,7 +76,7 @@ class _Salvage:
         self._skipped: dict[int, int] = {}
         self._number: dict[int, int] = {}
 
-    def run(self) -> SalvageReport:
+    def run(self, step: Step | None) -> SalvageReport:
         old, new = self._old, self._new
         found = survey(old)
         index = self._defined(found)
@@ -84,8 +87,14 @@ class _Salvage:
             one = old.attachment(at, length)
             attached.append(one.name)
             new.attach(one)
+        rest = old.size
         for piece in found.pieces:
             self._copy(piece, found.summary)
+            if step is not None:
+                step(piece.length)
+                rest -= piece.length
+        if step is not None:
+            step(rest)
         new.finish()
         names = {number: channel.topic for number, channel in found.summary.channels.items()}
         counted = {n: c - new.counts.get(n, 0) for n, c in index.counts.items()} if index is not None else self._skipped

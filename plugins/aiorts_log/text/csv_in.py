@@ -110,7 +110,9 @@ class TableReader:
         self._width = len(self.columns)
         if not options.ports and (self.columns != (LOG_TIME,) or next(self._rows, None) is not None):
             # But for the table of an empty recording.
-            raise ConfigurationError("a table does not have the types of its columns; --port NAME --type TYPE")
+            raise ConfigurationError(
+                "a table does not have the types of its columns; give --port NAME --type TYPE once for each port"
+            )
         self._time = self._column(options.time, "--time")
         names = dict(options.ports)
         self._chooser = self.columns.index(PORT) if self._is_ours(names) else None

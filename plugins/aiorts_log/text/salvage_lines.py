@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 from aiorts.errors import AiortsError
+from aiorts.progress import Step
 from aiorts_log.mcap.format import BadBytes
 from aiorts_log.mcap.salvage import SalvageReport
 from aiorts_log.mcap.survey import Gap
@@ -17,8 +18,11 @@ from aiorts_log.whole import whole_file
 _BUFFER = 2**20
 
 
-def salvage_lines(reader: FlatReader, target: Path, overwrite: bool) -> SalvageReport:
-    """Copy the whole lines of a recording into a new one; arguments and errors as of `salvage`."""
+def salvage_lines(reader: FlatReader, target: Path, overwrite: bool, step: Step) -> SalvageReport:
+    """Copy the whole lines of a recording into a new one; arguments and errors as of `salvage`.
+
+    `step` is called with the bytes of each line.
+    """
     samples: dict[str, int] = {}
     lost: list[Gap] = []
     total = 0
@@ -28,6 +32,7 @@ def salvage_lines(reader: FlatReader, target: Path, overwrite: bool) -> SalvageR
             at = 0
             for number, line in enumerate(reader.lines(), 1):
                 begin, at = at, at + len(line) + 1
+                step(at - begin)
                 if line[:1] == b"#" or not line.strip():
                     if not line.startswith(b'# {"end": '):
                         file.write(line + b"\n")
