@@ -109,6 +109,27 @@ def test_a_run_records_every_out_port_to_the_last_sample(folder: Path) -> None:
         assert reader.clean
 
 
+def test_a_port_that_sent_nothing_is_listed_without_samples(folder: Path) -> None:
+    path, system = folder / "run.mcap", str(folder / "system.toml")
+    for more in ([], ["--append"]):
+        assert in_process("run", system, "--record", str(path), *more) == (0, "", "")
+        with RecordingReader(path) as reader:
+            counts = {name: port.count for name, port in reader.ports.items()}
+            assert (reader.clean, reader.check()) == (True, ())
+        sent = 51 if not more else 102
+        assert counts == {"one.out": sent, "other.out": sent, "one.aside": 0, "other.aside": 0}
+    shown = in_process("log", "info", str(path))[1]
+    assert "  one.aside    TimedLong    0\n" in shown
+    for name in ("all.jsonl", "all.csv", "all.txt", "all.mcap"):
+        assert in_process("log", "convert", str(path), str(folder / name))[0] == 0
+        if name != "all.csv":
+            assert in_process("log", "diff", str(path), str(folder / name))[:2] == (
+                0,
+                "equal: 204 samples of 2 ports\n",
+            )
+    assert in_process("log", "salvage", str(path), str(folder / "new.mcap"))[0] == 0
+
+
 def test_globs_choose_ports_and_one_that_names_none_is_refused_before_the_start(folder: Path) -> None:
     path, system = folder / "run.mcap", str(folder / "system.toml")
     for glob, hint in (("oen.out", "did you mean 'one.out'?"), ("x*", "there are one.aside, one.out, other.aside, ")):

@@ -117,7 +117,7 @@ class Difference:
     """The differences of two recordings.
 
     Attributes:
-        ports: those in both; only_left, only_right: number of samples of the other ports, by name.
+        ports: those in both; only_left, only_right: number of samples, by name, of the other ports that have some.
     """
 
     ports: tuple[PortDifference, ...]
@@ -152,9 +152,15 @@ def difference(
         found = _Walk(left, right, pairs, options or DiffOptions()).run(step)
     return Difference(
         found,
-        {name: left.ports[name].count for name in names if name not in right.ports},
-        {name: right.ports[name].count for name in names if name not in left.ports},
+        _only(left, right, names),
+        _only(right, left, names),
     )
+
+
+def _only(one: Recording, other: Recording, names: Collection[str]) -> dict[str, int]:
+    """Samples of the ports that the other recording lacks; most formats do not name a port without samples."""
+    there = [name for name in names if name in one.ports and name not in other.ports]
+    return {name: one.ports[name].count for name in there if one.ports[name].count}
 
 
 class _Pair:

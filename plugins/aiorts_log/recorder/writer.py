@@ -363,6 +363,10 @@ class RecordingWriter:
         self._wake.clear()
 
     def _finish(self, why: str) -> None:
+        if not self._ended:
+            for port in self._ports:
+                if port.seen is None:
+                    self._choose(port, port.cls)  # one without samples is named all the same
         self._store()
         found = self.statistics
         self._file.attach_json(END_NAME, {**self.remarks, "why": why, **end_report(found)}, max(self._last, 0))
