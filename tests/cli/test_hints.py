@@ -180,10 +180,10 @@ def test_a_filter_tells_of_every_sample_it_passed_over(folder: Path, name: str, 
     ],
 )
 def test_a_missing_await_is_told_with_component_line_and_remedy(folder: Path, name: str, said: str) -> None:
-    done = aiorts(folder, "run", f"parts.py:{name}")
-    assert done.returncode == 0
+    done = aiorts(folder, "run", f"parts.py:{name}", "--log-level", "error")
+    assert done.returncode == 1
     (line,) = done.stderr.splitlines()
-    assert line.startswith(f"aiorts: W-AWAIT: {name.lower()}.on_execute: {said}")
+    assert line.startswith(f"aiorts: E-AWAIT: {name.lower()}.on_execute: {said}")
 
 
 def test_a_component_alone_without_data_says_how_it_gets_some(folder: Path) -> None:

@@ -364,3 +364,60 @@ def test_a_type_of_a_file_shows_units_and_what_is_required(arm: Path, capsys: py
     status, out, _ = aiorts(capsys, "inspect", f"{arm / 'arm.py'}:NoDefault")
     assert (status, "required" in out) == (0, True)
     assert example_of(int) == '{"port": "input0", "type": "int", "data": 0}'
+
+
+PLAIN = """\
+from dataclasses import dataclass
+
+@dataclass
+class {0}:
+    marks: {1}
+    at: float = 0.0
+"""
+
+
+def test_a_dataclass_that_a_file_imports_is_a_type_of_that_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "marks_1.py").write_text(PLAIN.format("MarksA", "list[int]"))
+    (tmp_path / "robot_1.py").write_text("from marks_1 import MarksA\n")
+    status, out, err = aiorts(capsys, "inspect", "MarksA", "--type-mod", f"{tmp_path / 'robot_1.py'}")
+    assert (status, err) == (0, "")
+    assert "seq[i64]  required" in out
+
+
+@pytest.mark.parametrize("command", [("inspect", "MarksB"), ("flexidump", "-p", "MarksB")])
+def test_a_dataclass_that_cannot_travel_is_told_with_its_field(
+    command: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "marks_2.py").write_text(PLAIN.format("MarksB", "set[int]"))
+    status, _, err = aiorts(capsys, *command, "--type-mod", f"{tmp_path / 'marks_2.py'}")
+    assert status == 2
+    assert "MarksB.marks: a value of type set[int] cannot travel; use" in err
+
+
+LARGE = """\
+from aiorts import Component, Param
+from aiorts.types import Array, f64, record
+
+@record
+class Grid:
+    cells: Array[f64] = (0.5,) * 90
+    small: Array[f64] = (1.0, 2.0)
+
+class Mapper(Component):
+    start = Param((0.5,) * 90)
+"""
+
+
+@pytest.mark.parametrize("name", ["Grid", "Mapper"])
+def test_a_large_default_is_short_and_on_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "large.py").write_text(LARGE)
+    status, out, _ = aiorts(capsys, "inspect", f"{tmp_path / 'large.py'}:{name}")
+    assert status == 0
+    (line,) = [line for line in out.partition("As a line of JSON")[0].splitlines() if "0.5, " in line]
+    assert line.endswith("[0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5,... (90 items)")
+    assert ("= [1.0, 2.0]" in out) is (name == "Grid")

@@ -131,3 +131,27 @@ def test_a_mistake_is_one_line_with_what_was_meant(
     assert printed.err.startswith("aiorts: E-")
     assert printed.err.count("\n") == 1
     assert len(printed.err) <= 241
+
+
+UNMADE = """\
+from aiorts import Component
+
+class Unmade(Component):
+    def __init__(self, name):
+        super().__init__(name)
+        raise LookupError("no camera")
+"""
+SYSTEM = 'schema = 1\n[components.eye]\ntype = "unmade_1.py:Unmade"\n[contexts.c]\nkind = "event"\nmembers = ["eye"]\n'
+
+
+@pytest.mark.parametrize("target", ["unmade_1.py:Unmade", "eye.toml"])
+def test_a_constructor_that_raises_is_told_with_the_way_to_its_traceback(folder: Path, target: str) -> None:
+    (folder / "unmade_1.py").write_text(UNMADE)
+    (folder / "eye.toml").write_text(SYSTEM)
+    done = here(folder, "run", target)
+    assert done.returncode == 1
+    said = "Unmade cannot be constructed: LookupError: no camera (unmade_1.py:6); --debug shows the traceback"
+    assert done.stderr.splitlines()[0].endswith(said)
+    done = here(folder, "run", target, "--debug")
+    assert "--debug shows" not in done.stderr
+    assert 'raise LookupError("no camera")' in done.stderr

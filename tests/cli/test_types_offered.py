@@ -71,12 +71,14 @@ def test_a_broken_one_is_a_line_and_hides_no_other(tmp_path: Path, capsys: pytes
         ("Basine", "offered_f:Basine", "recordings name the type by its own module; write offered_e:Basine"),
         ("Other", "offered_e:Basine", "the type is called Basine"),
         ("Number", "offered_e:Number", "cannot be the type of a port"),
+        ("Mode", "offered_g:Mode", "Mode is an enum, and no record type: name the record that has a field of it"),
     ],
 )
 def test_the_check_refuses_what_recordings_would_not_find(entry: str, target: str, fault: str, tmp_path: Path) -> None:
     files = {
         "offered_e": TEXT.format("Basine") + "Number = 5\n",
         "offered_f": "from offered_e import Basine\n",
+        "offered_g": "from enum import Enum\nclass Mode(Enum):\n    AUTO = 1\n",
     }
     project(tmp_path, "plug-e", files, {f"types/{entry}": target})
     extension: Extension = Catalogue([tmp_path]).find("types", entry)

@@ -65,6 +65,18 @@ def test_where_aiorts_refuses_it_is_the_line_that_asked(here: Path) -> None:
     assert origin_of(raised(code(here, "arm.py", text)["on"])) == "arm.py:3"
 
 
+@pytest.mark.parametrize("kind", ["aiorts.types.record", "dataclasses.dataclass"])
+def test_what_a_record_refuses_itself_names_the_line_that_makes_it_and_the_one_that_raises(
+    kind: str, here: Path
+) -> None:
+    fix = "class Fix:\n    n: int = 0\n    def __post_init__(self):\n        check(self.n)\n"
+    text = f"import aiorts.types, dataclasses\ndef check(n):\n    raise ValueError(n)\n@{kind}\n{fix}"
+    user = code(here, "arm.py", text)
+    exec(compile("def on():\n    Fix(n=3)\n", str(here / "move.py"), "exec"), user)
+    assert origin_of(raised(user["on"])) == "move.py:2, raised in arm.py:3"
+    assert origin_of(raised(user["Fix"], 3)) == "arm.py:3"
+
+
 def test_an_installed_component_has_its_own_line_and_what_it_refuses_has_none(here: Path) -> None:
     text = "from aiorts.errors import ConfigurationError as E\ndef on(kind):\n    raise kind('no')\n"
     on = code(here, "lib/site-packages/arms/arm.py", text)["on"]

@@ -24,6 +24,7 @@ from aiorts.late import dataclass
 from aiorts.model.profile import MethodProfile, ParameterProfile
 from aiorts.system import construct
 
+_WIDEST: Final = 48
 _DIRECTIONS: Final = {"in": "in ", "out": "out", "service": "srv"}
 
 
@@ -291,4 +292,8 @@ def _shape(shape: Any) -> str:
 
 
 def _value(value: Any) -> str:
-    return '""' if value == "" else "()" if value == [] else str(value)
+    """A value on one line; of a long one its beginning, and of a list how many there are."""
+    text = '""' if value == "" else "()" if value == [] else str(value)
+    if len(text) <= _WIDEST:
+        return text
+    return f"{text[: _WIDEST - 3]}...{f' ({len(value)} items)' if isinstance(value, list) else ''}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import is_dataclass
+from enum import Enum
 from types import ModuleType
 from typing import Any, Final
 
@@ -67,6 +68,11 @@ def _bench(extension: Extension, found: Any) -> str:
 def _type(extension: Extension, found: Any) -> str:
     if isinstance(found, ModuleType):
         return "names a module; name each of its classes, as MODULE:CLASS: recordings find no other types"
+    if isinstance(found, type) and issubclass(found, Enum):
+        return (
+            f"{found.__qualname__} is an enum, and no record type: name the record that has a field of it, as "
+            "MODULE:CLASS; the enum comes with that"
+        )
     try:
         check_port_type(found)
     except DeclarationError as error:

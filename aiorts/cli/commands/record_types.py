@@ -94,6 +94,8 @@ def _default(field: Any) -> Any:
         return None if field.factory is dataclasses.MISSING else "()"
     if hasattr(value, "utcoffset"):
         return value.isoformat()
+    if hasattr(value, "tolist"):
+        value = value.tolist()
     return f"{value}" if isinstance(value, Enum) else plain(value)
 
 

@@ -29,6 +29,11 @@ CODES: Final[dict[str, Code]] = {
         "An extension raises AiortsError itself.",
         "Read the line; the author of the extension should give its errors a code.",
     ),
+    "E-AWAIT": Code(
+        "A coroutine was made and never awaited: it did nothing.",
+        "A hook without async calls write or read, or await was forgotten.",
+        "Use write_nowait in a plain hook, or make the hook async def and await.",
+    ),
     "E-BUSY": Code(
         "Two tasks use what only one can use at a time.",
         "Two tasks read the same in-port, or a system is run twice at once.",
@@ -57,7 +62,7 @@ CODES: Final[dict[str, Code]] = {
     "E-CONNECT": Code(
         "Two ports cannot be connected, or not with these options.",
         "Other types, units or shapes, two out-ports, a port that is not there, a policy that does not exist.",
-        "Compare the ports with aiorts inspect; put a FlexiFilter between them.",
+        "Compare the ports with aiorts inspect; aiorts check shows the FlexiFilter that would join them, if one can.",
     ),
     "E-CONVERT": Code(
         "A value cannot be converted without changing it silently.",
@@ -243,11 +248,6 @@ CODES: Final[dict[str, Code]] = {
         "The ports of a component are known only when it runs: a note of aiorts check.",
         "Its on_initialize adds ports, and no hook runs while a file is checked.",
         "Add them in a method make_ports that on_initialize calls.",
-    ),
-    "W-AWAIT": Code(
-        "A coroutine was made and never awaited: it did nothing.",
-        "A hook without async calls write or read, or await was forgotten.",
-        "Use write_nowait in a plain hook, or make the hook async def and await.",
     ),
     "W-BLOCK": Code(
         "A writer may wait for a reader of its own context, which runs only after it.",

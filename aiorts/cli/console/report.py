@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Final, TextIO
 
 from aiorts.cli.console.quote import quote
-from aiorts.errors import AiortsError, format_error
+from aiorts.errors import AiortsError, ComponentError, format_error
 from aiorts.kernel.loop.origins import in_brackets, origin_of
 
 LONGEST: Final = 600
@@ -37,6 +37,12 @@ _COLOURS: Final = {"e": "red", "c": "red", "w": "yellow", "n": "cyan", "i": "gre
 ADVICE: Final = "; --debug shows the traceback"
 
 
+def advice_on(error: BaseException, *, debug: bool) -> str:
+    """The advice for an exception that a component raised; what aiorts refuses explains itself."""
+    explained = isinstance(error, AiortsError) and not isinstance(error, ComponentError)
+    return "" if explained or debug else ADVICE
+
+
 def report(code: str, text: str) -> None:
     """Print one line on standard error."""
     say(shortened(f"aiorts: {code}: {text}"))
@@ -44,7 +50,7 @@ def report(code: str, text: str) -> None:
 
 def report_error(error: BaseException, *, verbose: bool) -> None:
     """Report an exception in one line, and its traceback on request; its notes give the place."""
-    advice = "" if isinstance(error, AiortsError) or verbose else ADVICE
+    advice = advice_on(error, debug=verbose)
     report(code_of(error), f"{place_of(error)}{cause_of(error)}{in_brackets(origin_of(error))}{advice}")
     say(*(f"  {line}" for line in marked_in(error)))
     if verbose:

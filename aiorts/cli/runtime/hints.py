@@ -72,9 +72,12 @@ def unfed(kernel: Kernel, advice: str) -> str:
 
 
 @contextlib.contextmanager
-def unawaited_reported(tell: Tell) -> Iterator[None]:
-    """Meanwhile a coroutine that was never awaited is told in a line that names its component and what to write."""
-    before = warnings.showwarning
+def unawaited_reported(tell: Tell) -> Iterator[list[str]]:
+    """Meanwhile a coroutine that was never awaited is told in a line that names its component and what to write.
+
+    The list has what was told so.
+    """
+    before, told = warnings.showwarning, list[str]()
 
     def show(
         message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
@@ -86,11 +89,12 @@ def unawaited_reported(tell: Tell) -> Iterator[None]:
         what = found[1]
         instead = "use write_nowait, or async def and await" if what.endswith(".write") else "use async def and await"
         where = f"{_hook_at(filename, lineno)}{place(filename, lineno)}"
-        tell("W-AWAIT", f"{where}: {what} was never awaited and did nothing; {instead}")
+        told.append(f"{where}: {what} was never awaited and did nothing; {instead}")
+        tell("E-AWAIT", told[-1])
 
     warnings.showwarning = show
     try:
-        yield
+        yield told
     finally:
         if warnings.showwarning is show:
             warnings.showwarning = before

@@ -12,15 +12,26 @@ import logging
 import time
 import traceback
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Self
 
 from aiorts.cli.console.finding import below
 from aiorts.cli.console.finding import text_of as finding_text
-from aiorts.cli.console.report import ADVICE, cause_of, code_of, marked_in, one_line, place_of, report, say, shortened
+from aiorts.cli.console.report import (
+    advice_on,
+    cause_of,
+    code_of,
+    marked_in,
+    one_line,
+    place_of,
+    report,
+    say,
+    shortened,
+)
 from aiorts.cli.runtime.logfile import LogFile
 from aiorts.cli.runtime.options import Levels, Options, levels_of
-from aiorts.errors import AiortsError
+from aiorts.errors import ComponentError
 from aiorts.kernel.loop.origins import in_brackets, origin_of
 from aiorts.late import dataclass
 
@@ -136,7 +147,7 @@ class Log(logging.Handler):
 
     def failed(self, error: BaseException) -> None:
         """That the run failed, and why."""
-        advice = "" if isinstance(error, AiortsError) or self._options.debug else ADVICE
+        advice = advice_on(error, debug=self._options.debug)
         message = f"{place_of(error)}{cause_of(error)}{in_brackets(origin_of(error))}"
         self._write(Line(self._now_ns(), "error", message, code=code_of(error), error=error, advice=advice))
 
@@ -148,7 +159,10 @@ class Log(logging.Handler):
             self.failed(error)
             found = [one for one in found if one not in same]
         for one in found:
-            self._write(Line(self._now_ns(), "error", finding_text(one), code=one.code, below=tuple(below(one))))
+            line = Line(self._now_ns(), "error", finding_text(one), code=one.code, below=tuple(below(one)))
+            if one in same and one.code == ComponentError.code:
+                line = replace(line, error=error, advice=advice_on(error, debug=self._options.debug))
+            self._write(line)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Never raises: `handleError` of logging writes a traceback, which nobody asked for."""
@@ -167,7 +181,7 @@ class Log(logging.Handler):
             return Line(self._now_ns(), level, _message(record), component, context, hook, error=error)
         repeated = getattr(record, "repeated", 0)
         times = f" (repeated {repeated} times)" if repeated else ""
-        advice = "" if isinstance(error, AiortsError) or self._options.debug else ADVICE
+        advice = advice_on(error, debug=self._options.debug)
         hook = _message(record).partition(" failed")[0].removeprefix(f"{component}.")
         cause = f"{cause_of(error)}{in_brackets(origin_of(error, installed=True))}"
         return Line(self._now_ns(), level, cause, component, context, hook, code_of(error), error, advice, times)

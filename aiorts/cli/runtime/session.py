@@ -97,8 +97,9 @@ def execute(
             log = stack.enter_context(log_of(options, stopper))
         try:
             run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors)
-            with unawaited_reported(run.warn):
-                return _run(run)
+            with unawaited_reported(log.tell) as unawaited:
+                status = _run(run)
+            return status or (exits.FAILED if unawaited and not options.lenient else exits.DONE)
         finally:
             gc.unfreeze()
 

@@ -20,6 +20,7 @@ from typing import Any, Final
 from aiorts.errors import DeclarationError, PluginError, UnknownTypeError
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
 from aiorts.kernel.extensions.loading import load, load_in_time
+from aiorts.kernel.loop.origins import is_foreign
 from aiorts.types import registry
 from aiorts.types.samples import check_port_type
 
@@ -30,6 +31,8 @@ _installed: tuple[tuple[tuple[str, int], ...], Catalogue] | None = None
 _declared: tuple[Catalogue, Mapping[str, Extension]] | None = None
 _done: set[Extension] = set()
 _broken: dict[Extension, str] = {}
+_refused: dict[str, str] = {}
+"""Why a dataclass of a module that somebody named is no type, by its name; "" for one that is."""
 _local = threading.local()
 
 
@@ -56,10 +59,11 @@ def load_type(extension: Extension, limit: float | None = None) -> None:
     found = load(extension) if nested else load_in_time(extension, limit or _LIMIT, _mark_importing)
     if isinstance(found, ModuleType):
         for cls in vars(found).values():
-            if getattr(cls, "__module__", "") == found.__name__ and _is_type(cls):
-                _register(cls)
-    elif not _is_type(found) or not _register(found):
-        raise PluginError(f"type {extension.name!r} of {extension.source} ({extension.target}): it is no record type")
+            if _is_type(cls) and (cls.__module__ == found.__name__ or _is_users(cls.__module__)):
+                _refused[cls.__name__] = _register(cls)
+        return
+    if fault := _register(found) if _is_type(found) else "it is no record type":
+        raise PluginError(f"type {extension.name!r} of {extension.source} ({extension.target}): {fault}")
 
 
 def _mark_importing() -> None:
@@ -70,15 +74,21 @@ def _is_type(thing: Any) -> bool:
     return isinstance(thing, type) and (dataclasses.is_dataclass(thing) or issubclass(thing, Enum))
 
 
-def _register(cls: type) -> bool:
-    """Whether it can travel; a dataclass that was made for something else cannot."""
+def _is_users(module: str) -> bool:
+    """Whether the module is the user's own, so that a file that imports a type of it has that type, too."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return file is not None and not is_foreign(file)
+
+
+def _register(cls: type) -> str:
+    """Make it known by name, unless it cannot travel: then why; a dataclass may be made for something else."""
     if not issubclass(cls, Enum):
         try:
             check_port_type(cls)
-        except DeclarationError:
-            return False
+        except DeclarationError as error:
+            return str(error)
     registry.register(cls)
-    return True
+    return ""
 
 
 def _find_type(name: str) -> Iterable[str]:
@@ -102,6 +112,8 @@ def _find_type(name: str) -> Iterable[str]:
     if faults and not registry.is_known(name):
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise UnknownTypeError(f"unknown type {name!r}; a plugin that may define it is broken{more}: {faults[0]}")
+    if _refused.get(short) and not registry.is_known(name):
+        raise DeclarationError(_refused[short])
     return [shown for shown, several in offers.items() if any(":" in one.target for one in several)]
 
 

@@ -44,6 +44,8 @@ def is_installed(file: str) -> bool:
 def origin_of(error: BaseException, *, installed: bool = False) -> str:
     """`file:line` of the user's innermost frame that the exception came through, "" without one.
 
+    Where a record's `__post_init__` refuses it, the line that makes the record comes first: `a.py:9, raised in b.py:3`.
+
     Args:
         installed: where there is none, take the innermost frame in the file of the first installed package, which is
             the component's own; what such a package refuses by an error of aiorts explains itself.
@@ -66,17 +68,21 @@ def in_brackets(origin: str) -> str:
 
 def _origin(error: BaseException, *, installed: bool) -> str:
     users: tuple[str, int] | None = None
+    maker: tuple[str, int] | None = None
     packages: tuple[str, int] | None = None
     trace, left = trace_of(error), _FRAMES
     while trace is not None and left:
         file = trace.tb_frame.f_code.co_filename
         if not is_foreign(file):
+            if trace.tb_frame.f_code.co_name == "__post_init__" and maker is None:
+                maker = users
             users = file, trace.tb_lineno
         elif is_installed(file) and (packages is None or packages[0] == file):
             packages = file, trace.tb_lineno
         trace, left = trace.tb_next, left - 1
     found = users or (packages if installed else None)
-    return "" if found is None else place(*found)
+    raised = "" if found is None else place(*found)
+    return raised if maker is None else f"{place(*maker)}, raised in {raised}"
 
 
 def place(file: str, line: int | None) -> str:

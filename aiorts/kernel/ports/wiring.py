@@ -159,12 +159,18 @@ def pair_faults(out: OutPort[Any], in_: InPort[Any]) -> Iterator[str]:
 
         yield (
             f"{where}: types differ: {out.path} sends {type_name(out.type)}, {in_.path} takes {type_name(in_.type)}; "
-            "put a FlexiFilter between them"
+            "put a FlexiFilter between them, if single values are all that goes over, or a component of your own"
         )
     if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
-        yield f"{where}: units differ: {out.unit!r} and {in_.unit!r}; put a FlexiFilter between them"
+        yield (
+            f"{where}: units differ: {out.path} sends {out.unit!r}, {in_.path} takes {in_.unit!r}; "
+            "declare one unit at both, or put a component between them that converts"
+        )
     if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
-        yield f"{where}: shapes differ: {out.shape} and {in_.shape}; put a FlexiFilter between them"
+        yield (
+            f"{where}: shapes differ: {out.path} sends {out.shape}, {in_.path} takes {in_.shape}; "
+            "declare one shape at both, or put a component between them that converts"
+        )
 
 
 def _shapes_agree(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
