@@ -73,10 +73,11 @@ def run(
 
     It ends when every source has finished, was removed, has stopped with its contexts, or is in error without recovery,
     and no sample is on its way; when a component requests it, after --for, or on Ctrl-C; a second Ctrl-C ends it at
-    once. Exit status: that of the component's request; 1 when a component could not be created; 2 when the file or the
-    command line is wrong; 3 when a component ended in error without recovery, unless --lenient; 130 after Ctrl-C, 143
-    after SIGTERM, 129 after SIGHUP (`aiorts help` has all). Failures while the run stops count, too: 3 when a component
-    ended in error, or a task of it failed, and else 1, also with --lenient. SIGUSR1 prints state and stacks.
+    once. Exit status: that of the component's request; 1 when a component could not be created, or when a coroutine was
+    never awaited, unless --lenient; 2 when the file or the command line is wrong; 3 when a component ended in error
+    without recovery, unless --lenient; 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP (`aiorts help` has all).
+    Failures while the run stops count, too: 3 when a component ended in error, or a task of it failed, and else 1, also
+    with --lenient. SIGUSR1 prints state and stacks.
     The log names the code that keeps the event loop from turning for 0.2 s; [watch_loop] of the file may end the run
     for that. An on_initialize has 30 s. systemd gets readiness, status and keep-alives where NOTIFY_SOCKET is set.
     With --log-file standard error gets warnings and errors only.
