@@ -56,7 +56,7 @@ def test_a_module_of_types_is_imported_when_nothing_else_has_the_name(tmp_path: 
     cls = find_type("DepthC")
     codec = MsgpackCodec()
     assert codec.decode(codec.encode(cls(1, 2.5))) == cls(1, 2.5)
-    with pytest.raises(UnknownTypeError):
+    with pytest.raises(UnknownTypeError, match=r"'Handle': Handle\.file: a value of type object cannot travel"):
         find_type("Handle")
 
 

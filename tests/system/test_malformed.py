@@ -186,13 +186,13 @@ def said_of(text: str, path: Path) -> None:
 
 
 def test_a_component_file_that_is_a_link_is_called_one(write: Write, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = write(TABLES.replace("parts.py:Sink", "link.py:Sink"))
+    path = write(TABLES.replace("parts.py:Sink", "linked.py:Sink"))
     there = tmp_path_factory.mktemp("elsewhere") / "parts.py"
     there.write_text("")
-    link = path.parent / "link.py"
+    link = path.parent / "linked.py"
     link.symlink_to(there)
     (found,) = erring(check(path))
-    assert found.cause == f"'link.py': {link} is a link to {there}, outside the system file's folder"
+    assert found.cause == f"'linked.py': {link} is a link to {there}, outside the system file's folder"
     assert found.remedy == "put the file itself below it"
 
 

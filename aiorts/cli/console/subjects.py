@@ -11,7 +11,7 @@ from pathlib import Path
 
 from aiorts import Catalogue, Component
 from aiorts.cli.console.plugins_option import catalogue_of
-from aiorts.errors import PluginError, UnknownTypeError
+from aiorts.errors import DeclarationError, PluginError, UnknownTypeError
 from aiorts.kernel.extensions.type_names import extension_of, split_type
 from aiorts.late import dataclass
 from aiorts.types import all_types, find_type
@@ -70,7 +70,7 @@ def _of_type(name: str, catalogue: Catalogue) -> Subject:
     try:
         cls = find_type(name)
     except UnknownTypeError as error:
-        if "more than once" in str(error):
+        if "more than once" in str(error) or isinstance(error.__cause__, DeclarationError):
             raise
         raise _unknown(name, catalogue) from None
     return Subject(cls, _home(cls))

@@ -31,8 +31,8 @@ _installed: tuple[tuple[tuple[str, int], ...], Catalogue] | None = None
 _declared: tuple[Catalogue, Mapping[str, Extension]] | None = None
 _done: set[Extension] = set()
 _broken: dict[Extension, str] = {}
-_refused: dict[str, str] = {}
-"""Why a dataclass of a module that somebody named is no type, by its name; "" for one that is."""
+_refused: dict[str, DeclarationError | None] = {}
+"""Why a dataclass of a module that somebody named is no type, by its name; None for one that is."""
 _local = threading.local()
 
 
@@ -62,7 +62,7 @@ def load_type(extension: Extension, limit: float | None = None) -> None:
             if _is_type(cls) and (cls.__module__ == found.__name__ or _is_users(cls.__module__)):
                 _refused[cls.__name__] = _register(cls)
         return
-    if fault := _register(found) if _is_type(found) else "it is no record type":
+    if fault := _register(found) if _is_type(found) else DeclarationError("it is no record type"):
         raise PluginError(f"type {extension.name!r} of {extension.source} ({extension.target}): {fault}")
 
 
@@ -80,15 +80,15 @@ def _is_users(module: str) -> bool:
     return file is not None and not is_foreign(file)
 
 
-def _register(cls: type) -> str:
+def _register(cls: type) -> DeclarationError | None:
     """Make it known by name, unless it cannot travel: then why; a dataclass may be made for something else."""
     if not issubclass(cls, Enum):
         try:
             check_port_type(cls)
         except DeclarationError as error:
-            return str(error)
+            return error
     registry.register(cls)
-    return ""
+    return None
 
 
 def _find_type(name: str) -> Iterable[str]:
@@ -112,8 +112,8 @@ def _find_type(name: str) -> Iterable[str]:
     if faults and not registry.is_known(name):
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise UnknownTypeError(f"unknown type {name!r}; a plugin that may define it is broken{more}: {faults[0]}")
-    if _refused.get(short) and not registry.is_known(name):
-        raise DeclarationError(_refused[short])
+    if (refused := _refused.get(short)) is not None and not registry.is_known(name):
+        raise UnknownTypeError(f"unknown type {name!r}: {refused}") from refused
     return [shown for shown, several in offers.items() if any(":" in one.target for one in several)]
 
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
-from aiorts.errors import ConfigurationError, DeclarationError, RecordError, UnknownTypeError, WiringError
+from aiorts.errors import ConfigurationError, RecordError, UnknownTypeError, WiringError
 from aiorts.late import dataclass
 from aiorts.types import describe, find_type, path_type
 from aiorts_flexi.common.place import TypedTextError
@@ -132,7 +132,7 @@ def parse_type(text: str, name: str, whole: str = "") -> type:
     place = len(text) - len(text.lstrip()) if text.strip() else 0
     try:
         cls = find_type(text.strip())
-    except (UnknownTypeError, DeclarationError) as error:
+    except UnknownTypeError as error:
         raise TypedTextError(name, whole, place, str(error), found=False) from None
     if cls not in _PLAIN and not hasattr(cls, "__dataclass_fields__"):
         raise TypedTextError(name, whole, place, f"{cls.__name__} cannot be a port's type; a record can", found=False)
