@@ -22,7 +22,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture",),
+        ("architecture", "policies", "delivery"),
     ),
     "coming-from": (
         "Coming from",
