@@ -94,10 +94,11 @@ def mutations(session: nox.Session) -> None:
 
 @nox.session
 def lint(session: nox.Session) -> None:
-    """Form."""
-    session.install("-q", "ruff>=0.11")
+    """Form and spelling."""
+    session.install("-q", "ruff>=0.11", "codespell>=2.4")
     session.run("ruff", "check", ".")
     session.run("ruff", "format", "--check", ".")
+    session.run("codespell")
 
 
 @nox.session

@@ -1,8 +1,8 @@
 """Notifies systemd of the state of the process where the environment requests it: ready, alive, stopping, status.
 
-Keep-alives are sent only while every execution context makes progress: the event loop itself sends them, so that a
-blocked loop sends none, and none is sent while a hook has run for half of the watchdog's time. Each notification is a
-datagram to the socket in NOTIFY_SOCKET; one that cannot be sent is dropped, without waiting.
+Keep-alive messages are sent only while every execution context makes progress: the event loop itself sends them, so
+that a blocked loop sends none, and none is sent while a hook has run for half of the watchdog's interval. Each
+notification is a datagram to the socket in NOTIFY_SOCKET; one that cannot be sent is dropped, without waiting.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _LOG = KernelLog()
 _TICK: Final = 1.0
 """Seconds between two status updates where there is no watchdog."""
 _SHARE: Final = 4
-"""Keep-alives in one time of the watchdog: systemd's own advice is two."""
+"""Keep-alive messages in one watchdog interval; systemd advises two."""
 _LONGEST: Final = 300
 """Characters of a status."""
 

@@ -79,8 +79,8 @@ def run(
     Failures while the run stops count, too: 3 when a component ended in error, or a task of it failed, and else 1, also
     with --lenient. SIGUSR1 prints state and stacks.
     The log names the code that keeps the event loop from turning for 0.2 s; [watch_loop] of the file may end the run
-    for that. An on_initialize has 30 s. systemd gets readiness, status and keep-alives where NOTIFY_SOCKET is set.
-    With --log-file standard error gets warnings and errors only.
+    for that. An on_initialize may take 30 s. Where NOTIFY_SOCKET is set, systemd gets readiness, status and
+    keep-alive messages. With --log-file standard error gets warnings and errors only.
     """
     if given["duration"] is None:
         given["duration"] = duration_once

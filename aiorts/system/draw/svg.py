@@ -155,7 +155,7 @@ class _Layout:
         return keys
 
     def _order(self) -> None:
-        """Move each spot near its neighbours: sweeps to and fro that sort by their mean place."""
+        """Move each spot near its neighbours: sweep in both directions and sort by their mean place."""
         self._cells: dict[tuple[int, int], list[_Spot]] = {}
         for spot in self.spots.values():
             self._cells.setdefault((spot.column, spot.lane), []).append(spot)
