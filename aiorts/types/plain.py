@@ -54,7 +54,7 @@ def from_plain(cls: type[T], plain: Plain, *, defaults: bool = False) -> T:
     """The record that `to_plain` wrote. RecordError names the field that is missing, unknown or wrong.
 
     Args:
-        defaults: fields that have a default may be missing.
+        defaults: fields that have a default may be missing; those that are None by default always may.
     """
     if cls in PLAIN_TYPES:
         return cast("T", _take(kind_of(cls, cls.__name__), plain, cls.__name__, defaults))
@@ -67,7 +67,11 @@ def _take_record(cls: type, plain: Plain, where: str, defaults: bool) -> Any:
     if not isinstance(plain, dict):
         raise wrong_type(where, f"a mapping with {', '.join(names)}", plain)
     unknown = [str(name) for name in plain if name not in names]
-    missing = [one.name for one in structure.fields if one.name not in plain and not (defaults and one.has_default)]
+    missing = [
+        one.name
+        for one in structure.fields
+        if one.name not in plain and one.default is not None and not (defaults and one.has_default)
+    ]
     if unknown or missing:
         parts = (
             f"unknown field {', '.join(unknown)[:200]}" if unknown else "",

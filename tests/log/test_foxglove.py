@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import base64
 import json
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jsonschema
 import pytest
 
-from aiorts.types import TimedDouble, TimedDoubleSeq, TimedOctetSeq, TimedPose3D, TimedString
-from aiorts_log import RecordingOptions, RecordingWriter
+from aiorts.types import Seq, TimedDouble, TimedDoubleSeq, TimedOctetSeq, TimedPose3D, TimedString, record
+from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
 
 reader_module = pytest.importorskip("mcap.reader")
 records = pytest.importorskip("mcap.records")
 well_known = pytest.importorskip("mcap.well_known")
 stream_reader = pytest.importorskip("mcap.stream_reader")
 
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 SAMPLES: dict[str, list[Any]] = {
     "number": [TimedDouble(i, i / 7) for i in range(300)],
     "list": [TimedDoubleSeq(i, [i, 0.5]) for i in range(3)],
@@ -62,6 +64,73 @@ def test_names_are_those_that_foxglove_documents(tmp_path: Path) -> None:
     assert found["pose"][0]["data"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
     assert found["text"][0]["data"] == 'ü"\n'
     assert found["bare"] == [{"value": 1.5}, {"value": 2.5}]
+
+
+@record
+class Part:
+    """Within another record."""
+
+    x: float = 0.0
+    label: str | None = None
+
+
+@record
+class Reading:
+    """A record with fields that may be absent, of every kind that Foxglove shows."""
+
+    tm: int = 0
+    speed: float | None = None
+    count: int | None = None
+    door: bool | None = None
+    note: str | None = None
+    raw: bytes | None = None
+    part: Part | None = None
+    parts: Seq[Part] = ()  # type: ignore[assignment]
+    mode: Literal["auto", "manual"] | None = None
+    ended: datetime | None = None
+    usual: float | None = 1.0
+    """Absent is not what it is by default: a message says null."""
+
+
+def shown_by_foxglove(schema: dict[str, Any]) -> bool:
+    """What its reader of schemas asks for: each field has one type, and each list items of one type."""
+    if schema.get("type") == "object":
+        return all(map(shown_by_foxglove, schema["properties"].values()))
+    if schema.get("type") == "array":
+        return "contentEncoding" not in schema["items"] and shown_by_foxglove(schema["items"])
+    return schema.get("type") in ("boolean", "string", "number", "integer")
+
+
+def test_a_field_that_may_be_absent_has_its_type_in_the_schema_and_is_left_out(tmp_path: Path) -> None:
+    full = Reading(1, 2.5, 0, False, "", b"\x00", Part(1.0, "a"), [Part(2.0), Part(3.0, "")], "manual", EPOCH, None)
+    samples = [Reading(), full]
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0, encoding="json")) as writer:
+        port = writer.add_port("a", Reading)
+        assert all(writer.write(port, one, number) for number, one in enumerate(samples))
+    with path.open("rb") as stream:
+        read = [
+            (s, json.loads(m.data)) for s, _, m in reader_module.make_reader(stream, validate_crcs=True).iter_messages()
+        ]
+    document = json.loads(read[0][0].data)
+    jsonschema.Draft202012Validator.check_schema(document)
+    for _, value in read:
+        jsonschema.validate(value, document)
+    fields = document["properties"]
+    assert document["required"] == ["tm", "parts", "usual"]
+    assert fields["part"]["required"] == ["x"]
+    assert fields["usual"]["anyOf"][1] == {"type": "null"}
+    types = {name: one.get("type") for name, one in fields.items()}
+    expected = {"speed": "number", "count": "integer", "door": "boolean", "note": "string", "raw": "string"}
+    assert types == {"tm": "integer", **expected, "part": "object", "parts": "array", "mode": "string",
+                     "ended": "integer", "usual": None}  # fmt: skip
+    assert shown_by_foxglove({**document, "properties": {k: v for k, v in fields.items() if k != "usual"}})
+    assert read[0][1] == {"tm": 0, "parts": [], "usual": 1.0}
+    assert (read[1][1]["parts"], read[1][1]["usual"]) == ([{"x": 2.0}, {"x": 3.0, "label": ""}], None)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**read[1][1], "speed": "fast"}, document)
+    with RecordingReader(path) as reader:
+        assert [one for _, _, one in reader.records()] == samples
 
 
 def test_bytes_are_base_64_and_the_schema_says_so(tmp_path: Path) -> None:

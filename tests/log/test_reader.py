@@ -12,12 +12,20 @@ import sys
 import time
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from aiorts.errors import AiortsError
-from aiorts_log import DamagedError, Limits, RecordingError, RecordingReader, salvage
+from aiorts_log import (
+    DamagedError,
+    Limits,
+    RecordingError,
+    RecordingOptions,
+    RecordingReader,
+    RecordingWriter,
+    salvage,
+)
 from aiorts_log.mcap.format import (
     CHUNK,
     DATA_END,
@@ -33,7 +41,7 @@ from aiorts_log.mcap.format import (
 )
 from aiorts_log.mcap.outfile import beginning
 from campaign import CAMPAIGN, cases
-from log_parts import make, read
+from log_parts import TRIPS, Trip, make, read
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -455,6 +463,24 @@ def test_recordings_of_other_versions(tmp_path: Path) -> None:
         assert reader.metadata[0]["kernel"] == "golden"
         assert [port.unknown for port in reader.ports.values()] == [""] * 5
         assert reader.count == 10
+
+
+@pytest.mark.fault("D10")
+@pytest.mark.parametrize("encoding", ["msgpack", "json"])
+def test_a_stored_recording_has_the_fields_that_it_had_and_is_written_so_to_the_byte(
+    encoding: Any, tmp_path: Path
+) -> None:
+    stored = GOLDEN / f"fields-{encoding}-1.0.mcap"
+    with RecordingReader(stored) as reader:
+        assert tuple(one for _, _, one in reader.records()) == TRIPS
+        (port,), before = reader.ports.values(), [sample.data for sample in reader.samples()]
+        assert port.unknown == ""
+    with RecordingWriter(tmp_path / "new.mcap", RecordingOptions(min_free=0, encoding=encoding)) as writer:
+        number = writer.add_port("trip", Trip)
+        assert all(writer.write(number, trip, time) for time, trip in enumerate(TRIPS))
+    with RecordingReader(tmp_path / "new.mcap") as reader:
+        assert [sample.data for sample in reader.samples()] == before
+        assert reader.ports["trip"].schema == port.schema
 
 
 @pytest.mark.fault("D10")

@@ -11,7 +11,7 @@ import json
 import math
 import struct
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, Final, Literal, TypeAlias
 
@@ -88,13 +88,58 @@ def schema_of(number: int, cls: type, encoding: Encoding) -> Schema:
 def _type_schema(cls: type, as_json: bool) -> dict[str, Any]:
     if cls in _PLAIN.values():
         return _SCALARS[cls.__name__](as_json)
-    fields = describe(cls).fields
+    kinds: dict[str, Any] = {field.name: field.kind for field in describe(cls).fields}
+    # Foxglove refuses a schema with a field that may be null, which has no one type: such a field is left out.
+    left_out = [one for one in describe(cls).fields if as_json and one.default is None and hasattr(one.kind, "inner")]
+    absent = {one.name: kinds[one.name].inner for one in left_out}
     return {
         "type": "object",
-        "properties": {field.name: _kind_schema(field.kind, as_json) for field in fields},
-        "required": [field.name for field in fields],
+        "properties": {name: _kind_schema(absent.get(name, kind), as_json) for name, kind in kinds.items()},
+        "required": [name for name in kinds if name not in absent],
         "additionalProperties": False,
     }
+
+
+def message_of(record: Any) -> Any:
+    """What a message in JSON holds of a record: an object, without the fields that are left out."""
+    cls, plain = type(record), to_plain(record)
+    if not hasattr(cls, "__dataclass_fields__"):
+        return {"value": plain}
+    if cls not in _shortening:
+        schema = _type_schema(cls, True)
+        _shortening[cls] = schema if _may_leave_out(schema) else None
+    return plain if _shortening[cls] is None else _without_absent(plain, _shortening[cls])
+
+
+_shortening: dict[type, dict[str, Any] | None] = {}
+"""The schema of each type with fields that are left out where they are None; None for all others."""
+
+
+def _may_leave_out(schema: Any) -> bool:
+    """Whether a field of it, or of what is in it, is left out where it is None."""
+    if not isinstance(schema, dict):
+        return False
+    properties: dict[str, Any] = schema.get("properties", {})
+    inside = (*properties.values(), schema.get("items"), *schema.get("prefixItems", ()), *schema.get("anyOf", ()))
+    required: Collection[str] = schema.get("required", properties)
+    return len(required) < len(properties) or any(map(_may_leave_out, inside))
+
+
+def _without_absent(value: Any, schema: Any) -> Any:
+    """Plain data without the fields that are None and that its schema does not require."""
+    if isinstance(schema, dict) and "anyOf" in schema:
+        schema = schema["anyOf"][0]
+    if isinstance(value, dict) and "properties" in schema:
+        inner, required = schema["properties"], schema.get("required", ())
+        return {
+            name: _without_absent(item, inner[name])
+            for name, item in value.items()
+            if item is not None or name in required
+        }
+    if isinstance(value, list):
+        items = schema.get("prefixItems") or [schema.get("items", {})] * len(value)
+        return [_without_absent(item, one) for item, one in zip(value, items, strict=True)]
+    return value
 
 
 def _binary(as_json: bool) -> dict[str, Any]:
@@ -167,15 +212,14 @@ def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
     if encoding == "msgpack":
         return MsgpackCodec().encoder(cls)
     to_text = json.JSONEncoder(allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode
-    is_record = hasattr(cls, "__dataclass_fields__")
-    check = None if not is_record or describe(cls).checked else MsgpackCodec().encoder(cls)
+    unchecked = hasattr(cls, "__dataclass_fields__") and not describe(cls).checked
+    check = MsgpackCodec().encoder(cls) if unchecked else None
 
     def encode(record: Any) -> bytes:
         if check is not None:
             check(record)  # a plain dataclass holds whatever it was given
-        plain = to_plain(record)
         try:
-            return to_text(plain if is_record else {"value": plain}).encode()
+            return to_text(message_of(record)).encode()
         except ValueError as error:
             raise RecordError(f"{cls.__name__}: no JSON: {str(error)[:80]}") from None
 

@@ -6,8 +6,9 @@
     # {"end": {"why": "closed", "stored": 1}, "samples": 1}
 
 Port, type, log time in seconds with nine digits, and the record as the JSON of `aiorts.types.to_plain` (a bare value is
-`{"value": 5}`). Whatever does not print is escaped as JSON does it, in names, too; a name cannot begin a comment.
-Without the first line, as after `grep`, it is read as well. Text has no checksums; a NaN is any NaN.
+`{"value": 5}`, and a field that is None, as it is by default, is left out). Whatever does not print is escaped as JSON
+does it, in names, too; a name cannot begin a comment. Without the first line, as after `grep`, it is read as well. Text
+has no checksums; a NaN is any NaN.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from aiorts.errors import AiortsError, RecordError
 from aiorts.types import describe, to_plain
 from aiorts.wire import json_text
 from aiorts_log.errors import RecordingError
+from aiorts_log.mcap.encodings import message_of
 from aiorts_log.mcap.format import Attachment, BadBytes, Channel, Schema
 from aiorts_log.mcap.outfile import OutFile
 from aiorts_log.mcap.reader import END_NAME
@@ -59,8 +61,7 @@ def text_encode(record: Any) -> bytes:
         values = template[1](record)
         if all(map(math.isfinite, values)):
             return (template[0] % values).encode()
-    plain = to_plain(record)
-    data = json_text(plain if hasattr(cls, "__dataclass_fields__") else {"value": plain}).encode()
+    data = json_text(message_of(record)).encode()
     if len(data) > LONGEST - _FRONT:
         raise RecordError(f"{cls.__name__}: a sample of {len(data)} bytes; a line has at most {LONGEST}")
     return data
