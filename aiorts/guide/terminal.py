@@ -102,9 +102,8 @@ def _table(rows: list[str], width: int, *, bold: bool) -> list[str]:
         lines += textwrap.wrap(first, width, break_long_words=False) if first else []
         for name, cell in zip(head[1:], others, strict=False):
             if cell:
-                start = f"    {name}: " if name else "    "
                 lines += textwrap.wrap(
-                    cell, width, initial_indent=start, subsequent_indent="        ", break_long_words=False,
-                    break_on_hyphens=False,
+                    f"{name}: {cell}" if name else cell, width, initial_indent="    ", subsequent_indent="        ",
+                    break_long_words=False, break_on_hyphens=False,
                 )  # fmt: skip
     return lines
