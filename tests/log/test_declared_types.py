@@ -155,3 +155,21 @@ def test_a_type_that_changed_since_is_told(tmp_path: Path, capsys: pytest.Captur
 def test_a_type_of_a_file_is_told_with_folder_and_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = recorded(tmp_path / "run.mcap", "aiorts_system.robot.tank", "TankH")
     assert "--type-mod robot/tank.py, with the way to that folder in front" in run(capsys, "info", path)
+
+
+def test_one_class_by_path_and_as_a_module_is_told_with_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    by_path = recorded(tmp_path / "path.mcap", "aiorts_system.robot.declared_one", "Tank")
+    as_module = recorded(tmp_path / "module.mcap", "declared_one", "Tank")
+    other = recorded(tmp_path / "other.mcap", "declared_other", "Tank")
+    told = "; both may be one class, of robot/declared_one.py: record it by path in both, or as a module in both"
+    for left, right in ((by_path, as_module), (as_module, by_path)):
+        assert run_command(["log", "diff", str(left), str(right)]) == 1
+        assert capsys.readouterr().out.splitlines()[1].endswith(told)
+    assert run_command(["log", "diff", str(by_path), str(other)]) == 1
+    assert "one class" not in capsys.readouterr().out
+    with RecordingReader(as_module) as reader:
+        assert "(--type-mod declared_one, not declared_one.py)" in reader.ports["tank"].unknown
+    with RecordingReader(by_path) as reader:
+        assert "--type-mod robot/declared_one.py" in reader.ports["tank"].unknown

@@ -13,6 +13,7 @@ from aiorts import exits
 from aiorts.errors import ConfigurationError
 from aiorts_log.analysis.difference import By, Difference, DiffOptions, PortDifference, difference
 from aiorts_log.commands.output import FILE, UNLIMITED, Finite, number, safe
+from aiorts_log.mcap.encodings import file_of_both
 from aiorts_log.mcap.source import Limits
 from aiorts_log.text.opening import open_recording
 
@@ -108,7 +109,13 @@ def _lines(found: Difference, left: Path, right: Path) -> list[str]:
 
 def _port_lines(port: PortDifference) -> list[str]:
     if port.types is not None:
-        return [f"  {safe(port.name)}: is {safe(port.types[0])} in the first, {safe(port.types[1])} in the second"]
+        file = file_of_both(*port.types)
+        one = (
+            f"; both may be one class, of {safe(file)}: record it by path in both, or as a module in both"
+            if file
+            else ""
+        )
+        return [f"  {safe(port.name)}: is {safe(port.types[0])} in the first, {safe(port.types[1])} in the second{one}"]
     counts = (
         (port.missing, "missing"),
         (port.extra, "extra"),

@@ -59,10 +59,20 @@ def named_type(name: str) -> tuple[type | None, str]:
     if cls is not None:
         return cls, ""
     way = "import the module that defines it (--type-mod), or install its plugin"
+    if module := name.rpartition(".")[0]:
+        file = "" if "." in module else f", not {module[:80]}.py"
+        way = f"import the module that defines it (--type-mod {module[:80]}{file}), or install its plugin"
     if name.startswith(_OF_FILE):
         folder, _, stem = name.removeprefix(_OF_FILE).rpartition(".")[0].rpartition(".")
         way = f"it is of a file: --type-mod {folder[:40]}/{stem[:40]}.py, with the way to that folder in front"
     return None, f"no type {name[:80]!r} is known here; {way}"
+
+
+def file_of_both(first: str, second: str) -> str:
+    """The file whose class two names may mean, one by its path and one as a module; "" where they cannot."""
+    by_name, by_path = sorted((first, second), key=len)
+    folder = by_path.removeprefix(_OF_FILE).removesuffix(f".{by_name}")
+    return f"{folder}/{by_name.partition('.')[0]}.py" if by_path == f"{_OF_FILE}{folder}.{by_name}" else ""
 
 
 def schema_of(number: int, cls: type, encoding: Encoding) -> Schema:
