@@ -85,15 +85,16 @@ class _Change:
                 _call_own(component, f"{parameter} = {shown(value)}", _approve, validator, value)
         if not _overrides(component, "check_configuration"):
             return None
-        for name in new.sets:
-            if name != new.active and (first or not _alike(old, new, name)):
-                values = MappingProxyType(values_in_force(new.sets, name))
-                _call_own(component, f"set {name}", component.check_configuration, values)
+        # The active set first: a set that takes the value from "default" would be blamed for it.
         use: Callable[[], object] | None = _call_own(
             component, "check_configuration", component.check_configuration, new.values
         )
         if use is not None and not callable(use):
             _call_own(component, "check_configuration", _refuse_result, use, "a function or None")
+        for name in new.sets:
+            if name != new.active and (first or not _alike(old, new, name)):
+                values = MappingProxyType(values_in_force(new.sets, name))
+                _call_own(component, f"set {name}", component.check_configuration, values)
         return use
 
     # -- in force --------------------------------------------------------------------------------------------------

@@ -133,6 +133,7 @@ async def test_merging_changes_adds_and_activates_in_one_step() -> None:
         ("merge", ({"default": {"low": 5.0}, "new": {"mode": "x"}},), r"\(set new\).mode = 'x'"),
         ("merge", ({"new": {}}, "nwe"), "no set 'nwe'"),
         ("merge", ({"default": {"high": 0.5}},), "low 1.0 is above high 0.5"),
+        ("change", ("default", {"low": 3.0}), "^arm: check_configuration: low 3.0 is above high 2.0"),
     ],
 )
 @simulated
