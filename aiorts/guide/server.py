@@ -12,6 +12,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from aiorts import exits
 from aiorts.errors import MissingExtra
+from aiorts.guide.blocks import blocks
 from aiorts.guide.contents import FOLDER, SECTIONS, anchor, page, pages
 from aiorts.guide.search import search
 
@@ -28,8 +29,10 @@ pre, code { font-family: ui-monospace, monospace; font-size: 14px } h1, h2, h3 {
 .table { overflow-x: auto } table { border-collapse: collapse } img { max-width: 100%; background: white }
 td, th { border: 1px solid var(--line); padding: .25rem .6rem; text-align: left; vertical-align: top }
 figcaption { font: 13px ui-monospace, monospace; opacity: .8; margin-bottom: -.8rem } figure { margin: 1rem 0 }
-@media (max-width: 48rem) { body { display: block } nav { width: auto; border: 0; border-bottom: 1px solid var(--line) }
- main { padding: 1rem } }
+.top { display: none }
+@media (max-width: 48rem) { body { flex-direction: column } main { padding: 1rem; max-width: 100vw }
+ .top { display: block }
+ nav { order: 2; width: auto; border: 0; border-top: 1px solid var(--line) } }
 """
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; img-src 'self'; form-action 'self'",
@@ -84,6 +87,14 @@ def renderer() -> Callable[[str], str]:
             "the guide in a browser", "markdown-it-py", "guide", "aiorts help TOPIC shows a page here"
         ) from None
     made = MarkdownIt("commonmark", {"html": False}).enable("table")
+
+    def fence(tokens: Any, at: int, options: Any, environment: Any) -> str:
+        (block,) = blocks(f"```{tokens[at].info}\n{tokens[at].content}```")
+        title = block.title or ("It prints:" if block.language == "output" else "")
+        caption = f"<figcaption>{html.escape(title)}</figcaption>" if title else ""
+        return f"<figure>{caption}<pre><code>{html.escape(block.text)}</code></pre></figure>"
+
+    made.renderer.rules["fence"] = fence  # type: ignore[attr-defined]
 
     def render(text: str) -> str:
         tokens = made.parse(_COMMENT.sub("", text))
@@ -143,9 +154,11 @@ def _document(title: str, body: str, *, current: str = "", question: str = "") -
         f"<b>{html.escape(name.partition(':')[0])}</b>{_list(section, current)}"
         for section, (name, _) in SECTIONS.items()
     )
+    top = '<p class="top"><a href="/">aiorts</a> <a href="#contents">contents and search</a></p>'
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>{html.escape(title)}</title><style>{_STYLE}</style>"
-        f'<nav><a href="/"><b>aiorts</b></a><form action="/search"><input name="q" type="search" aria-label="Search" '
-        f'placeholder="Search" value="{html.escape(question)}"></form>{"".join(lists)}</nav><main>{body}</main></html>'
+        f'<nav id="contents"><a href="/"><b>aiorts</b></a><form action="/search"><input name="q" type="search" '
+        f'aria-label="Search" placeholder="Search" value="{html.escape(question)}"></form>{"".join(lists)}</nav>'
+        f"<main>{top}{body}</main></html>"
     ).encode()

@@ -38,6 +38,7 @@ def rendered(text: str, width: int, *, bold: bool) -> str:
             fenced = not fenced
             title = re.search(r'title="([^"]*)"', line)
             out.extend([_bold(title[1], bold)] if title and fenced else [])
+            out.extend(["It prints:"] if line.startswith("```output") else [])
         elif fenced:
             out.append(f"    {line}".rstrip())
         elif line.startswith("#"):
