@@ -154,6 +154,20 @@ def test_what_helps_a_slow_reader_is_the_same_in_the_run_and_in_the_explanation(
     assert CODES["W-DROPPED"].remedy == f"{SLOW_READER.capitalize()}."
 
 
+def test_the_warning_of_lost_samples_is_shown_whole_however_long_the_names_are(folder: Path) -> None:
+    burst, reader = f"burst_{'a' * 58}", f"reader_{'b' * 57}"
+    text = SYSTEM.replace(", length = 200{option} ", "").replace("burst", burst).replace("reader.raw", f"{reader}.raw")
+    text = text.replace('"reader"', f'"{reader}"').replace("components.reader", f"components.{reader}")
+    (folder / "system.toml").write_text(text.format(reader="Every", kind="event"))
+    done = here(folder, "run", "system.toml", "--simulate")
+    (line,) = [line for line in done.stderr.splitlines() if "lost so far" in line]
+    assert line.startswith(f"aiorts: warning: {burst}.out -> {reader}.raw: ")
+    assert line.partition(" lost so far: ")[2] == (
+        "overwritten, the reader is slower than the writer; from now on they are counted (connector.statistics); "
+        f"{SLOW_READER}"
+    )
+
+
 @pytest.mark.parametrize(("name", "told"), [("newest", True), ("every", False)])
 def test_a_filter_tells_of_every_sample_it_passed_over(folder: Path, name: str, told: bool) -> None:
     numbers = "".join(f"{number}\n" for number in range(100))

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from aiorts.cli.console.report import shortened
 from aiorts.types import TimedLong
 from aiorts_log import RecordingOptions, RecordingWriter
 from aiorts_log.mcap.locked_file import LockedFile
@@ -72,6 +73,33 @@ def test_that_the_disk_is_full_is_told_at_once_however_much_waits_and_whoever_co
     assert "No space left on device" in str(recording.failure)
     found = recording.statistics
     assert (found.offered, found.stored, found.dropped) == (WAITING, 0, {"counted": WAITING})
+
+
+@pytest.mark.parametrize("ports", [1, 30])
+def test_that_samples_are_dropped_is_told_whole_with_what_helps(ports: int, tmp_path: Path) -> None:
+    told: list[Notice] = []
+    full = threading.Event()
+
+    def make(path: Path, options: RecordingOptions, **how: Any) -> RecordingWriter:
+        full.wait(30.0)
+        return RecordingWriter(path, options, **how)
+
+    recording = BackgroundRecording(
+        tmp_path / "run.mcap", RecordingOptions(min_free=0, queue=10), notify=told.append, make=make
+    )
+    numbers = [recording.add_port(f"a_rather_long_component_{i:02}.port", TimedLong, {}) for i in range(ports)]
+    for number in numbers:
+        recording.write(number, [TimedLong(0, 1)] * (7 if number else 17), 1)
+    full.set()
+    recording.close()
+    assert recording.wait_closed(10.0)
+    (text,) = [notice.text for notice in told if notice.kind == "dropped"]
+    named = [f"7 of a_rather_long_component_{i:02}.port" for i in range(min(ports, 8))]
+    more = " and of 22 more" if ports == 30 else ""
+    helps = "the disk is too slow: record fewer ports, or use a faster disk"
+    assert text == f"{tmp_path / 'run.mcap'}: samples are dropped, {', '.join(named)}{more} so far; {helps}"
+    line = f"aiorts: warning: {text}"
+    assert shortened(line) == line
 
 
 def test_what_waited_one_by_one_is_handed_on_as_fast_as_in_batches_whoever_computes(tmp_path: Path) -> None:

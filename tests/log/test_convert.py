@@ -435,9 +435,9 @@ def test_a_comparison_and_a_salvage_show_a_bar_too(
     words: list[str], label: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    make(tmp_path / "run.mcap", 1000)
+    make(tmp_path / "run.mcap", 100)
     shutil.copy("run.mcap", "same.mcap")
-    Path("torn.mcap").write_bytes(Path("run.mcap").read_bytes()[:-5000])
+    Path("torn.mcap").write_bytes(Path("run.mcap").read_bytes()[:-500])
     convert(Path("run.mcap"), Path("run.jsonl"))
     monkeypatch.setattr(sys, "stderr", stream := _Terminal())
     assert run_command(["log", *words]) == 0

@@ -13,9 +13,9 @@ import jsonschema
 import pytest
 
 from aiorts.cli.app import run_command
-from aiorts.errors import ConfigurationError
+from aiorts.errors import ConfigurationError, RecordError
 from aiorts.testing.invented import invent
-from aiorts.types import Map, Point2D, Seq, record
+from aiorts.types import Map, Point2D, Seq, record, ros
 from aiorts.types.registry import _by_full_name
 from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter, open_recording
 from aiorts_log.analysis.series import read_series
@@ -95,6 +95,27 @@ def test_every_form_gives_every_value_back(
     assert [one for one in found if isinstance(one, Journey)] == samples()
     assert {one.begun for one in found if isinstance(one, Moments)} == {LATER}
     log("diff", path, back)
+
+
+@pytest.mark.parametrize("ending", ["mcap", "csv", "txt", "jsonl"])
+def test_a_moment_before_1970_comes_back_from_every_form(
+    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The stamp of a message of ROS stands in its header: its `tm`, by which nothing is earlier than 0, is no field."""
+    path, other, back = tmp_path / "run.mcap", tmp_path / f"new.{ending}", tmp_path / "back.mcap"
+    early = ros.TwistStamped(ros.Header(ros.Time(-5, 250), "map")), Moments(7, datetime(1960, 1, 2, tzinfo=UTC))
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        for number, one in enumerate(early):
+            assert writer.write(writer.add_port("ab"[number], type(one)), one, number)
+    log("convert", path, other)
+    ports = ["--port", "a", "--type", "geometry_msgs/TwistStamped", "--port", "b", "--type", "Moments"]
+    log("convert", other, back, *(ports if ending == "csv" else []))
+    with RecordingReader(back) as reader:
+        found = [one for _, _, one in reader.records()]
+    assert found == [*early]
+    assert (found[0].header.stamp.ns, found[0].tm) == (-5 * 10**9 + 250, 0)
+    with pytest.raises(RecordError, match="tm: expected nanoseconds since the epoch"):
+        Moments(-1)
 
 
 def test_cells_are_those_that_people_write() -> None:

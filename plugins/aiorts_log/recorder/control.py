@@ -33,6 +33,7 @@ _TURN: Final = 100
 _YIELD: Final = 1e-5
 _AHEAD: Final = 0.1
 """How full the writer's queue is made: the garbage collector stops every thread for the time of all live objects."""
+_MOST_NAMED: Final = 8
 _PAUSE: Final = 0.001
 _WEIGHED: Final = 8
 """Samples of a batch whose weight is measured."""
@@ -338,5 +339,8 @@ class BackgroundRecording:
             return  # what is dropped from its end on, that end explains
         if (found := writer.statistics).dropped:
             self._reported_drops = True
-            ports = ", ".join(f"{count} of {name}" for name, count in found.dropped.items())
-            self._notify(Notice("dropped", f"{self.path}: samples are dropped, {ports} so far; the disk is too slow"))
+            ports = ", ".join(f"{count} of {name}" for name, count in list(found.dropped.items())[:_MOST_NAMED])
+            more = len(found.dropped) - _MOST_NAMED
+            text = f"samples are dropped, {ports}{f' and of {more} more' if more > 0 else ''} so far"
+            helps = "the disk is too slow: record fewer ports, or use a faster disk"
+            self._notify(Notice("dropped", f"{self.path}: {text}; {helps}"))
