@@ -84,7 +84,12 @@ def execute(command: list[str], folder: Path, place: str, *, fails: bool) -> str
     scripts = str(Path(sys.executable).parent)
     left_out = ("AIORTS_PLUGINS", "FORCE_COLOR", "PYTHONPATH", "PYTEST_CURRENT_TEST")
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
-    environment |= {"PATH": f"{scripts}:{os.environ['PATH']}", "NO_COLOR": "1", "COLUMNS": "80"}
+    environment |= {
+        "PATH": f"{scripts}:{os.environ['PATH']}",
+        "NO_COLOR": "1",
+        "COLUMNS": "80",
+        "PYTHONUNBUFFERED": "1",
+    }
     done = subprocess.run(
         command,
         cwd=folder,

@@ -22,7 +22,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture", "policies", "delivery"),
+        ("architecture", "model", "policies", "delivery", "limits", "measured"),
     ),
     "coming-from": (
         "Coming from",
