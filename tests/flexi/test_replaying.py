@@ -23,7 +23,8 @@ from aiorts import (
 )
 from aiorts.errors import ConfigurationError, InvalidNameError, StateError, WiringError, WriteTimeout
 from aiorts.testing import simulate, simulated
-from aiorts.types import TimedDouble, TimedLong, TimedString, record
+from aiorts.types import TimedDouble, TimedLong, TimedString, record, wire_name
+from aiorts.types.registry import _by_full_name
 from aiorts_flexi.recordings.logger import BasicOperations, FlexiLogger
 from aiorts_flexi.recordings.replaying import Playback
 from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
@@ -132,6 +133,21 @@ class TestPorts:
         async with Kernel() as kernel:
             with pytest.raises((ConfigurationError, InvalidNameError), match=message):
                 await kernel.create(FlexiLogger, mode="replay", **{"logfile": str(tmp_path / "a.mcap"), **params})
+
+    @simulated
+    async def test_a_port_without_samples_needs_no_type_that_is_known(self, tmp_path: Path) -> None:
+        @record
+        class Unheard:
+            data: int = 0
+
+        with RecordingWriter(tmp_path / "a.mcap", RecordingOptions(min_free=0)) as writer:
+            assert writer.write(writer.add_port("sent", TimedLong), TimedLong(0, 1), BEGIN)
+            writer.add_port("quiet", Unheard)
+            writer.add_port("silent", TimedLong)
+        del _by_full_name[wire_name(Unheard)]
+        async with Kernel() as kernel:
+            ports = (await replay(kernel, tmp_path / "a.mcap")).ports
+            assert {"sent", "silent"} == set(ports) - {"Control", "Playback"}
 
     @pytest.mark.fault("D12")
     @simulated

@@ -291,6 +291,13 @@ def test_a_recording_without_samples_becomes_a_bag_without_messages(tmp_path: Pa
     assert list(read_bag(tmp_path / "none")) == []
 
 
+def test_a_port_that_sent_nothing_needs_no_message_of_ros(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "run.mcap", RecordingOptions(min_free=0)) as writer:
+        writer.add_port("quiet", t.TimedDouble)
+        writer.write(writer.add_port("base0.twist", r.Twist), r.Twist(), BEGIN)
+    assert export_ros2(tmp_path / "run.mcap", tmp_path / "bag").messages == {"/base0/twist": 1}
+
+
 def test_an_interrupted_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import aiorts_log.foreign.exporting as exporting
 

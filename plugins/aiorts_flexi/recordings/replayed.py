@@ -82,7 +82,8 @@ def _grouped(ports: Mapping[str, Any]) -> tuple[RecordedAs, ...]:
     """Ports by their names, each with all of its channels."""
     channels: dict[str, list[str]] = {}
     for key, port in ports.items():
-        channels.setdefault(port.name, []).append(key)
+        if port.count or not port.unknown:  # one without samples needs no type that is loaded
+            channels.setdefault(port.name, []).append(key)
     return tuple(
         RecordedAs(
             name,

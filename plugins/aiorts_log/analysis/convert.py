@@ -169,7 +169,7 @@ def merge(
         fronts = list(prefixes or [""] * len(readers))
         for reader, front in zip(readers, fronts, strict=True):
             refuse_damaged(reader)
-            for name, port in _filled(reader).items():
+            for name, port in filled(reader).items():
                 _take_port(ports, f"{front}{name}", port, join, reader)
         unique = wanted.format == "csv"
         streams = [_named(reader, front, unique) for reader, front in zip(readers, fronts, strict=True)]
@@ -216,14 +216,14 @@ def _copy(
 ) -> Converted:
     with open_recording(source, limits=limits) as reader:
         refuse_damaged(reader)
-        ports = _filled(reader) if names is None else reader.chosen(names)
+        ports = filled(reader) if names is None else reader.chosen(names)
         samples = _named(reader, "", wanted.format == "csv", start=start, end=end, ports=names)
         with progress("converting", reader.count) as step:
             made = _write(target, [source], wanted, ports, reader.attachments(), _counting(samples, step))
         return Converted(made.samples, made.format, made.left_out, (), (), tuple(not_closed([reader])))
 
 
-def _filled(reader: Recording) -> dict[str, RecordedPort]:
+def filled(reader: Recording) -> dict[str, RecordedPort]:
     """The ports with samples: of the others a table would have empty columns."""
     return {name: port for name, port in reader.ports.items() if port.count}
 

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 from aiorts.errors import AiortsError
 from aiorts.progress import Step, progress
-from aiorts_log.analysis.convert import not_closed, refuse_damaged
+from aiorts_log.analysis.convert import filled, not_closed, refuse_damaged
 from aiorts_log.errors import DamagedError, RecordingError, UnwrittenError
 from aiorts_log.foreign.ros_records import MESSAGES, library, record_of, ros_name, standard_types, unmaker
 from aiorts_log.mcap.reader import RecordedPort, Recording
@@ -69,7 +69,7 @@ def export_ros2(
     library()
     with open_recording(source, limits=limits) as reader:
         refuse_damaged(reader)
-        wanted = reader.ports if ports is None else reader.chosen(ports)
+        wanted = filled(reader) if ports is None else reader.chosen(ports)
         left = {name: why for name, port in wanted.items() if (why := _why_not(port))}
         ours = {name: port for name, port in wanted.items() if name not in left}
         if wanted and not ours:
