@@ -22,34 +22,50 @@ __all__ = (
 )
 
 # Imports nothing: the command line has these before anything else.
-DONE, FAILED, REFUSED, IN_ERROR, DENIED, NO_ANSWER, ABSENT = range(7)
+DONE = 0
+"""Nothing went wrong."""
+FAILED = 1
+"""It failed, or it found a difference."""
+REFUSED = 2
+"""Wrong usage or configuration: it was refused before the start."""
+IN_ERROR = 3
+"""A component ended in error and was not recovered."""
+DENIED = 4
+"""Permission denied."""
+NO_ANSWER = 5
+"""There was no answer in time."""
+ABSENT = 6
+"""What was named does not exist, or its name is ambiguous."""
 STALLED = 70
+"""The event loop did not turn for the time that `[watch_loop]` allows."""
 _SIGNAL = 128
 
 TABLE = (
     (f"{DONE}", "done"),
-    (f"{FAILED}", "failed, or a difference found"),
-    (f"{REFUSED}", "usage, configuration, or refused before the start"),
-    (f"{IN_ERROR}", "a component ended in error, unhelped"),
-    (f"{DENIED}", "denied"),
+    (f"{FAILED}", "failed, or found a difference"),
+    (f"{REFUSED}", "wrong usage or configuration: refused before the start"),
+    (f"{IN_ERROR}", "a component ended in error and was not recovered"),
+    (f"{DENIED}", "permission denied"),
     (f"{NO_ANSWER}", "no answer in time"),
-    (f"{ABSENT}", "what was asked for is absent, or its name ambiguous"),
+    (f"{ABSENT}", "what was named does not exist, or its name is ambiguous"),
     (f"{STALLED}", 'the event loop stood still ([watch_loop] with policy = "exit")'),
-    (f"{_SIGNAL} + n", "ended by signal n: 129 SIGHUP, 130 Ctrl-C, 141 a reader that has gone, 143 SIGTERM"),
+    (f"{_SIGNAL} + n", "ended by signal n: 129 SIGHUP, 130 Ctrl-C, 141 the reader of standard output has gone, 143 SIGTERM"),
 )
 """Status and meaning, in words for people."""
 _OF_CODE = {"E-COMPONENT": FAILED, "E-UNKNOWN-TYPE": ABSENT}
 
 
 def of_signal(number: int) -> int:
-    """What a process ends with that a signal has ended, as shells count it."""
+    """The status of a process that a signal has ended, as shells count it: 128 + `number`."""
     return _SIGNAL + number
 
 
 INTERRUPTED = of_signal(2)
+"""Ended by Ctrl-C."""
 BROKEN_PIPE = of_signal(13)
+"""The reader of standard output has gone."""
 
 
 def of_error(error: BaseException) -> int:
-    """What a command ends with that raised an error of aiorts: it has not begun, unless the error's code says so."""
+    """The status of a command that an error of aiorts has ended: REFUSED, unless the error's code has another."""
     return _OF_CODE.get(getattr(error, "code", ""), REFUSED)

@@ -18,7 +18,10 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "reference": (
         "Reference",
-        (),
+        (
+            *("api", "system-file", "command-line", "error-codes", "exit-status"),
+            *("record-types", "flexi", "events", "statistics"),
+        ),
     ),
     "explanation": (
         "Explanation",
