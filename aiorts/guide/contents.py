@@ -14,7 +14,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "howto": (
         "How to",
-        ("choose-policy", "slow-reader", "missed-deadline", "records", "ros-bag"),
+        ("choose-policy", "slow-reader", "missed-deadline", "real-time", "supervise", "deploy", "records", "ros-bag"),
     ),
     "reference": (
         "Reference",

@@ -59,13 +59,13 @@ def obtain(wanted: Wanted) -> tuple[Granted, Sleep]:
     slack = set_timer_slack(_SLACK_NS)
     if not slack:
         denied["timer slack"] = "this system has no prctl(PR_SET_TIMERSLACK); wake-ups may be 50 us late"
-    cpus = wanted.cpus is not None and _granted(denied, "cpus", _affinity(wanted.cpus))
+    cpus = None if wanted.cpus is None else _affinity(wanted.cpus, denied)
     # Locked before the thread goes first: it is the longest of these calls.
     locked = wanted.lock_memory and _granted(denied, "memory lock", process.SETTINGS.lock_memory())
     priority = wanted.priority is not None and _granted(denied, "priority", _fifo(wanted.priority))
     granted = Granted(
         priority=wanted.priority if priority else None,
-        cpus=wanted.cpus if cpus else None,
+        cpus=cpus,
         locked=locked,
         timer_slack_ns=_SLACK_NS if slack else None,
         absolute_sleep=sleep is not None,
@@ -95,15 +95,21 @@ def _fifo(priority: int) -> str:
     return ""
 
 
-def _affinity(cpus: frozenset[int]) -> str:
+def _affinity(cpus: frozenset[int], denied: dict[str, str]) -> frozenset[int] | None:
+    """Keep this thread to these processors, as far as they are there; those it keeps to, None for any."""
     try:
         os.sched_setaffinity(0, cpus)
+        kept = frozenset(os.sched_getaffinity(0))
     except AttributeError:
-        return "this system has no sched_setaffinity"
+        denied["cpus"] = "this system has no sched_setaffinity"
+        return None
     except (OSError, OverflowError) as error:
         here = sorted(os.sched_getaffinity(0))
-        return f"cpus {sorted(cpus)}: {_name(error)}; this process may use {here}"
-    return ""
+        denied["cpus"] = f"cpus {sorted(cpus)}: {_name(error)}; this process may use {here}"
+        return None
+    if missing := cpus - kept:
+        denied["cpus"] = f"cpus {sorted(missing)}: not there for this process; it keeps to {sorted(kept)}"
+    return kept
 
 
 def _name(error: Exception) -> str:

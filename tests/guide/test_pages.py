@@ -14,7 +14,11 @@ from aiorts.guide.contents import FOLDER
 from guide_blocks import run_page
 
 README = Path(__file__).parents[2] / "README.md"
-ELSEWHERE = {"component": 1, "ros-bag": 1}
+ELSEWHERE = {
+    "component": 1,
+    "deploy": 1,
+    "ros-bag": 1,
+}
 """Pages with blocks that are not run here, and how many: they need another machine, an administrator or a network."""
 LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)|!\[[^\]]*\]\(([^)\s]+)\)")
 NAMES = [pytest.param(page, id=page.name) for page in pages()]

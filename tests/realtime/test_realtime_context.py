@@ -114,6 +114,15 @@ async def test_it_runs_at_its_rate_in_one_thread_with_the_priority_and_processor
     assert len(os.sched_getaffinity(0)) >= 1
 
 
+async def test_granted_names_the_processors_that_there_are_and_which_ones_are_missing() -> None:
+    cpu = max(os.sched_getaffinity(0))
+    async with Kernel() as kernel:
+        context = await kernel.start(RealtimeContext(100.0, priority=None, lock_memory=False, cpus=[cpu, 4000]))
+        granted = context.granted
+    assert granted.cpus == {cpu}
+    assert granted.denied == {"cpus": f"cpus [4000]: not there for this process; it keeps to [{cpu}]"}
+
+
 async def test_it_wakes_close_to_its_deadlines() -> None:
     async with Kernel() as kernel:
         worker = await kernel.add(Worker("worker"))
