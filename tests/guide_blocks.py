@@ -23,12 +23,28 @@ import sys
 import tomllib
 from pathlib import Path
 
-from aiorts.guide import Block, blocks
+from aiorts.guide import Block, anchor, blocks
 
 SHOWN = frozenset({"text", "mermaid", "ini", "dockerfile", "xml"})
+_LINK = re.compile(r"\[[^\]]+\]\(([^)\s]+)\)")
 LIMIT = 60.0
 """Seconds that a block may take."""
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
+
+
+def links(text: str) -> list[str]:
+    """What a page links to, and the pictures it shows, but for what is elsewhere on the net."""
+    found = _LINK.findall(_prose(text)) + re.findall(r'<img src="([^"]+)"', text)
+    return [link for link in found if "://" not in link]
+
+
+def anchors(text: str) -> set[str]:
+    """The fragments that links to a page can have."""
+    return {anchor(heading) for heading in re.findall(r"^#+ (.*)$", _prose(text), re.MULTILINE)}
+
+
+def _prose(text: str) -> str:
+    return re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
 
 
 def run_page(text: str, folder: Path) -> int:

@@ -137,4 +137,4 @@ async def test_components_are_coroutines_that_wait_without_holding_anybody_up(an
         await kernel.start(PeriodicContext(200.0), quick, activate=True)
         await asyncio.sleep(0.3)
         assert waiting.count("on_execute") <= 7
-        assert quick.count("on_execute") >= 40
+        assert quick.count("on_execute") >= 20  # 60 on an idle machine, 7 if it were held up

@@ -9,27 +9,17 @@ import click
 import pytest
 
 from aiorts.cli.app import aiorts as root
-from aiorts.guide import Page, anchor, blocks, pages
+from aiorts.guide import Page, blocks, pages
 from aiorts.guide.contents import FOLDER
-from guide_blocks import run_page
+from guide_blocks import anchors, links, run_page
 
-README = Path(__file__).parents[2] / "README.md"
 ELSEWHERE = {
     "component": 1,
     "deploy": 1,
     "ros-bag": 1,
 }
 """Pages with blocks that are not run here, and how many: they need another machine, an administrator or a network."""
-LINK = re.compile(r"(?<!!)\[[^\]]+\]\(([^)\s]+)\)|!\[[^\]]*\]\(([^)\s]+)\)")
 NAMES = [pytest.param(page, id=page.name) for page in pages()]
-
-
-def prose(text: str) -> str:
-    return re.sub(r"^```.*?^```$", "", text, flags=re.DOTALL | re.MULTILINE)
-
-
-def anchors(text: str) -> set[str]:
-    return {anchor(heading) for heading in re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)}
 
 
 def test_the_contents_are_the_files_that_are_there() -> None:
@@ -48,13 +38,11 @@ def test_a_page_begins_with_its_title_and_its_links_lead_somewhere(page: Page) -
     text = page.text
     assert re.match(r"# \S.*\n\n\S", text), "a page begins with its title, and a sentence below"
     wrong = []
-    for link, picture in LINK.findall(prose(text)):
-        target, _, fragment = (link or picture).partition("#")
-        if "://" in target:
-            continue
+    for link in links(text):
+        target, _, fragment = link.partition("#")
         path = (page.path.parent / target).resolve() if target else page.path
         if not path.is_file() or not path.is_relative_to(FOLDER):
-            wrong.append(f"{link or picture}: no page or picture of the guide")
+            wrong.append(f"{link}: no page or picture of the guide")
         elif fragment and fragment not in anchors(path.read_text(encoding="utf-8")):
             wrong.append(f"{link}: the page has no such heading")
     assert wrong == []
