@@ -49,7 +49,10 @@ TABLE = (
     (f"{NO_ANSWER}", "no answer in time"),
     (f"{ABSENT}", "what was named does not exist, or its name is ambiguous"),
     (f"{STALLED}", 'the event loop stood still ([watch_loop] with policy = "exit")'),
-    (f"{_SIGNAL} + n", "ended by signal n: 129 SIGHUP, 130 Ctrl-C, 141 the reader of standard output has gone, 143 SIGTERM"),
+    (
+        f"{_SIGNAL} + n",
+        "ended by signal n: 129 SIGHUP, 130 Ctrl-C, 141 the reader of standard output has gone, 143 SIGTERM",
+    ),
 )
 """Status and meaning, in words for people."""
 _OF_CODE = {"E-COMPONENT": FAILED, "E-UNKNOWN-TYPE": ABSENT}
