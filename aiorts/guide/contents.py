@@ -29,7 +29,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "coming-from": (
         "Coming from",
-        (),
+        ("openrtm", "ros2", "asyncio", "dora"),
     ),
 }
 """Folder of a section -> its title and the names of its pages, in the order in which they are read."""
