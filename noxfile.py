@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sys
@@ -123,6 +124,27 @@ def docs(session: nox.Session) -> None:
         session.run(
             "mkdocs", "build", "-q", "--strict", "-f", "aiorts/guide/mkdocs.yml", "-d", str(Path(site).resolve())
         )
+
+
+@nox.session
+def release(session: nox.Session) -> None:
+    """Source distribution and wheel, checked and installed without an index; kept in the folder after `--`."""
+    session.install("-q", "build>=1.2", "twine>=6.1")
+    with tempfile.TemporaryDirectory() as folder:
+        session.run("python", "-m", "build", "--outdir", folder)
+        made = sorted(map(str, Path(folder).iterdir()))
+        session.run("twine", "check", "--strict", *made)
+        wheels, new = f"{folder}/wheelhouse", f"{folder}/new"
+        session.run("python", "-m", "pip", "wheel", "-q", "-w", wheels, *(one for one in made if one.endswith(".whl")))
+        session.run("python", "-m", "venv", new)
+        offline = ("--no-index", "--find-links", wheels)
+        environment = {"PIP_CONFIG_FILE": os.devnull, "PIP_FIND_LINKS": None}
+        install = (f"{new}/bin/python", "-m", "pip", "install", "-q", *offline, "aiorts")
+        session.run(*install, env=environment, external=True)
+        session.run(f"{new}/bin/aiorts", "demo", external=True, silent=True)
+        for path in made if session.posargs else ():
+            Path(session.posargs[0]).mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, session.posargs[0])
 
 
 @nox.session(venv_backend="none")

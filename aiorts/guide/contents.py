@@ -25,7 +25,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "explanation": (
         "Explanation",
-        ("architecture", "model", "policies", "delivery", "limits", "measured"),
+        ("architecture", "model", "policies", "delivery", "limits", "measured", "releases"),
     ),
     "coming-from": (
         "Coming from",

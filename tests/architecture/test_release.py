@@ -15,10 +15,14 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
-from test_layers import ROOT
+from test_layers import PUBLIC, ROOT
 from test_wheel import run
 
+import aiorts
+import changelog
 from aiorts.guide.contents import FOLDER
+from aiorts.system.file.parse import SCHEMA
+from aiorts_log.mcap.source import MAJOR, MINOR
 
 FILES = (
     *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "noxfile.py", "pyproject.toml"),
@@ -103,7 +107,9 @@ def test_the_tests_of_the_source_distribution_are_collected(unpacked: Path, monk
     monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
     here = "import aiorts, aiorts_log; print(aiorts.__file__, aiorts_log.__file__)"
     assert run(sys.executable, "-c", here, cwd=unpacked).count(str(unpacked)) == 2
-    said = run(sys.executable, "-m", "pytest", "-q", "--collect-only", "--assert=plain", "-p", "no:cacheprovider", cwd=unpacked)
+    said = run(
+        sys.executable, "-m", "pytest", "-q", "--collect-only", "--assert=plain", "-p", "no:cacheprovider", cwd=unpacked
+    )
     assert re.search(r"\d{4} tests collected|\d{4}/\d{4} tests collected", said), said[-2000:]
 
 
@@ -152,7 +158,7 @@ def as_wheel(name: str, folder: Path) -> list[str]:
 def test_it_installs_without_a_network_from_a_folder_of_wheels(
     wheel: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`pip download` needs an index to make that folder: here it is made of what is installed."""
+    """`pip wheel` needs an index to make that folder (`nox -s release` does): here it is made of what is installed."""
     house = tmp_path / "wheelhouse"
     house.mkdir()
     shutil.copy(wheel, house)
@@ -174,3 +180,30 @@ def test_it_installs_without_a_network_from_a_folder_of_wheels(
     run(*pip, "check", cwd=tmp_path)
     assert "the same 301 values" in run(tmp_path / "new/bin/aiorts", "demo", cwd=tmp_path)
     assert "releases" in run(tmp_path / "new/bin/aiorts", "help", "--list", cwd=tmp_path)
+
+
+def test_every_entry_of_the_changelog_has_its_kind() -> None:
+    entries = changelog.split(changelog.CHANGELOG.read_text(encoding="utf-8"))[1]
+    assert entries
+    assert [entry[:60] for entry in entries if changelog.kind(entry) not in changelog.KINDS] == []
+
+
+def test_the_changelog_is_sorted_with_what_is_breaking_first_and_loses_nothing() -> None:
+    older = "\n## 0.1.0\n\n- fixed: old.\n- added: old.\n"
+    head = "# Changes\n\n## 0.2.0\n\n"
+    entries = "- fixed: a,\n  more.\n- added: b.\n- changed: c. **Breaking.**\n- added: d.\n- added: b.\n"
+    in_order = "- changed: c. **Breaking.**\n- added: b.\n- added: d.\n- fixed: a,\n  more.\n"
+    assert changelog.in_order(head + entries + older) == head + in_order + older
+
+
+def test_the_page_on_releases_names_every_public_module_and_the_formats() -> None:
+    text = (FOLDER / "explanation" / "releases.md").read_text(encoding="utf-8")
+    assert [module for module in PUBLIC if f"`{module}`" not in text] == []
+    assert f"`schema = {SCHEMA}`" in text
+    assert f"recording format, now {MAJOR}.{MINOR}." in text
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert aiorts.__version__ == project["version"]
+    assert f"\n## {aiorts.__version__}" in changelog.CHANGELOG.read_text(encoding="utf-8")

@@ -14,6 +14,7 @@ from aiorts.guide.contents import FOLDER
 from guide_blocks import anchors, links, run_page
 
 ELSEWHERE = {
+    "releases": 2,
     "component": 1,
     "deploy": 1,
     "ros-bag": 1,
