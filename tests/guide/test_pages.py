@@ -17,6 +17,7 @@ ELSEWHERE = {
     "releases": 2,
     "component": 1,
     "deploy": 1,
+    "recording": 1,
     "ros-bag": 1,
 }
 """Pages with blocks that are not run here, and how many: they need another machine, an administrator or a network."""
