@@ -14,7 +14,10 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "howto": (
         "How to",
-        ("choose-policy", "slow-reader", "missed-deadline", "real-time", "supervise", "deploy", "records", "ros-bag"),
+        (
+            *("choose-policy", "records", "slow-reader", "real-time", "supervise", "deploy", "ros-bag"),
+            *("missed-deadline", "write-context", "write-codec", "write-service", "write-bench"),
+        ),
     ),
     "reference": (
         "Reference",

@@ -14,6 +14,7 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.execution.cycle import Wait
     from aiorts.kernel.loop.bus import Bus
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.parameters import Param
@@ -31,6 +32,7 @@ __all__ = (
     "Microkernel",
     "OutPort",
     "Param",
+    "Wait",
     "setting",
 )
 
@@ -41,6 +43,7 @@ _late(
         "aiorts.kernel.component": "Component",
         "aiorts.kernel.ports.connector": "Connector",
         "aiorts.kernel.execution.context": "Context",
+        "aiorts.kernel.execution.cycle": "Wait",
         "aiorts.kernel.ports": "InPort OutPort",
         "aiorts.kernel.service": "KernelService setting",
         "aiorts.kernel.microkernel": "Microkernel",

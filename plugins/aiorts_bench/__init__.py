@@ -13,16 +13,16 @@ from aiorts.late import late
 
 if TYPE_CHECKING:
     from aiorts_bench.harness.bench import Bench, Options
-    from aiorts_bench.harness.case import Aim, Case, Reading
+    from aiorts_bench.harness.case import COST, Aim, Case, Measure, Reading
     from aiorts_bench.harness.report import Report, Row
 
-__all__ = ("Aim", "Bench", "Case", "Options", "Reading", "Report", "Row")
+__all__ = ("COST", "Aim", "Bench", "Case", "Measure", "Options", "Reading", "Report", "Row")
 
 late(
     globals(),
     {
         "aiorts_bench.harness.bench": "Bench Options",
-        "aiorts_bench.harness.case": "Aim Case Reading",
+        "aiorts_bench.harness.case": "COST Aim Case Measure Reading",
         "aiorts_bench.harness.report": "Report Row",
     },
 )

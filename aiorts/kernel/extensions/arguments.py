@@ -79,8 +79,18 @@ def settings_faults(cls: type, given: Mapping[str, Any], also: Collection[str] =
 
 
 def settings_of(cls: type[T], given: Mapping[str, Any]) -> T:
-    """What `cls` makes of values that were found right; lists, as a system file has them, become tuples."""
-    return cls(**{key: tuple(value) if isinstance(value, list) else value for key, value in given.items()})
+    """What `cls` makes of values that were found right.
+
+    Lists, as a system file has them, become tuples, and texts paths where the settings have a path.
+    """
+    paths = path_settings(cls) if dataclasses.is_dataclass(cls) else ()
+    return cls(**{key: _meant(value, path=key in paths) for key, value in given.items()})
+
+
+def _meant(value: Any, *, path: bool) -> Any:
+    if isinstance(value, list):
+        return tuple(value)
+    return Path(value) if path and value and isinstance(value, str) else value
 
 
 def options_of(settings: type) -> dict[str, type | tuple[str, ...] | None]:
