@@ -44,7 +44,8 @@ class Kernel(Microkernel):
         services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
 
     Raises:
-        PluginError: nobody offers a service of that name. ConfigurationError: names each setting that is wrong.
+        PluginError: nobody offers a service of that name.
+        ConfigurationError: names each setting that is wrong.
     """
 
     _deadlines: DeadlineMonitor | None = None
@@ -122,7 +123,8 @@ class Kernel(Microkernel):
         """The whole system at this moment, as frozen values; `to_json()` makes one document of it.
 
         Raises:
-            ClosedError: the kernel was never opened. ThreadError: called in another thread than the kernel's.
+            ClosedError: the kernel was never opened.
+            ThreadError: called in another thread than the kernel's.
         """
         from aiorts.observe import system_profile
 
@@ -150,7 +152,8 @@ class Kernel(Microkernel):
             length: changes that wait for a slow reader; beyond that they are dropped for a new snapshot.
 
         Raises:
-            ClosedError: the kernel is not open. ConfigurationError: the length is none.
+            ClosedError: the kernel is not open.
+            ConfigurationError: the length is none.
         """
         self.check_open("changes")
         return self._introspection.changes(length)
@@ -164,7 +167,9 @@ class Kernel(Microkernel):
             rate: Hz on the kernel's clock, up to 10,000.
 
         Raises:
-            WiringError: there is no such value now. ConfigurationError: the rate is none. ClosedError: not open.
+            WiringError: there is no such value now.
+            ConfigurationError: the rate is none.
+            ClosedError: not open.
         """
         self.check_open("monitor")
         return self._introspection.monitor(paths, rate)
@@ -174,7 +179,8 @@ class Kernel(Microkernel):
         the kernel's clock, until the returned function is called or the kernel closes.
 
         Raises:
-            ConfigurationError: the interval is not from 0.001 to 86,400. ClosedError: the kernel is not open.
+            ConfigurationError: the interval is not from 0.001 to 86,400.
+            ClosedError: the kernel is not open.
         """
         self.check_open("heartbeat")
         return self._introspection.heartbeat(interval)
@@ -213,7 +219,8 @@ class Kernel(Microkernel):
             factory: makes a new instance of the given name, for "restart"; the component's class by default.
 
         Raises:
-            StateError: it is not of this kernel. DeclarationError: the policy is none, the factory is no function, or
+            StateError: it is not of this kernel.
+            DeclarationError: the policy is none, the factory is no function, or
                 a composite is to be made anew or to have deadlines: its members can, it can be reset.
         """
         self.check_mine(component, "supervise")
@@ -260,8 +267,10 @@ class Kernel(Microkernel):
 
         Raises:
             PluginError: no such type, or its file cannot be loaded, or an instance not be made; names file and line.
-            ComponentError: `on_reload`, or a hook in the first cycles, failed. StateError: one of them cannot be
-            replaced: it is in a real-time context, say. TransitionTimeout: a context did not come to it in time.
+            ComponentError: `on_reload`, or a hook in the first cycles, failed.
+            StateError: one of them cannot be
+                replaced: it is in a real-time context, say.
+            TransitionTimeout: a context did not come to it in time.
             ClosedError: the kernel closes.
         """
         self.check_open("reload")
@@ -280,7 +289,8 @@ class Kernel(Microkernel):
             timeout: seconds of the kernel's clock; None waits for ever.
 
         Raises:
-            TransitionTimeout: says who is not active, and why as far as that is known. ClosedError: the kernel closes.
+            TransitionTimeout: says who is not active, and why as far as that is known.
+            ClosedError: the kernel closes.
         """
         self.check_open("wait_ready")
         from aiorts.supervision import wait_ready
@@ -295,7 +305,8 @@ class Kernel(Microkernel):
 
         Raises:
             ConfigurationError: the rules wait for each other (names them); nothing was started.
-            TransitionTimeout: a condition did not come true; names it. StateError: there is no such component.
+            TransitionTimeout: a condition did not come true; names it.
+            StateError: there is no such component.
             ComponentError: its `on_activated` raised.
         """
         self.check_open("start in order")
@@ -381,7 +392,8 @@ class Kernel(Microkernel):
         between its own cycles. Awaited from a hook that this would wait for it is queued and returns at once.
 
         Raises:
-            ConfigurationError: names all that is wrong, with lines. TransitionTimeout: a component's moment did not
+            ConfigurationError: names all that is wrong, with lines.
+            TransitionTimeout: a component's moment did not
                 come in time. What was changed already is taken back.
         """
         self.check_open("load_configuration")

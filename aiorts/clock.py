@@ -213,6 +213,7 @@ class SimulatedClock(Clock):
         self._epoch = epoch_ns - self.now_ns
 
     def real_deadline_ns(self, deadline_ns: int) -> int:
+        """StateError: a simulated deadline has no real time."""
         raise StateError(f"{self!r}: a simulated deadline has no real time; wait for it with timers_for(clock).call_at")
 
     def __repr__(self) -> str:
@@ -249,7 +250,9 @@ class SimulatedClock(Clock):
     async def advance(self, seconds: float) -> None:
         """Lets `seconds` pass: every timer due by then fires, and what it woke finishes before the next deadline.
 
-        Raises ValueError for a negative or non-finite number, BusyError when the clock is being advanced already.
+        Raises:
+            ValueError: a negative number, NaN or an infinity.
+            BusyError: the clock is being advanced already, or moved by another loop.
         """
         step = to_ns(seconds)
         if step < 0:
@@ -257,7 +260,12 @@ class SimulatedClock(Clock):
         await self.advance_to(self.now_ns + step)
 
     async def advance_to(self, monotonic_ns: int) -> None:
-        """`advance()` to a moment of `monotonic_ns()`; raises ValueError for one in the past."""
+        """`advance()` to a moment of `monotonic_ns()`.
+
+        Raises:
+            ValueError: the moment has passed.
+            BusyError: the clock is being advanced already, or moved by another loop.
+        """
         if monotonic_ns < self.now_ns:
             raise ValueError(f"{self!r}: cannot go back to {monotonic_ns} ns")
         loop = asyncio.get_running_loop()

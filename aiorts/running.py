@@ -21,7 +21,8 @@ def run(
         loop: "auto" is uvloop where it is installed, else asyncio; "uvloop" or "asyncio" asks for one.
 
     Raises:
-        ValueError: another word for `loop`. ImportError: uvloop was asked for and is not there.
+        ValueError: another word for `loop`.
+        ImportError: uvloop was asked for and is not there.
     """
     with asyncio.Runner(debug=debug, loop_factory=loop_factory(loop)) as runner:
         return runner.run(main() if callable(main) else main)

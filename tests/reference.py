@@ -304,8 +304,8 @@ def _returns(of: Source, node: ast.FunctionDef | ast.AsyncFunctionDef) -> str:
     return f" -> {of.of(node.returns)}" if node.returns is not None else ""
 
 
-def _decorators(node: ast.FunctionDef | ast.AsyncFunctionDef) -> set[str]:
-    return {ast.unparse(one).rpartition(".")[2] for one in node.decorator_list}
+def _decorators(node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) -> set[str]:
+    return {ast.unparse(one).partition("(")[0].rpartition(".")[2] for one in node.decorator_list}
 
 
 # -- api ---------------------------------------------------------------------------------------------------------------
@@ -397,8 +397,21 @@ def _sections(said: Doc, *names: str) -> str:
         if entries and title in ("Returns", "Yields"):
             out += f"\n{title}: {_line(entries[0][1])}\n"
         elif entries:
-            out += f"\n{title}:\n\n" + "".join(f"{item(name, _line(text))}\n" for name, text in entries)
+            out += f"\n{title}:\n\n" + "".join(f"{item(name, _line(text))}\n" for name, text in _resolved(entries))
     return out
+
+
+def _resolved(entries: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """The entries; where one says "see `Port`" of an internal class, what that says."""
+    for names, text in entries:
+        seen = re.fullmatch(r"see `(\w+)`\.?", text)
+        if seen is None or seen[1] != "Port":
+            yield names, text
+            continue
+        told = definition("aiorts.kernel.ports.port", seen[1])
+        assert told is not None
+        assert isinstance(told.node, ast.ClassDef)
+        yield from doc_of(ast.get_docstring(told.node)).sections["Args"]
 
 
 def _class(path: str, cls: type, of: Source, node: ast.ClassDef) -> str:
@@ -470,8 +483,11 @@ def _method(own: list[tuple[Source, ast.ClassDef]], name: str) -> tuple[Source, 
 
 def _constructor(cls: type, own: list[tuple[Source, ast.ClassDef]], said: Doc) -> list[str] | None:
     """The parameters of a class; None where its attributes say the same, or it is not made by its user."""
-    for made in ("__init__", "__new__"):
-        if (found := _method(own, made)) is not None:
+    every = [(made.source, made.node) for base in cls.__mro__ if (made := of_class(base)) is not None]
+    bodies = [(of, node) for of, node in every if isinstance(node, ast.ClassDef)]
+    data = any("dataclass" in _decorators(node) for _, node in own)
+    for made in () if data else ("__init__", "__new__"):
+        if (found := _method(bodies, made)) is not None:
             return parameters(*found, bound=True)
     if "Args" in said.sections:
         return [

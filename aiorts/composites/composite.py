@@ -54,6 +54,7 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     Raises:
         ConfigurationError: an argument cannot be parsed.
+        DeclarationError: a member is neither a component nor a name.
     """
 
     def __init__(
@@ -193,7 +194,8 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         With errors="stop" it is all or none: those that were activated before one that fails are deactivated again.
 
         Raises:
-            StateError: it is in no context. ComponentError: an `on_activated` raised. TransitionTimeout.
+            StateError: it is in no context.
+            ComponentError: an `on_activated` raised. TransitionTimeout.
         """
         await membership.transition(_group(self), LifeEvent.ACTIVATE, timeout)
 
@@ -237,6 +239,8 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         Raises:
             StateError: a component is unknown, in another composite, or cannot run in the context.
             WiringError: two exported ports would have one name, or a port named does not exist.
+            ConfigurationError: `order`, `exported` or `groups` cannot be parsed.
+            DeclarationError: `members` is no list of components or names.
             ComponentError: `on_startup` or `on_activated` of a new member raised; everything is as before.
             TransitionTimeout: the context did not carry it out within `timeout` seconds.
         """

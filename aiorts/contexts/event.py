@@ -59,7 +59,10 @@ class EventMember(Member):
 
 
 class EventContext(Context):
-    """Runs members that have a cause. Args: see `Context`."""
+    """Runs a member when it has a cause: new data, `trigger()`, or a failure that it has to handle.
+
+    Args: see `Context`.
+    """
 
     kind: ClassVar[str] = "event"
     _member_class = EventMember

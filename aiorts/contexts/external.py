@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 
 class ExternalContext(Context):
-    """Runs one cycle for each `tick()`. Args: see `Context`."""
+    """Runs one cycle for each `tick()`, which a program or a simulator calls.
+
+    Args: see `Context`.
+    """
 
     kind: ClassVar[str] = "external"
 

@@ -215,7 +215,8 @@ class Component(Configurable):
         """A live port made after the declaration `port`, at any time; announced on the bus.
 
         Raises:
-            InvalidNameError: the name is not allowed. WiringError: there is one of that name already.
+            InvalidNameError: the name is not allowed.
+            WiringError: there is one of that name already.
             DeclarationError: a value of the port's type cannot travel.
         """
         kernel, here = cell(self).kernel, cell(self)
@@ -344,7 +345,8 @@ def construct(cls: type[C], name: str) -> C:
     """A component of this class, which belongs to no kernel yet.
 
     Raises:
-        ComponentError: its own `__init__` raises. PluginError: it forgets `super().__init__(name)`, or takes no name.
+        ComponentError: its own `__init__` raises.
+        PluginError: it forgets `super().__init__(name)`, or takes no name.
         AiortsError: what `__init__` raises of that kind, as it is.
     """
     try:

@@ -191,7 +191,8 @@ class Configurable:
         is allowed, and reported with those near to it.
 
         Raises:
-            ConfigurationError: there is something of that name already. DeclarationError: not a Param.
+            ConfigurationError: there is something of that name already.
+            DeclarationError: not a Param.
         """
         configuration = self.configuration
         owner = configuration._component.name

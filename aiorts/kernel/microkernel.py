@@ -62,7 +62,8 @@ class Microkernel:
         services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
 
     Raises:
-        PluginError: nobody offers a service of that name. ConfigurationError: names each setting that is wrong.
+        PluginError: nobody offers a service of that name.
+        ConfigurationError: names each setting that is wrong.
     """
 
     def __init__(
@@ -154,6 +155,9 @@ class Microkernel:
         A hook gets 2 s, then it is cancelled four times at 0.5 s, then left behind and reported. A caller that is
         cancelled is cancelled when all is closed. Called by a component of this kernel it is queued and returns at
         once.
+
+        Raises:
+            ThreadError: called in another thread, or on another loop, than the kernel was opened on.
         """
         if self._loop is None:
             return
@@ -234,7 +238,7 @@ class Microkernel:
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
-        """The loop this kernel was opened on."""
+        """The loop this kernel was opened on; ClosedError before it is open."""
         if self._loop is None:
             raise ClosedError(f"{self.name}: is not open; use `async with` or await open()")
         return self._loop
@@ -263,7 +267,8 @@ class Microkernel:
         """The component or port of a path such as "pid0", "pid0.command" or, of this kernel, "kernel/pid0.command".
 
         Raises:
-            InvalidNameError: not a path. WiringError: there is no such component or port, and says what there is; or
+            InvalidNameError: not a path.
+            WiringError: there is no such component or port, and says what there is; or
                 the path is of another kernel or host.
         """
         return self.registry.find(path)
@@ -299,7 +304,9 @@ class Microkernel:
             params: values of parameters.
 
         Raises:
-            PluginError: no such type. ConfigurationError: a parameter is bad. ComponentError: its constructor raised.
+            PluginError: no such type.
+            ConfigurationError: a parameter is bad.
+            ComponentError: its constructor raised.
                 What `on_initialize` raises.
         """
         self.check_open("create")
@@ -309,7 +316,8 @@ class Microkernel:
         """Take a component in and run its `on_initialize`; returns it.
 
         Raises:
-            InvalidNameError: the name is taken. ConfigurationError: a parameter is bad. What `on_initialize` raises:
+            InvalidNameError: the name is taken.
+            ConfigurationError: a parameter is bad. What `on_initialize` raises:
                 then it is not added.
         """
         self.check_open("add")
@@ -322,14 +330,19 @@ class Microkernel:
         shares a context with it, it is queued and returns at once.
 
         Raises:
-            StateError: it is not of this kernel. TransitionTimeout: a context did not let go of it; it stays.
+            StateError: it is not of this kernel.
+            TransitionTimeout: a context did not let go of it; it stays.
         """
         self.check_mine(component, "remove")
         await self.registry.remove(component)
 
     @property
     def naming(self) -> NamePolicy:
-        """How instances without a name are named from now on; "{type}{number}" by default. May be set at any time."""
+        """How instances without a name are named from now on; "{type}{number}" by default. May be set at any time.
+
+        Raises:
+            DeclarationError: it is set to something that is no NamePolicy.
+        """
         return self._naming
 
     @naming.setter
@@ -357,7 +370,8 @@ class Microkernel:
         """The service of this kind; made and attached at the first call.
 
         Raises:
-            ClosedError: there is none yet, and the kernel is not open. ThreadError: not on the kernel's loop.
+            ClosedError: there is none yet, and the kernel is not open.
+            ThreadError: not on the kernel's loop.
         """
         found = self._services.get(kind)
         if found is None:

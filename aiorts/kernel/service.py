@@ -138,7 +138,8 @@ def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> S
     """The service that is offered as `name`, imported, with these settings.
 
     Raises:
-        PluginError: nobody offers it, or it cannot be loaded. ConfigurationError: names each setting that is wrong.
+        PluginError: nobody offers it, or it cannot be loaded.
+        ConfigurationError: names each setting that is wrong.
     """
     from aiorts.kernel.extensions.arguments import (  # late: only who names a service needs it
         settings_faults,

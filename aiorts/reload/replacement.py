@@ -183,7 +183,8 @@ class Replacement:
         """In the place of `Component.add_port`, while the component is made: the live port of the old one if it fits.
 
         Raises:
-            WiringError, DeclarationError: as `add_port`. PluginError: its record type is of the reloaded file.
+            WiringError, DeclarationError: as `add_port`.
+            PluginError: its record type is of the reloaded file.
         """
         host = cell(component)
         if self.made is None and type(component) is self.code.cls:
@@ -230,7 +231,8 @@ class Replacement:
         """The new one is in the old one's place.
 
         Raises:
-            StateError: the old one has gone. ConfigurationError: the new one refuses what was configured meanwhile.
+            StateError: the old one has gone.
+            ConfigurationError: the new one refuses what was configured meanwhile.
             WiringError: a composite cannot show its ports. Then `undo` has to follow.
         """
         old, new, kernel = self.old, self.new, self.kernel

@@ -213,7 +213,8 @@ class Required(ServiceEnd[I], Generic[I]):
         `self.camera.call_blocking(lambda camera: camera.expose(0.01))`; `ask` runs on the kernel's loop.
 
         Raises:
-            StateError: not in such a thread. ClosedError: the context stops. What the call itself raises.
+            StateError: not in such a thread.
+            ClosedError: the context stops. What the call itself raises.
         """
         from aiorts.services.service_thread import call_blocking
 

@@ -135,7 +135,8 @@ def plan(kernel: Microkernel, given: Sequence[Any], options: Mapping[str, Any]) 
     """What to connect, fully checked: for each pair of ports the path and the plan of its connector.
 
     Raises:
-        WiringError: which ports or options do not go together, and why. InterfaceMismatch: and in which method.
+        WiringError: which ports or options do not go together, and why.
+        InterfaceMismatch: and in which method.
     """
     where = " -> ".join(str(getattr(one, "path", repr(one))) for one in given)
     ends = _ends(kernel, where, given)

@@ -19,7 +19,9 @@ class EventPort(InPort[T]):
     name. Events wait in the connector's buffer, under its policies, until the machine takes them. Its default length
     is 8192; further events are counted as dropped, and logged.
 
-    Args: see `Port`. event: the event's name, where it is not the port's.
+    Args:
+        type, unit, shape, doc, name, max_connectors: see `Port`.
+        event: the event's name, where it is not the port's.
     """
 
     __slots__ = ("event",)

@@ -83,6 +83,9 @@ class MultiModeComponent(Component, kind=ModesKind()):
                 self.log.info("now %s", self.mode)
 
     A change takes place between two cycles, in each context of its own, and never waits for a tick.
+
+    Raises:
+        DeclarationError: the class names no modes, or one of them twice.
     """
 
     modes: ClassVar[tuple[str, ...]] = ()
@@ -133,8 +136,10 @@ class MultiModeComponent(Component, kind=ModesKind()):
         Nothing runs when it has the mode already, or is in no context.
 
         Raises:
-            StateError: there is no such mode, or the component is in error. ComponentError: the hook raised, and the
-                component is in error. TransitionTimeout: a context did not carry it out within `timeout` seconds.
+            StateError: there is no such mode, or the component is in error.
+            ComponentError: the hook raised, and the
+                component is in error.
+            TransitionTimeout: a context did not carry it out within `timeout` seconds.
         """
         if mode not in self.modes:
             raise StateError(f"{self.name}: no mode {mode!r}{hint(mode, self.modes)}")

@@ -124,6 +124,7 @@ class StateMachine:
 
         Raises:
             StateError: the component is not active, or 8192 events wait.
+            DeclarationError: the chart has no transition for this event.
         """
         component = self._component
         kernel = cell(component).kernel
@@ -143,6 +144,7 @@ class StateMachine:
 
         Raises:
             StateError: no action of this machine runs.
+            DeclarationError: the chart has no transition for this event.
         """
         self._check(event)
         if cell(self._component).running is None or not self._core.states:

@@ -126,7 +126,10 @@ class State:
 
 
 class Parallel(State):
-    """A state whose states, its regions, are all active at once. Args: see `State`; regions are never initial."""
+    """A state whose states, its regions, are all active at once. Regions are never initial.
+
+    Args: see `State`.
+    """
 
     __slots__ = ()
 

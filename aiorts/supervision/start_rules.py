@@ -33,7 +33,8 @@ class Condition:
         """Read "camera active"; "camera" alone means active.
 
         Raises:
-            ConfigurationError: not such a text. InvalidNameError: not a name.
+            ConfigurationError: not such a text.
+            InvalidNameError: not a name.
         """
         words = text.split() if isinstance(text, str) else []
         if len(words) not in (1, 2) or words[1:2] not in ([], *([state] for state in _STATES)):
@@ -57,7 +58,8 @@ class StartRule:
         timeout: seconds that all the conditions together may take.
 
     Raises:
-        ConfigurationError: a value is wrong; it is named. InvalidNameError: not a name.
+        ConfigurationError: a value is wrong; it is named.
+        InvalidNameError: not a name.
     """
 
     component: str

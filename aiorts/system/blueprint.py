@@ -96,7 +96,8 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     A component whose `on_activated` raises is in error, as it would be later on; the others go on.
 
     Raises:
-        AiortsError: what `prepare` raises; a port does not exist or does not fit.
+        AiortsError: what `prepare` raises.
+        WiringError: a port does not exist, or does not fit the other.
         BaseException: what `on_initialize` of a component raises, with the component's name as a note.
     """
     plan = prepare(system) if isinstance(system, SystemFile) else system

@@ -66,7 +66,8 @@ class Suite(Generic[S]):
         """Run all checks, or `only` those named, but none in `skip`.
 
         Raises:
-            ConformanceError: the first check that failed. ValueError: a name is none of a check.
+            ConformanceError: the first check that failed.
+            ValueError: a name is none of a check.
         """
         chosen, left_out = None if only is None else set(only), set(skip)
         unknown = (left_out | (chosen or set())) - self._checks.keys()

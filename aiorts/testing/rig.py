@@ -153,7 +153,7 @@ class Rig:
 
     @property
     def clock(self) -> SimulatedClock:
-        """The simulated clock of the rig."""
+        """The simulated clock of the rig; ClosedError before it was opened."""
         if self._clock is None:
             raise ClosedError("Rig: is not open; use `async with Rig(...) as rig`")
         return self._clock
@@ -206,7 +206,8 @@ class Rig:
         A sample is a value of the port's type, or its data: the record is then made with the clock's time as `tm`.
 
         Raises:
-            RecordError: a value does not fit. PortTypeError: a sample is not of the port's type or shape.
+            RecordError: a value does not fit.
+            PortTypeError: a sample is not of the port's type or shape.
         """
         target = self.port(port)
         now_ns = self.clock.time_ns()
@@ -234,7 +235,11 @@ class Rig:
         return [value_of(sample) for sample in self.received(port)]
 
     def times(self, port: str | Port[Any]) -> list[float]:
-        """When an out-port wrote each sample: seconds of virtual time since the clock's start."""
+        """When an out-port wrote each sample: seconds of virtual time since the clock's start.
+
+        Raises:
+            WiringError: it is an in-port, or an out-port that takes no further connector.
+        """
         target = self.port(port)
         if not isinstance(target, OutPort):
             raise WiringError(f"{target.path}: is an in-port; only what an out-port writes has a time")
@@ -268,12 +273,18 @@ class Rig:
         """Have `fake` answer what a component requires: an object with the methods of the interface.
 
         Raises:
-            DeclarationError: it does not have them. WiringError: nothing is required there, or it is answered already.
+            DeclarationError: it does not have them.
+            WiringError: nothing is required there, or it is answered already.
         """
         self._tools.provide(self._end(end, "required"), fake)
 
     async def call(self, end: str | ServicePort | ServiceEnd[Any], method: str, *args: Any, **kwargs: Any) -> Any:
-        """Call a method that a component provides; time passes meanwhile, 60 s at the most. Raises as any call does."""
+        """Call a method that a component provides; time passes meanwhile, 60 s at the most.
+
+        Raises:
+            WiringError: the component provides no such interface, or several.
+            ServiceError: as any call.
+        """
         answer = getattr(self._tools.ask(self._end(end, "provided")).proxy, method)(*args, **kwargs)
         return await while_time_passes(self.clock, answer) if iscoroutine(answer) else answer
 
@@ -304,7 +315,7 @@ class Rig:
         """Let `count` cycles happen, each with the time it takes; of a context without a rate, whatever has a cause.
 
         Raises:
-            What a hook raised in it, unless `strict` is False or it is expected.
+            BaseException: what a hook raised in it, unless `strict` is False or it is expected.
         """
         for _ in range(count):
             if self._rate is not None:

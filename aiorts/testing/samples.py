@@ -20,7 +20,8 @@ def sample_of(cls: type, value: Any, tm: int) -> Any:
     A mapping gives the fields by name. The data of a record is its field `data`, else its only field beside `tm`.
 
     Raises:
-        RecordTypeError: the record has several fields and `value` is no mapping. RecordError: `value` does not fit.
+        RecordTypeError: the record has several fields and `value` is no mapping.
+        RecordError: `value` does not fit.
     """
     if isinstance(value, cls) or cls in PLAIN_TYPES:
         return value

@@ -33,7 +33,7 @@ class Time:
 
     @classmethod
     def from_seconds(cls, seconds: float) -> Time:
-        """The moment so many seconds after the epoch, rounded to the nearest nanosecond."""
+        """The moment so many seconds after the epoch, rounded to the nearest nanosecond; RecordError as `from_ns`."""
         if not math.isfinite(seconds):
             raise RecordError(f"Time: expected a finite number of seconds, got {seconds}")
         whole = math.floor(seconds)

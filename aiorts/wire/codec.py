@@ -88,7 +88,11 @@ class MsgpackCodec:
         return frame
 
     def encoder(self, cls: type) -> Callable[[Any], bytes]:
-        """What `encode` is for records of exactly this class, faster: for one thread at a time."""
+        """A faster `encode` for records of exactly this class, for one thread at a time.
+
+        Raises:
+            DeclarationError: the class cannot travel. What it gives raises LimitError for a frame that is too large.
+        """
         name, form = _known.get(cls) or _know(cls)
         put, pack, unchecked = form.put, msgpack.Packer(unicode_errors="strict").pack, self._unchecked
 

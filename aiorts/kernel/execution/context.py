@@ -45,6 +45,9 @@ class Context:
             its component goes to error; one that blocks the loop goes there when it returns. The time counts whoever
             uses it up, another one that blocks the loop, too. On a simulated clock code that blocks takes no time.
         timing: take the execution time of every hook for `statistics`.
+
+    Raises:
+        ConfigurationError: the deadline is no number of seconds above 0.
     """
 
     kind: ClassVar[str] = ""

@@ -298,7 +298,8 @@ class Bus:
         counted. One that raises is counted and logged, and goes on being called.
 
         Raises:
-            DeclarationError: not a class of events, or nothing to call. ConfigurationError: the length is none.
+            DeclarationError: not a class of events, or nothing to call.
+            ConfigurationError: the length is none.
             ThreadError: not on the kernel's loop.
         """
         if not (isinstance(kind, type) and issubclass(kind, Event)):

@@ -56,7 +56,8 @@ class Connector:
 
     Attributes:
         profile: the options in force, frozen.
-        out: the out-port. in_: the in-port.
+        out: the out-port.
+        in_: the in-port.
     """
 
     __slots__ = ("_transport", "in_", "out", "profile")

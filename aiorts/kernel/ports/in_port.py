@@ -27,8 +27,10 @@ T = TypeVar("T")
 class InPort(Port[T]):
     """The reading end of a stream: one bounded queue for each connector, read in the order of arrival.
 
-    One task waits on an in-port at a time. Args: see `Port`; and
+    One task waits on an in-port at a time.
 
+    Args:
+        type, unit, shape, doc, name, max_connectors: see `Port`.
         length: where every sample is wanted, how many a connector holds unless the connection says otherwise.
     """
 
@@ -154,6 +156,7 @@ class InPort(Port[T]):
         Raises:
             ReadTimeout: no sample arrived in time.
             ClosedError: the port was removed or its context is stopping.
+            StateError: it is called on the loop, or the component is in no `ThreadContext`.
         """
         host = self._bound()
         if host.on_loop_thread():

@@ -34,6 +34,9 @@ class OutPort(Port[T]):
     Args:
         type, unit, shape, doc, name, max_connectors: see `Port`.
         stamp: "write" puts the kernel's clock into `tm` of a copy; by default `tm` is what the writer said.
+
+    Raises:
+        DeclarationError: `stamp` is neither "write" nor None.
     """
 
     __slots__ = (
@@ -93,7 +96,11 @@ class OutPort(Port[T]):
         """Shapes that a sample must have, and which port says so: this one or a reader."""
 
     def bind(self, host: PortHost, name: str) -> OutPort[T]:
-        """A live port of `host` made after this declaration."""
+        """A live port of `host` made after this declaration.
+
+        Raises:
+            DeclarationError: the type cannot travel, or has no `tm` to stamp.
+        """
         port = OutPort(
             self.type,
             unit=self.unit,
@@ -181,6 +188,9 @@ class OutPort(Port[T]):
 
         Raises:
             WriteTimeout: names the connectors that had no room in time.
+            PortTypeError: the sample is not of the port's type or shape; nothing was sent.
+            StateError: it is called on the loop, or the component is in no `ThreadContext`.
+            ClosedError: the port was removed or its context is stopping.
         """
         host = self._bound()
         if host.on_loop_thread():

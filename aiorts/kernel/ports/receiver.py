@@ -294,7 +294,9 @@ class Receiver:
         """Wait until a sample is there, or the port is removed.
 
         Raises:
-            BusyError: another task waits. ClosedError: the port was removed. WouldBlock: its thread waits for nobody.
+            BusyError: another task waits.
+            ClosedError: the port was removed.
+            WouldBlock: its thread waits for nobody.
         """
         port = self.port
         port._raise_if_over()

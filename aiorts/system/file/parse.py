@@ -87,7 +87,8 @@ def read(text: str, path: Path, overrides: Iterable[str] = ()) -> tuple[SystemFi
     """The system without what is wrong in it, and all that is wrong.
 
     Raises:
-        NotToml: it is no TOML: says line, column and reason. SystemFileError: it is too large.
+        NotToml: it is no TOML: says line, column and reason.
+        SystemFileError: it is too large.
     """
     text = text.removeprefix("\ufeff")
     reader = _Reader(text, path)

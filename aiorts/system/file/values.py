@@ -35,7 +35,7 @@ class ComponentEntry:
 
 @dataclass(frozen=True, slots=True)
 class CompositeEntry:
-    """`[composites.NAME]`: components that are one to everybody else."""
+    """`[composites.NAME]`: components that look like one to all others."""
 
     name: str
     members: tuple[str, ...]

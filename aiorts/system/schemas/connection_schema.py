@@ -101,8 +101,8 @@ def connection_schema(name: str) -> dict[str, Any]:
                 "description": "COMPONENT.PORT of the in-port, or a list of several.",
             },
             **OPTIONS,
-            **{key: {"description": "Kept and reported, as in OpenRTM's files."} for key in _KEPT},
-            **{key: {"description": "OpenRTM's name of an option."} for key in _ALIASES},
+            **{key: {"description": "Of OpenRTM's files: kept and reported, without effect."} for key in _KEPT},
+            **{key: {"description": "OpenRTM's name of an option above."} for key in _ALIASES},
         },
         # OpenRTM's keys have dots, which are tables in TOML: `buffer.length = 4`.
         "additionalProperties": {"type": "object", "minProperties": 1},

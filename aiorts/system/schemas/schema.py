@@ -68,14 +68,14 @@ def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
             "schema": {"type": "integer", "const": SCHEMA, "description": "The version of this format."},
             "plugins": _plugins(),
             "clock": _clock(),
-            "components": _named("component", "[components.NAME]: what the system is made of."),
-            "composites": _named("composite", "[composites.NAME]: components that are one to everybody else."),
+            "components": _named("component", "[components.NAME]: one component of the system."),
+            "composites": _named("composite", "[composites.NAME]: components that look like one to all others."),
             "connections": {
                 "type": "array",
-                "description": "[[connections]]: which out-port feeds which in-ports.",
+                "description": "[[connections]]: which out-port sends to which in-ports.",
                 "items": {"$ref": "#/$defs/connection"},
             },
-            "contexts": _named("context", "[contexts.NAME]: who runs when, and in which order."),
+            "contexts": _named("context", "[contexts.NAME]: when components run, and in which order."),
             **_services(catalogue),
         },
         "$defs": {
@@ -162,7 +162,7 @@ def _by_file() -> dict[str, Any]:
 
 
 def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | None) -> dict[str, Any]:
-    text = "Parameters as its command line has them."
+    text = "Options as on the component's command line."
     for option in getattr(cls, "options", ()):
         if option.param:
             text += f"\n{', '.join(option.flags)}: {option.help}"

@@ -35,10 +35,10 @@ def supervision_schema() -> dict[str, Any]:
     """`[components.X.supervision]`."""
     text = "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
     return _table(
-        "What is done when the component fails, and how long its hooks may take.",
+        "What is done when the component fails, and how long each of its hooks may take.",
         {
             "restart": {"enum": list(ACTIONS), "default": _GIVEN.restart, "description": text},
-            "backoff": {**_SECONDS, "default": _GIVEN.backoff, "description": "Seconds before the first help."},
+            "backoff": {**_SECONDS, "default": _GIVEN.backoff, "description": "Seconds before the first recovery."},
             "backoff_max": {
                 **_SECONDS,
                 "default": _GIVEN.backoff_max,
@@ -49,9 +49,13 @@ def supervision_schema() -> dict[str, Any]:
                 "minimum": 0,
                 "maximum": 1_000_000,
                 "default": _GIVEN.budget,
-                "description": "Helps within the window at the most.",
+                "description": "Recoveries within the window at the most.",
             },
-            "window": {**_SECONDS, "default": _GIVEN.window, "description": "Seconds."},
+            "window": {
+                **_SECONDS,
+                "default": _GIVEN.window,
+                "description": "Seconds over which recoveries are counted.",
+            },
             "deadline": {**_SECONDS, "description": "Seconds that each of its hooks may take."},
             "deadlines": _table(
                 "Seconds for single hooks.",
@@ -65,13 +69,17 @@ def start_schema() -> dict[str, Any]:
     """`[components.X.start]`."""
     rule = StartRule("x")
     return _table(
-        "When it is activated: once its conditions hold and its wait is over.",
+        "When the component is activated: once its conditions hold and its wait is over.",
         {
             "after": {
                 "anyOf": [_CONDITION, {"type": "array", "items": _CONDITION}],
                 "description": 'Conditions such as "camera active": another lifecycle state, or "added".',
             },
-            "wait": {**_FROM_ZERO, "default": rule.wait, "description": "Seconds between the last of them and it."},
+            "wait": {
+                **_FROM_ZERO,
+                "default": rule.wait,
+                "description": "Seconds from the last condition to the activation.",
+            },
             "timeout": {
                 **_FROM_ZERO,
                 "default": rule.timeout,
@@ -84,7 +92,7 @@ def start_schema() -> dict[str, Any]:
 def composite_schema() -> dict[str, Any]:
     """`[composites.NAME]`."""
     made = _table(
-        "[composites.NAME]: components that are one to everybody else.",
+        "[composites.NAME]: components that look like one to all others.",
         {
             "members": {
                 **_TEXTS,
@@ -107,7 +115,8 @@ def composite_schema() -> dict[str, Any]:
             "errors": {
                 "enum": [policy.value for policy in ErrorPolicy],
                 "default": "stop",
-                "description": "A member in error: stop all; report: the others go on; isolate: it is its own affair.",
+                "description": "A member in error. stop: the composite is in error, all stop; report: others go on; "
+                "isolate: the others go on, and the composite is in error once none is active.",
             },
             "own_schedule": {
                 "type": "boolean",

@@ -171,7 +171,7 @@ class Incoming(Component):
 
 
 class StandardInput(Incoming):
-    """A source that reads lines from standard input; for an event context. Args: see `Incoming`.
+    """A source that reads lines from standard input; for an event context.
 
     Args:
         optional: an input that ends without a line is none, and this source then does not finish.

@@ -89,7 +89,8 @@ async def clock_nanosleep(period_ns: int, count: int, *, priority: int | None = 
     """Wait for each deadline by `clock_nanosleep(TIMER_ABSTIME)` in a thread, under SCHED_FIFO where `priority` asks.
 
     Raises:
-        OSError: the system call failed. AttributeError: this system has no such call.
+        OSError: the system call failed.
+        AttributeError: this system has no such call.
     """
     sleep_until = _absolute_sleep()
 

@@ -143,7 +143,8 @@ def named_types(owner: str, inputs: Sequence[str], names: Sequence[str]) -> dict
     """The types of a component's in-ports by port name: the given names, else input0, input1, ...
 
     Raises:
-        ConfigurationError: there is no type, or there are too many names. WiringError: a name stands there twice.
+        ConfigurationError: there is no type, or there are too many names.
+        WiringError: a name stands there twice.
         TypedTextError: there is no such type.
     """
     if not inputs:

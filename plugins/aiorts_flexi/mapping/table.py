@@ -14,7 +14,8 @@ def map_table(inputs: Sequence[str], outputs: Sequence[str], text: str, rules: R
     """The map `text` between ports of these types, one line for each entry, without a line end.
 
     Raises:
-        TypedTextError: a port or the map is wrong, with the place. ConfigurationError: the rules are.
+        TypedTextError: a port or the map is wrong, with the place.
+        ConfigurationError: the rules are.
     """
     ins = [parse_port(spec, f"input{number}") for number, spec in enumerate(inputs)]
     outs = [parse_port(spec, f"output{number}") for number, spec in enumerate(outputs)]

@@ -79,7 +79,8 @@ class RecordingStatistics:
         dropped: by port: no room in the queue, or the recording had ended.
         refused: by port: could not be encoded.
         clamped: samples whose log time was before that of the sample before, which they got.
-        size: bytes of all files; files: their number.
+        size: bytes of all files.
+        files: the number of files.
     """
 
     offered: int = 0
