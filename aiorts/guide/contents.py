@@ -10,7 +10,7 @@ FOLDER: Final = Path(__file__).with_name("pages")
 SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "tutorial": (
         "Tutorial: an hour from the first component to a plugin",
-        ("component", "ports", "contexts", "parameters", "testing", "system", "recording", "plugin"),
+        ("component", "ports", "contexts", "parameters", "testing", "system", "recording", "plugin", "fastapi"),
     ),
     "howto": (
         "How to",

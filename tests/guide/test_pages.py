@@ -17,6 +17,8 @@ ELSEWHERE = {
     "releases": 2,
     "component": 1,
     "deploy": 1,
+    "fastapi": 2,
+    "plugin": 1,
     "recording": 1,
     "ros-bag": 1,
 }
