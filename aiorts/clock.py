@@ -58,7 +58,7 @@ def to_ns(seconds: float, what: str = "seconds") -> int:
 
 
 class Clock(ABC):
-    """What time it is for one kernel."""
+    """The time of one kernel, for periods, time-outs and stamps."""
 
     @property
     def speed(self) -> float:

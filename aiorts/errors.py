@@ -63,7 +63,7 @@ class Place(NamedTuple):
 
 
 class AiortsError(Exception):
-    """Root of everything that aiorts raises of its own accord.
+    """Base of every exception that aiorts itself raises.
 
     Attributes:
         typed: for a mistake in text that somebody typed, the text and the place; a command line quotes and marks it.
@@ -239,7 +239,7 @@ class WriteTimeout(AiortsError, TimeoutError):
 
 
 class ServiceError(AiortsError, RuntimeError):
-    """A call through a service port has no result; each way in which that happens has a class of its own."""
+    """A service call has no result; each reason has a class derived from this."""
 
     code = "E-SERVICE"
 
@@ -257,7 +257,7 @@ class ServiceTimeout(ServiceError, TimeoutError):
 
 
 class ServiceUnavailable(ServiceError):
-    """Nobody answers there: not connected, disconnected meanwhile, removed, or not active."""
+    """No provider answers: not connected, disconnected meanwhile, removed, or not active."""
 
     code = "E-SERVICE-UNAVAILABLE"
 
@@ -275,7 +275,7 @@ class InterfaceMismatch(ServiceError, WiringError, TypeError):
 
 
 def format_error(error: BaseException) -> str:
-    """`Class: text` of what foreign code raised; its `__str__` may be as bad as what raised it."""
+    """`Class: text` of an exception that foreign code raised, also where its `__str__` raises."""
     try:
         text = str.__str__(str(error))  # a text of a class of its own, too, becomes a plain one
     except BaseException:  # noqa: BLE001 - the border of an exception that is a user's own

@@ -1005,11 +1005,20 @@ def page(name: str) -> str:
     return _folded(re.sub(r"\n{3,}", "\n\n", f"{HEADS[name]}\n\n{PAGES[name]()}").rstrip()) + f"\n\n{_STALE}"
 
 
+def _literal(line: str) -> str:
+    """The line, with what Markdown would take for HTML or for bold text as code."""
+    parts = line.split("`")
+    parts[::2] = [re.sub(r"[^\s,;(]*(?:<[A-Za-z]|\w\*\*\w)[^\s,;)]*(?<!\.)", r"`\g<0>`", part) for part in parts[::2]]
+    return "`".join(parts)
+
+
 def _folded(text: str) -> str:
     """The text with lines of prose no longer than those of other pages."""
     out, fenced = [], False
     for line in text.splitlines():
         fenced ^= line.startswith("```")
+        if not fenced and not line.startswith(("#", "<!--", "```")):
+            line = _literal(line)
         if fenced or len(line) <= _PROSE or line.startswith(("#", "<!--")):
             out.append(line)
             continue

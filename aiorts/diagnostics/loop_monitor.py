@@ -64,12 +64,14 @@ class LoopStall(Event):
 
 @dataclass(frozen=True, slots=True)
 class LoopStalls:
-    """How often the loop of a kernel did not turn for 0.2 s, and for how long in nanoseconds; by `watch_loop`."""
+    """How often the event loop stood still for 0.2 s or more, and for how long; counted by `watch_loop`."""
 
     count: int = 0
     total_ns: int = 0
     max_ns: int = 0
+    """The longest stall."""
     last: Blame | None = None
+    """What held the loop last."""
 
 
 @dataclass(frozen=True, slots=True)

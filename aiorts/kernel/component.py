@@ -259,7 +259,7 @@ class Component(Configurable):
     # -- what a hook may ask for -----------------------------------------------------------------------------------
 
     def finish(self) -> None:
-        """Say that this source has nothing more: it is deactivated after this cycle."""
+        """End this source: it is deactivated after this cycle."""
         kernel, here = cell(self).kernel, cell(self)
         if kernel is not None and here.thread_id != threading.get_ident():
             kernel.check_thread(f"{self.name}.finish")

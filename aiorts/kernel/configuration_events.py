@@ -18,7 +18,7 @@ Pairs = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True, slots=True)
 class ParameterAdded(Event):
-    """A parameter is there, at its default: a component may get one at run time."""
+    """A parameter was added at run time, at its default."""
 
     component: str
     parameter: str
@@ -31,7 +31,7 @@ class ParameterAdded(Event):
 
 @dataclass(frozen=True, slots=True)
 class ParameterRemoved(Event):
-    """A parameter was taken away at run time, out of every set."""
+    """A parameter was removed at run time, from every set."""
 
     component: str
     parameter: str
@@ -51,7 +51,7 @@ class ParameterChanged(Event):
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationSetAdded(Event):
-    """There is another set."""
+    """A configuration set was added."""
 
     component: str
     set: str
@@ -60,7 +60,7 @@ class ConfigurationSetAdded(Event):
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationSetChanged(Event):
-    """A set holds other values, active or not; `old` and `new` are all that it held and holds."""
+    """Values of a configuration set were changed; `old` and `new` are all its values before and since."""
 
     component: str
     set: str
@@ -70,7 +70,7 @@ class ConfigurationSetChanged(Event):
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationSetRemoved(Event):
-    """A set is gone."""
+    """A configuration set was removed."""
 
     component: str
     set: str
@@ -79,7 +79,7 @@ class ConfigurationSetRemoved(Event):
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationSetActivated(Event):
-    """Another set is in force."""
+    """Another configuration set was activated."""
 
     component: str
     old: str

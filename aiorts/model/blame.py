@@ -28,7 +28,7 @@ _OVERLOAD_CYCLES: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """What held a context when a deadline was missed; its text is one sentence for a person."""
+    """What held up a context when a deadline was missed; `str` gives it as one sentence."""
 
     kind: str
     """"hook": one of the context's own; "loop": other code on the event loop (a hook of another context, a task that a

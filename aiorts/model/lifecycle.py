@@ -16,7 +16,7 @@ from aiorts.late import dataclass
 
 
 class LifecycleState(StrEnum):
-    """Where a component is in one execution context."""
+    """The lifecycle state of a component in one execution context."""
 
     INACTIVE = "inactive"
     ACTIVE = "active"

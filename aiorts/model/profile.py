@@ -21,26 +21,32 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class ConnectorProfile:
-    """The options that both ends of a connector agreed on."""
+    """The options in force of a connector."""
 
     name: str
     ports: tuple[str, ...] = ()
     dataflow: Dataflow = Dataflow.PUSH
+    """Whether the writer delivers (push) or the reader fetches (pull)."""
     subscription: Subscription = Subscription.FLUSH
+    """When samples are passed on."""
     push: Push = Push.ALL
+    """Which samples of a backlog are passed on."""
     push_rate: float | None = None
     """Hz; only with subscription periodic."""
     skip: int = 0
+    """With push skip: samples left out between two."""
     length: int = 8
     """Samples that the reader's buffer holds."""
     out_length: int = 8
     """Samples that the backlog of a periodic connector holds."""
     full: FullPolicy = FullPolicy.OVERWRITE
+    """What a write does when the buffer is full."""
     empty: EmptyPolicy | None = None
     """OpenRTM's empty policy where one was given: kept, and used by generic components only."""
     timeout: float | None = 1.0
     """Seconds that an awaited write waits with full = block; None waits for ever."""
     stamp: Stamp | None = None
+    """When the connector stamps samples; None leaves the writer's stamp."""
     measure: int = 0
     """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
@@ -52,13 +58,17 @@ class ConnectorStatistics:
     """The ledger of a connector at one moment: written = delivered + sum(dropped.values()) + buffered."""
 
     written: int
+    """Samples that the writer sent."""
     delivered: int
+    """Samples that the reader read."""
     buffered: int
+    """Samples that wait to be read."""
     dropped: Mapping[str, int]
+    """Samples that were lost, by reason."""
 
     @property
     def balanced(self) -> bool:
-        """Whether the ledger balances; it always does."""
+        """Whether the sum is right; it always is."""
         return self.written == self.delivered + sum(self.dropped.values()) + self.buffered
 
 
@@ -137,7 +147,9 @@ class ComponentProfile:
     type: str
     ports: tuple[PortProfile, ...]
     params: Mapping[str, Any]
+    """Values in force, by name."""
     states: Mapping[str, str]
+    """Lifecycle state by context."""
     last_error: str | None = None
     members: tuple[str, ...] = ()
     """Of a composite, in order of execution."""
@@ -148,8 +160,11 @@ class HookStatistics:
     """How often a hook ran and how long it took, in nanoseconds."""
 
     count: int
+    """Runs."""
     total_ns: int
+    """All runs together."""
     max_ns: int
+    """The longest run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +184,7 @@ class ContextStatistics:
     hooks: Mapping[str, HookStatistics] = field(default_factory=lambda: _NOTHING)
     """By "component.hook", where execution times are taken."""
     policy: str = ""
-    """What is done about missed ticks: "skip" or "catch_up"; empty for a context without a rate."""
+    """What is done about missed ticks, "skip" or "catch_up"; empty for a context without a rate."""
     missed: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
     """Overruns by who is to blame (`Blame.place`), at most 32 and "others"."""
     last_blame: Blame | None = None
@@ -183,6 +198,7 @@ class ContextProfile:
     name: str
     kind: str
     rate: float | None
+    """Hz; None for a context without a rate."""
     running: bool
     members: tuple[str, ...]
 

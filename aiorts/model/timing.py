@@ -12,7 +12,7 @@ from aiorts.late import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """So many spans of time, in nanoseconds; all zero when there is none."""
+    """Count, minimum, maximum, mean and deviation of some spans of time; all zero when there is none."""
 
     count: int = 0
     min_ns: int = 0

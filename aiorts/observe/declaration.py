@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """What a component class says of itself, for tools.
+    """What a component class declares: ports, parameters, hooks and configuration sets.
 
     ports: those of its class body; it may add others when it is created.
     hooks: those it defines, in the order of a component's life.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ContextBeat(Event):
-    """A context is there. Only sent to those who subscribe to this very class, while heart-beats are on."""
+    """A heart-beat of a context. Only sent to those who subscribe to this very class, while heart-beats are on."""
 
     quiet: ClassVar[bool] = True
     context: str
@@ -32,7 +32,7 @@ class ContextBeat(Event):
 
 @dataclass(frozen=True, slots=True)
 class ComponentBeat(Event):
-    """A component is there. Only sent to those who subscribe to this very class, while heart-beats are on."""
+    """A heart-beat of a component. Only sent to those who subscribe to this very class, while heart-beats are on."""
 
     quiet: ClassVar[bool] = True
     component: str

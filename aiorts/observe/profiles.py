@@ -26,9 +26,10 @@ _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class ParameterReport:
-    """A parameter: what is in force and what may be."""
+    """A parameter: its value, and which values are allowed."""
 
     value: Any
+    """In force."""
     default: Any
     type: str
     unit: str = ""
@@ -76,9 +77,10 @@ class ModeReport:
 
     modes: tuple[str, ...]
     mode: str
+    """In the context whose hook runs, else the one requested last."""
     by_context: Mapping[str, str]
     pending: str | None = None
-    """Asked for, and not yet in force in every context."""
+    """The mode requested last, while it is not in force in every context."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +139,9 @@ class BindingReport:
     """A required interface bound to a provided one at one moment."""
 
     required: str
+    """The path of the caller's interface."""
     provided: str
-    """Paths; of the caller's end and of the one that answers."""
+    """The path of the interface that answers."""
     interface: str
     statistics: ServiceStatistics = field(default_factory=ServiceStatistics)
     """Of the calls over this binding alone."""
@@ -177,6 +180,7 @@ class ClockReport:
     time_ns: int
     """Since the epoch."""
     monotonic_ns: int
+    """Since a fixed moment; deadlines and log lines go by it."""
     uptime_ns: int
     """Since the kernel was opened."""
     speed: float
@@ -194,10 +198,12 @@ class SystemProfile:
     """"open", "closing" or "closed"."""
     clock: ClockReport
     versions: Mapping[str, str]
+    """Of aiorts and Python, and which Python it is."""
     components: Mapping[str, ComponentReport]
     connectors: Mapping[str, ConnectorReport]
     contexts: Mapping[str, ContextReport]
     gc_pauses: Mapping[str, GcPauses] = field(default_factory=lambda: _NOTHING)
+    """Garbage collections by generation."""
     service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
     services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
     """What services attached to the kernel say of themselves, by name."""

@@ -10,7 +10,7 @@ from aiorts.late import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """Something that a component had and, with its new code, has no more."""
+    """A part of a component that its new code no longer has."""
 
     what: str
     """"port", "interface" (of a service port), "parameter" or "task"."""
@@ -41,7 +41,7 @@ class ComponentReloaded(Event):
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What came of a reload."""
+    """The result of a reload."""
 
     kind: str
     """File and class, as "pid.py:Pid"."""

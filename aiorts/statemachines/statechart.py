@@ -137,7 +137,7 @@ class Parallel(State):
 
 
 class End(State):
-    """A final state: the state around it is done, which raises the event "done.state.<name>". It has no transitions.
+    """A final state: the state around it is done, which raises the event "done.state.NAME". It has no transitions.
 
     At the top of a chart it ends the machine.
     """

@@ -33,7 +33,7 @@ def is_source(component: Component) -> bool:
 
 
 def ended_in_error(kernel: Kernel) -> dict[str, BaseException | None]:
-    """Who is in error, by name, and for what; of a composite its members. One that was not made anew is, too."""
+    """The components in error, by name, each with its exception; of a composite the members."""
     parts = [one for one in kernel.components.values() if as_group(one) is None]
     gone = [one for name, one in kernel.supervised.items() if name not in kernel.components]
     failed = {one.name: one.last_error for one in parts if LifecycleState.ERROR in one.states.values()}
@@ -41,7 +41,7 @@ def ended_in_error(kernel: Kernel) -> dict[str, BaseException | None]:
 
 
 async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
-    """Wait until every source is done, nobody is about to be helped, the queues are empty and no hook runs.
+    """Wait until every source is done, no recovery is due, the queues are empty and no hook runs.
 
     Where there is no source, every component has to be done. One with in-ports and no connection at all counts as a
     source only where there is no other. Returns the connectors with samples that their readers left alone: when nothing
@@ -56,7 +56,7 @@ async def wait_finished(kernel: Kernel) -> tuple[Connector, ...]:
 
 
 class Ending:
-    """Hears from now on who is removed and what stops, so that it is known when `wait` is called later."""
+    """Observes from now on which components are removed and what stops; `wait` uses it later."""
 
     def __init__(self, kernel: Kernel) -> None:
         self._kernel = kernel

@@ -15,7 +15,7 @@ S = TypeVar("S")
 
 
 class ConformanceError(AiortsError, AssertionError):
-    """Something does not keep a promise of its kind.
+    """What was checked does not keep a promise of its kind.
 
     Attributes:
         subject: what was checked. check: the name of the check. expected, got: in words.

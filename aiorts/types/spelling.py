@@ -30,24 +30,36 @@ class Tag(str):
 
 
 i8: TypeAlias = Annotated[int, Tag("i8")]
+"""An integer of 8 bits."""
 i16: TypeAlias = Annotated[int, Tag("i16")]
+"""An integer of 16 bits."""
 i32: TypeAlias = Annotated[int, Tag("i32")]
+"""An integer of 32 bits."""
 i64: TypeAlias = Annotated[int, Tag("i64")]
+"""An integer of 64 bits."""
 u8: TypeAlias = Annotated[int, Tag("u8")]
+"""An integer of 8 bits, 0 to 255."""
 u16: TypeAlias = Annotated[int, Tag("u16")]
+"""An integer of 16 bits without sign."""
 u32: TypeAlias = Annotated[int, Tag("u32")]
+"""An integer of 32 bits without sign."""
 u64: TypeAlias = Annotated[int, Tag("u64")]
+"""An integer of 64 bits without sign."""
 f32: TypeAlias = Annotated[float, Tag("f32")]
+"""A float of 32 bits: the nearest to what is given."""
 f64: TypeAlias = Annotated[float, Tag("f64")]
+"""A float of 64 bits."""
 char: TypeAlias = Annotated[str, Tag("char")]
+"""One character of 8 bits (Latin-1)."""
 wchar: TypeAlias = Annotated[str, Tag("wchar")]
+"""One character of Unicode."""
 wstr: TypeAlias = Annotated[str, Tag("str")]
+"""Text; the same as `str`, for records that have two kinds."""
 
 MapValue: TypeAlias = "bool | int | float | str | bytes | npt.ArrayLike | Mapping[str, MapValue]"
 
-# The default of every sequence field. Typed Any because a descriptor-typed field has no spelling for "empty" of its
-# own.
 EMPTY: Any = ()
+"""The default of a sequence field. Its type is Any: a field typed as a descriptor has no word for "empty"."""
 
 
 class Spelled(Generic[Given, Taken]):

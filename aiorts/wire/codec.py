@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 FORMAT = 1
+"""The version of the frames, which each begins with."""
 
 # A frame this short is parsed at once: all that its headers could claim together is below 4 MiB.
 _SHORT = 1024
@@ -45,7 +46,7 @@ class Codec(Protocol):
 
 
 class MsgpackCodec:
-    """The codec on the msgpack package.
+    """The codec that uses the msgpack package.
 
     Has no state beyond its limits; one may serve any number of tasks and threads.
     """

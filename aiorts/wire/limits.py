@@ -10,7 +10,7 @@ MIB = 1024 * KIB
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Upper limits of one frame, checked by the sender too: `frame` and `string` in bytes, the others in number."""
+    """Limits of one frame, checked when it is written and read: `frame` and `string` in bytes, others in number."""
 
     frame: int = 64 * MIB
     string: int = 1 * MIB
@@ -29,4 +29,6 @@ class Limits:
 
 
 DATA = Limits()
+"""The limits of samples."""
 CONTROL = Limits(frame=64 * KIB, string=64 * KIB, length=64)
+"""Smaller limits, for short messages."""

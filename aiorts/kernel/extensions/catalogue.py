@@ -39,7 +39,7 @@ def singular(kind: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Extension:
-    """One named offer of a plugin."""
+    """One thing that a plugin offers, by kind and name."""
 
     kind: str
     name: str
@@ -79,7 +79,7 @@ class Problem:
 
 
 class Catalogue:
-    """What is installed, as found at the first use.
+    """What installed packages and plugin folders offer, listed at the first use without importing it.
 
     Args:
         folders: plugins that are not installed: a folder, or one with such folders in it.

@@ -75,14 +75,14 @@ class ComponentAdded(Event):
 
 @dataclass(frozen=True, slots=True)
 class ComponentRemoved(Event):
-    """A component was finalised and is gone."""
+    """A component was finalised and removed."""
 
     component: str
 
 
 @dataclass(frozen=True, slots=True)
 class PortAdded(Event):
-    """A port is there: at creation or at run time."""
+    """A port was added, at creation or at run time."""
 
     component: str
     port: PortProfile
@@ -90,7 +90,7 @@ class PortAdded(Event):
 
 @dataclass(frozen=True, slots=True)
 class PortRemoved(Event):
-    """A port was taken away at run time; its connectors are gone."""
+    """A port was removed at run time; its connectors have ended."""
 
     component: str
     port: PortProfile
@@ -98,14 +98,14 @@ class PortRemoved(Event):
 
 @dataclass(frozen=True, slots=True)
 class Connected(Event):
-    """A connector exists."""
+    """A connector was made."""
 
     connector: ConnectorProfile | ServiceConnectorProfile
 
 
 @dataclass(frozen=True, slots=True)
 class Disconnected(Event):
-    """A connector is gone."""
+    """A connector has ended."""
 
     connector: ConnectorProfile | ServiceConnectorProfile
 
@@ -230,8 +230,9 @@ class ServiceCalled(Event):
     quiet: ClassVar[bool] = True
 
     caller: str
-    """The required interface, as a path; so is the provided one."""
+    """The path of the required interface."""
     provider: str
+    """The path of the provided interface."""
     method: str
     elapsed_ns: int
     """From asking to the answer."""
@@ -257,7 +258,7 @@ _HOOKS = (HookBefore, HookAfter)
 
 
 class Bus:
-    """Who wants to hear of what."""
+    """Publishes events to those who subscribed to their class."""
 
     def __init__(
         self, wanted_changed: Callable[[], None] = lambda: None, check_thread: Callable[[str], None] = lambda what: None
@@ -280,7 +281,7 @@ class Bus:
 
     @property
     def observers(self) -> tuple[ObserverStatistics, ...]:
-        """Who listens, and what came of it."""
+        """The subscriptions, each with its counts."""
         return tuple(observer.statistics for observer in self._observers)
 
     def subscribe(
@@ -322,7 +323,7 @@ class Bus:
         return unsubscribe
 
     def publish(self, event: Event, listeners: tuple[Observer, ...] = ()) -> None:
-        """Tell everybody who wants to know, and these listeners."""
+        """Publish an event to its subscribers and to these listeners."""
         self.sequence = sequence = self.sequence + 1
         object.__setattr__(event, "sequence", sequence)
         observers = (*listeners, *self._observers) if listeners else self._observers

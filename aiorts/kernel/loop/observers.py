@@ -27,10 +27,12 @@ _GRACE: Final = 0.02
 
 @dataclass(frozen=True, slots=True)
 class ObserverStatistics:
-    """What came of one subscription."""
+    """The counts of one subscription to the bus."""
 
     name: str
+    """Of the observer's function."""
     kind: str
+    """The class of events."""
     calls: int = 0
     errors: int = 0
     """Calls that raised."""
@@ -39,6 +41,7 @@ class ObserverStatistics:
     max_ns: int = 0
     """The longest call; of an asynchronous observer only what the kernel spent on it."""
     waiting: int = 0
+    """Events that an asynchronous observer has not had yet."""
     dropped: int = 0
     """Events that an asynchronous observer was too slow for."""
 

@@ -28,7 +28,7 @@ _NUMBERED = re.compile(r"(in|out)put(\d+)")
 
 
 def check(path: str | Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()) -> tuple[Finding, ...]:
-    """What is to be said of the system file at `path`, in the order of its lines; empty when there is nothing.
+    """The findings about the system file at `path`, in the order of its lines; empty when there are none.
 
     Args:
         overrides: parameters as "component.param=value", which win over those of the file.
@@ -45,7 +45,7 @@ def check(path: str | Path, overrides: Iterable[str] = (), plugins: Iterable[Pat
 def check_text(
     text: str, path: Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()
 ) -> tuple[Finding, ...]:
-    """The same of a text that an editor has; `path` is where it would stand."""
+    """`check` of a text, such as an editor has; `path` is where it would be saved."""
     try:
         system, mistakes = read(text, path, overrides)
     except SystemFileError as error:

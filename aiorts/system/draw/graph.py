@@ -11,6 +11,7 @@ from aiorts.system.draw.svg import svg
 from aiorts.system.file.values import SystemFile
 
 GRAPH_FORMATS: Final = ("mermaid", "dot", "svg")
+"""The languages that `graph` draws in."""
 
 
 def graph(system: SystemFile, language: str = "mermaid", catalogue: Catalogue | None = None) -> str:

@@ -58,7 +58,7 @@ def flag_of(cls: type[Any], param: str) -> str:
 
 
 def option_params(table: Iterable[Any], given: Mapping[int, Any]) -> dict[str, Any]:
-    """The parameters that options set, of their values by their place in the table; what was not given is left out."""
+    """The parameters that options set, from their values by place in the table; options not given are left out."""
     params: dict[str, Any] = {}
     for number, option in enumerate(table):
         value = given.get(number)

@@ -17,7 +17,7 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class ComponentEntry:
-    """`[components.NAME]`: what it is made of."""
+    """`[components.NAME]`: type, parameters and supervision of a component."""
 
     name: str
     type: str
@@ -73,7 +73,7 @@ class ConnectionEntry:
 
 @dataclass(frozen=True, slots=True)
 class ContextEntry:
-    """`[contexts.NAME]`: who runs in it, in which order."""
+    """`[contexts.NAME]`: kind, members in order, and options of a context."""
 
     name: str
     kind: str
