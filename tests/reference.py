@@ -25,7 +25,7 @@ ROOT: Final = Path(__file__).parents[1]
 FOLDER: Final = ROOT / "aiorts" / "guide" / "pages" / "reference"
 _WIDTH: Final = 74
 _PROSE: Final = 120
-_SPECIAL: Final = re.compile(r" *(?:[-*+|#>]|\d+[.)] )")
+_SPECIAL: Final = re.compile(r" *(?:[-*+] |[|#>]|\d+[.)] )")
 """What a line of prose may not begin with: Markdown takes it for something else."""
 _STALE: Final = "<!-- Written by tests/reference.py from the code: correct the docstrings and help texts there. -->\n"
 _SECTION: Final = re.compile(r"^(Args|Attributes|Raises|Returns|Yields):$")
@@ -642,7 +642,7 @@ def _key(name: str, value: Mapping[str, Any], *, required: bool) -> str:
 
 def _ticked(text: str) -> str:
     """The text with names of tables as code, which Markdown would take for links."""
-    return re.sub(r"(?<!`)(\[\[?[a-z_]+(?:\.[A-Za-z_]+)*\]?\])(?!`)", r"`\1`", text)
+    return re.sub(r"(?<![`\w])(\[\[?[a-z_]+(?:\.[A-Za-z_]+)*\]?\])(?!`)", r"`\1`", text)
 
 
 def _toml(value: Any) -> str:
@@ -748,10 +748,16 @@ def _option(option: click.Option) -> str:
     if not option.is_flag and not option.count:
         value = "|".join(map(str, kind.choices)) if isinstance(kind, click.Choice) else kind.name.split(" ")[0].upper()
         value = f" {option.metavar or value}"
-    text = _ticked(_line(option.help or "")).rstrip(".")
-    more = "; ".join(fact for fact in _facts(option) if fact.removesuffix("able") not in text.lower())
-    parts = [f"{text}." if text else "", f"{more[:1].upper()}{more[1:]}." if more else ""]
+    text = re.sub(r"(?<!\.)\.$", "", _ticked(_line(option.help or "")))
+    more = "; ".join(
+        fact for fact in _facts(option) if fact not in text and not (fact == "repeatable" and _TOLD.search(text))
+    )
+    parts = [text if not text or text.endswith(".") else f"{text}.", f"{more[:1].upper()}{more[1:]}." if more else ""]
     return item(f"{names}{value}", " ".join(filter(None, parts))) + "\n"
+
+
+_TOLD: Final = re.compile(r"repeat|more than once")
+"""Words of a help text that says that an option may be repeated."""
 
 
 def _facts(option: click.Option) -> Iterator[str]:

@@ -31,7 +31,7 @@ def _common(found: Bench) -> list[click.Parameter]:
         [click.Option(["--loop"], type=click.Choice(_LOOPS), help="Event loops. Default both.")] if found.loops else []
     )
     return [
-        click.Option(["--quick"], is_flag=True, help="Below 30 seconds."),
+        click.Option(["--quick"], is_flag=True, help="Do less: below 30 seconds."),
         click.Option(["--json", "as_json"], is_flag=True, help="One JSON document."),
         click.Option(["--markdown", "as_markdown"], is_flag=True, help="The table as markdown."),
         click.Option(["--plot"], type=_OUT, help="Draw it into FILE.html, which loads nothing, or FILE.png."),
@@ -42,8 +42,14 @@ def _common(found: Bench) -> list[click.Parameter]:
         ),
         click.Option(["--fail-on-change"], is_flag=True, help="Exit status 1 when --compare finds a change."),
         *loop,
-        click.Option(["--rounds"], type=click.IntRange(min=1, max=100_000), help="Medians are taken over them."),
-        click.Option(["--scale"], type=click.FloatRange(0, 1e6, min_open=True), help="Times the work of --quick."),
+        click.Option(
+            ["--rounds"], type=click.IntRange(min=1, max=100_000), help="Rounds that the medians are taken over."
+        ),
+        click.Option(
+            ["--scale"],
+            type=click.FloatRange(0, 1e6, min_open=True),
+            help="The work, as a multiple of that of --quick.",
+        ),
         click.Option(["--peers/--no-peers"], default=True, help="Measure other libraries that are installed, too."),
         click.Option(["-o", "--output"], type=_OUT, help="Write there instead of to standard output."),
     ]

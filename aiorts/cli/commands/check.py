@@ -23,7 +23,9 @@ _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
 
 @click.command("check", short_help="Check system files without running them.")
 @click.argument("files", metavar="SYSTEM.toml...", nargs=-1, required=True, type=click.Path())
-@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Check with this parameter.")
+@click.option(
+    "--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the checked system."
+)
 @click.option(
     "--format",
     "layout",

@@ -27,9 +27,18 @@ _ENDINGS: Final = {
 
 @click.command("graph", short_help="Draw a system file.")
 @click.argument("file", metavar="SYSTEM.toml", type=click.Path(dir_okay=False))
-@click.option("--format", "language", type=click.Choice(GRAPH_FORMATS), help="Default: what -o ends in, else mermaid.")
-@click.option("-o", "--output", metavar="FILE", type=click.Path(), help="Write it there and not to standard output.")
-@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Draw it with this parameter.")
+@click.option(
+    "--format",
+    "language",
+    type=click.Choice(GRAPH_FORMATS),
+    help="The language; by default what FILE of -o ends in, else mermaid.",
+)
+@click.option(
+    "-o", "--output", metavar="FILE", type=click.Path(), help="Write the drawing there, not to standard output."
+)
+@click.option(
+    "--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the drawn system."
+)
 @plugins_option
 def graph_command(
     file: str, language: str | None, output: str | None, changes: tuple[str, ...], plugins: tuple[Path, ...]

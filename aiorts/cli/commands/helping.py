@@ -41,7 +41,12 @@ def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list
 )
 @click.option("--serve", is_flag=True, help="Show the guide in a browser, on this machine alone.")
 @click.option(
-    "--port", metavar="N", type=click.IntRange(0, 65535), default=8765, show_default=True, help="For --serve."
+    "--port",
+    metavar="N",
+    type=click.IntRange(0, 65535),
+    default=8765,
+    show_default=True,
+    help="The port that --serve listens on.",
 )
 @click.pass_context
 def help_(

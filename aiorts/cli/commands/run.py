@@ -27,9 +27,9 @@ from aiorts.errors import AiortsError, ComponentError
 @click.option("--for", "duration", type=float, metavar="S", help="End after S seconds of the system's time.")
 @click.option("--duration", "duration_once", type=float, hidden=True)
 @click.option(
-    "--rate", type=float, metavar="HZ", help=f"Of a component alone; {DEFAULT_RATE:g} when it has no in-port."
+    "--rate", type=float, metavar="HZ", help=f"Rate of a component alone; {DEFAULT_RATE:g} when it has no in-port."
 )
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="Of a component alone: end after N samples.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End a component alone after N samples.")
 @click.option("--speed", type=float, metavar="X", help="Run X times as fast as real time.")
 @click.option("--simulate", is_flag=True, help="Run in virtual time: exact, and as fast as possible.")
 @click.option("--lenient", is_flag=True, help="A component that ended in error makes the exit status no worse.")
@@ -42,13 +42,17 @@ from aiorts.errors import AiortsError, ComponentError
     help="A folder with plugins that are not installed; repeatable.",
 )
 @click.option("--loop", type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop.")
-@click.option("--log-level", default="", metavar="LEVELS", help="Such as warning,pid0=debug.")
+@click.option("--log-level", default="", metavar="LEVELS", help="Levels of the log, such as warning,pid0=debug.")
 @click.option("--log-file", type=Path, metavar="PATH", help="Append the log to a file.")
 @click.option("--log-format", type=click.Choice(["text", "json"]), default="text", help="json: an object in a line.")
 @click.option("-q", "--quiet", is_flag=True, help="Do not print the samples of a component alone.")
 @click.option("--no-status", is_flag=True, help="No status line on the terminal.")
 @click.option("-v", "--verbose", is_flag=True, help="Short for --log-level info.")
-@click.option("--debug", is_flag=True, help="Tracebacks, a debugger where a component failed; checks ports: slow.")
+@click.option(
+    "--debug",
+    is_flag=True,
+    help="Show tracebacks, open a debugger where a component failed, check every port call (slow).",
+)
 def run(
     target: str,
     changes: tuple[str, ...],

@@ -25,7 +25,7 @@ CODES: Final[dict[str, Code]] = {
         "Let CancelledError pass in the hook it names; blocking code belongs in a ThreadContext.",
     ),
     "E-AIORTS": Code(
-        "Something that aiorts refuses and that has no code of its own.",
+        "An error of aiorts that has no code of its own.",
         "An extension raises AiortsError itself.",
         "Read the line; the author of the extension should give its errors a code.",
     ),
@@ -37,7 +37,7 @@ CODES: Final[dict[str, Code]] = {
     "E-BUSY": Code(
         "Two tasks use what only one can use at a time.",
         "Two tasks read the same in-port, or a system is run twice at once.",
-        "Let one task read and pass the samples on.",
+        "Let one task read the port and pass the samples on.",
     ),
     "E-CLOSED": Code(
         "The kernel, connector or port was closed, or never bound.",
@@ -67,11 +67,11 @@ CODES: Final[dict[str, Code]] = {
     "E-CONVERT": Code(
         "A value cannot be converted without changing it silently.",
         "A number out of range of the target, text that is no number.",
-        "Scale it, or choose what happens: --overflow saturate, --round floor, --nan 0.",
+        "Scale the value, or choose what happens: --overflow saturate, --round floor, --nan 0.",
     ),
     "E-DAMAGED": Code(
         "Bytes of a recording are not those that were written; nothing behind the place is read.",
-        "The disk, a copy or a power failure lost something; the line names the byte.",
+        "A fault of the disk, an incomplete copy or a power failure; the line names the byte.",
         "aiorts log salvage FILE NEW copies everything that is whole, and reports what is lost.",
     ),
     "E-DECLARE": Code(
@@ -80,8 +80,8 @@ CODES: Final[dict[str, Code]] = {
         "Correct the class and attribute that the line names.",
     ),
     "E-EXTRA": Code(
-        "Something optional is needed that is not installed.",
-        "A plot or a comparison needs a package that aiorts does without.",
+        "A package that is needed for this is not installed.",
+        "A plot or a comparison needs a package that is no dependency of aiorts.",
         "Run the pip command of the line.",
     ),
     "E-FDS": Code(
@@ -120,7 +120,7 @@ CODES: Final[dict[str, Code]] = {
         "Use letters, digits, '_' and '-'; a port is COMPONENT.PORT.",
     ),
     "E-OUTPUT": Code(
-        "Standard output took nothing any more; its last lines are lost.",
+        "Standard output could not be written; its last lines are lost.",
         "The disk is full, or the stream was closed.",
         "Make room and run again.",
     ),
@@ -176,7 +176,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-STATE": Code(
         "The request does not fit the state of a component, context or kernel.",
-        "Something is used before it is added, or after it is closed.",
+        "A component, context or kernel is used before it is added, or after it is closed.",
         "The line names both: bring it into the state it needs first.",
     ),
     "E-STOP": Code(
@@ -186,7 +186,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-SYSTEM": Code(
         "A system file is wrong.",
-        "No valid TOML, an unknown key, a name that refers to nothing.",
+        "It is not valid TOML, has an unknown key, or a name that refers to nothing.",
         "Correct the place the line names; it suggests what may have been meant.",
     ),
     "E-THREAD": Code(
@@ -226,7 +226,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-WIRE": Code(
         "Bytes are not a valid frame.",
-        "The sender is no aiorts, or of another version.",
+        "The sender is not aiorts, or is another version of it.",
         "Look at the sender.",
     ),
     "E-WRITE-TIMEOUT": Code(
@@ -242,7 +242,7 @@ CODES: Final[dict[str, Code]] = {
     "N-OPEN": Code(
         "A port has no connection: a note of aiorts check.",
         "Nothing in the system file names it.",
-        "Connect it, or leave it so.",
+        "Connect it, or ignore the note.",
     ),
     "N-PORTS": Code(
         "The ports of a component are known only when it runs: a note of aiorts check.",
@@ -255,13 +255,13 @@ CODES: Final[dict[str, Code]] = {
         "Make the buffer longer, set a timeout, or put the reader into another context.",
     ),
     "W-DROPPED": Code(
-        "A connection was to deliver every sample and did not, or as aiorts check sees, cannot.",
-        "The reader takes the newest alone (.latest), or is slower than the writer.",
+        "A connection that should deliver every sample did not, or, as aiorts check finds, cannot.",
+        "The reader takes only the newest (.latest), or is slower than the writer.",
         f"{SLOW_READER.capitalize()}.",
     ),
     "W-EMPTY": Code(
         "The system file has no components: there is nothing to run.",
-        "It was only begun, or the tables have other names.",
+        "The file is unfinished, or its tables have other names.",
         "Write [components.NAME] with a type.",
     ),
     "W-EXPORT": Code(
@@ -270,8 +270,8 @@ CODES: Final[dict[str, Code]] = {
         "Correct the pattern, or remove it.",
     ),
     "W-LOOP": Code(
-        "A cycle of components that all run on events keeps itself busy.",
-        "Each writes whenever it reads, and no context of the cycle has a rate.",
+        "Components that all run on events feed each other in a circle and never rest.",
+        "Each writes whenever it reads, and no context of the circle has a rate.",
         "Put one of them into a periodic context, which paces the rest.",
     ),
     "W-UNFED": Code(
@@ -281,7 +281,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-OPTION": Code(
         "A connection has an option that does nothing.",
-        "It is written wrongly, belongs to another middleware, or another option leaves it nothing to choose.",
+        "It is misspelt, belongs to another middleware, or another option makes it meaningless.",
         "Write it as the message shows, or remove it.",
     ),
     "W-START": Code(
@@ -296,7 +296,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-TURNED": Code(
         "A connection of a system file names the in-port first.",
-        "from and to were exchanged.",
+        "The values of from and to were exchanged.",
         "Write the out-port under from.",
     ),
     "W-UNUSED": Code(

@@ -48,7 +48,7 @@ for _command in (info, cat, convert, cut, merge, diff, plot, import_command, exp
             ["--type-mod"],
             multiple=True,
             metavar="MODULE",
-            help="Import MODULE or FILE.py, which defines types; those that plugins offer are found without.",
+            help="Import MODULE or FILE.py, which defines types; types that plugins offer need no import.",
             expose_value=False,
             callback=_import,
         )

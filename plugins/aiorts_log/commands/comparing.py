@@ -33,10 +33,12 @@ _KEPT: Final = 3
     help="What makes two samples partners: their log times (default), their own stamps, whatever their log times are, "
     "or their number within the port.",
 )
-@click.option("--time-tolerance", metavar="TIME", help="That times may differ by: 5ms, 20us, 0.01 (s).")
+@click.option("--time-tolerance", metavar="TIME", help="Time by which times may differ: 5ms, 20us, 0.01 (s).")
 @click.option("--from-start", is_flag=True, help="Take times from the first sample of each recording.")
-@click.option("--abs", "absolute", type=Finite(), default=0.0, help="That numbers may differ by.")
-@click.option("--rel", "relative", type=Finite(), default=0.0, help="The same, as a part of the larger.")
+@click.option("--abs", "absolute", type=Finite(), default=0.0, help="Amount by which numbers may differ.")
+@click.option(
+    "--rel", "relative", type=Finite(), default=0.0, help="Part of the larger number by which numbers may differ."
+)
 @click.option(
     "--ignore",
     multiple=True,

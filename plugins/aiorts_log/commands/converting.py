@@ -42,7 +42,9 @@ _OVERWRITE: Final = click.option("--overwrite", is_flag=True, help="Replace the 
 @click.option("--map", "columns", multiple=True, metavar="COLUMN=FIELD", help="Table read: x=data.x, 4=gyro.data[0].")
 @click.option("--set", "values", multiple=True, metavar="FIELD=VALUE", help="Table read: a field without a column.")
 @click.option("--time", default=LOG_TIME, show_default=True, metavar="COLUMN", help="Table: the column of log times.")
-@click.option("--time-unit", type=click.Choice(_UNITS), default="ns", show_default=True, help="Of its numbers.")
+@click.option(
+    "--time-unit", type=click.Choice(_UNITS), default="ns", show_default=True, help="Table: unit of the log times."
+)
 @click.option("--time-offset", default="0", metavar="SECONDS", help="Table read: to add to its times.")
 @click.option("--delimiter", default=",", show_default=True, metavar="CHAR", help="Table: between cells; tab, too.")
 @click.option("--no-header", is_flag=True, help="Table: no row of names; columns are 0, 1, 2, ...")
@@ -115,8 +117,8 @@ def convert(
 @click.command(cls=WritingCommand, short_help="Write a part of a recording.")
 @click.argument("source", type=FILE)
 @click.argument("target", type=FILE)
-@click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
-@click.option("--end", metavar="TIME", help="Up to there, without it; as --start.")
+@click.option("--start", metavar="TIME", help="Begin there: +SECONDS after the first sample, or seconds since 1970.")
+@click.option("--end", metavar="TIME", help="End before that time, given as for --start.")
 @click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; may be given more than once.")
 @_OVERWRITE
 @UNLIMITED

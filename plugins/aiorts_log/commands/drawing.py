@@ -23,9 +23,9 @@ from aiorts_log.whole import whole_file
 @click.argument("fields", nargs=-1, metavar="[PORT.FIELD]...")
 @click.option("-o", "--output", type=FILE, required=True, metavar="FILE", help="The picture: FILE.png or FILE.svg.")
 @click.option("--xy", nargs=2, metavar="X Y", help="Draw Y over X as a path, in equal axes.")
-@click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
-@click.option("--end", metavar="TIME", help="Up to there, without it; as --start.")
-@click.option("--title", default="", metavar="TEXT", help="Above it; the name of the recording when not given.")
+@click.option("--start", metavar="TIME", help="Begin there: +SECONDS after the first sample, or seconds since 1970.")
+@click.option("--end", metavar="TIME", help="End before that time, given as for --start.")
+@click.option("--title", default="", metavar="TEXT", help="Title of the picture; by default the name of the recording.")
 @click.option("--size", type=Finite(1.0, 60.0), default=8.0, show_default=True, help="Width in inches.")
 @click.option("--overwrite", is_flag=True, help="Replace the picture when it is there.")
 @UNLIMITED

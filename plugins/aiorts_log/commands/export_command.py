@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("source", type=FILE, metavar="FILE")
 @click.option("-o", "--output", "target", type=FILE, required=True, metavar="FOLDER", help="The bag: a new folder.")
 @click.option(
-    "--to", "system", type=click.Choice(["ros2"]), default="ros2", show_default=True, help="For which system."
+    "--to", "system", type=click.Choice(["ros2"]), default="ros2", show_default=True, help="The system to export for."
 )
 @click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; may be given more than once.")
 @click.option("--skip-others", is_flag=True, help="Leave out ports that the other system has no messages for.")

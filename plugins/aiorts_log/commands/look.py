@@ -61,8 +61,8 @@ def info(file: Path, check: bool, as_json: bool, limits: Limits) -> int:
 @click.command(short_help="Print samples as JSON lines.")
 @click.argument("file", type=FILE)
 @click.option("--port", "ports", multiple=True, metavar="NAME", help="Only this port; may be given more than once.")
-@click.option("--start", metavar="TIME", help="From there: +SECONDS after the first sample, or seconds since 1970.")
-@click.option("--end", metavar="TIME", help="Up to there, without it; as --start.")
+@click.option("--start", metavar="TIME", help="Begin there: +SECONDS after the first sample, or seconds since 1970.")
+@click.option("--end", metavar="TIME", help="End before that time, given as for --start.")
 @click.option("--log-time", is_flag=True, help='Add "log_time", when it was recorded, in ns.')
 @UNLIMITED
 def cat(file: Path, ports: tuple[str, ...], start: str | None, end: str | None, log_time: bool, limits: Limits) -> int:

@@ -22,7 +22,7 @@ UNLIMITED: Final = click.option(
     "limits",
     is_flag=True,
     callback=lambda _context, _option, given: Limits.unlimited() if given else Limits(),
-    help="Read it although it is small and holds very much.",
+    help="Read a small file that holds very much, too.",
 )
 """The option whose value is the `limits` for `open_recording`."""
 
