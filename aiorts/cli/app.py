@@ -150,7 +150,8 @@ def _offered(kind: str) -> dict[str, tuple[Extension, ...]]:
 def aiorts(debug: bool) -> None:
     """RT-Middleware for Python: robot software as components on an asyncio microkernel.
 
-    New here? `aiorts demo` shows a small system and saves it for you to change.
+    New here? `aiorts demo` shows a small system and saves it for you to change; `aiorts help tutorial` lists the steps
+    of the tutorial.
 
     Every installed component is a command as well, in lower case: a Unix filter for JSON lines, as in
 

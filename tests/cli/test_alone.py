@@ -64,6 +64,12 @@ class Burst(Component):
         for number in range(1500):
             self.out.write_nowait(TimedLong(0, number))
 
+class Crossed(Counter):
+    first = Param(1)
+    def check_configuration(self, values):
+        if values["first"] > values["last"]:
+            raise ValueError("first is above last")
+
 class BadRate(Counter):
     alone = {"rate": -1.0}
 
@@ -157,10 +163,19 @@ def test_run_ends_after_a_count_of_samples(
     assert data(done.stdout) == printed
 
 
+def test_what_refuses_its_parameters_is_named_once(folder: Path) -> None:
+    done = here(folder, "run", "parts.py:Crossed", "--set", "first=4")
+    assert done.returncode == 2
+    assert "E-CONFIG: crossed: check_configuration: first is above last" in done.stderr
+
+
 def test_a_count_of_nothing_is_refused(folder: Path) -> None:
     done = here(folder, "run", "parts.py:Counter", "--quiet", "--count", "2")
     assert (done.returncode, done.stdout) == (2, "")
     assert "--count: no samples are printed and none are read" in done.stderr
+    done = here(folder, "run", "parts.py:Echo", "--simulate", "--rate", "500", "--count", "2")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--count: echo has in-ports, and standard input is not read" in done.stderr
     (folder / "system.toml").write_text('schema = 1\ncomponents.a.type = "parts.py:Counter"\n')
     done = here(folder, "run", "system.toml", "--count", "2")
     assert done.returncode == 2

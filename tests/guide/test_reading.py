@@ -41,6 +41,13 @@ def test_the_list_names_every_page_with_its_title(capsys: pytest.CaptureFixture[
         assert re.search(rf"^  {page.name} +{re.escape(page.title)}$", out, re.MULTILINE), page.name
 
 
+def test_a_section_shows_its_pages_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "help", "Tutorial")
+    assert status == 0
+    assert "  component   Step 1: a component\n" in out
+    assert "architecture" not in out
+
+
 def test_a_search_names_the_page_first_that_the_question_is_about(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "help", "--search", "record types of my own")
     assert status == 0

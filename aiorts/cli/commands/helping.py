@@ -22,14 +22,14 @@ _LONGEST_LINE: Final = 90
 
 def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     from aiorts.cli.console.completion import items
-    from aiorts.guide import pages
+    from aiorts.guide import SECTIONS, pages
 
     words = ctx.params.get("topic") or ()
     if tuple(words[:1]) == ("errors",):
         return items(CODES, incomplete)
     group = ctx.find_root().command
     names = group.list_commands(ctx) if isinstance(group, click.Group) else []
-    return items((*names, "errors", *(page.name for page in pages())), incomplete)
+    return items((*names, "errors", *SECTIONS, *(page.name for page in pages())), incomplete)
 
 
 @click.command("help", short_help="Help for a command, an error code or a topic; the guide.")
@@ -63,6 +63,7 @@ def help_(
     \b
     aiorts help run
     aiorts help errors E-LINE
+    aiorts help tutorial
     aiorts help policies
     aiorts help --search "slow consumer"
     """
@@ -99,13 +100,16 @@ def help_(
 
 
 def _show(ctx: click.Context, name: str) -> int:
-    """Print the page of this name.
+    """Print the page of this name, or the contents of a section.
 
     Raises:
         UsageError: there is none.
     """
-    from aiorts.guide import page, pages, rendered
+    from aiorts.guide import SECTIONS, page, pages, rendered
 
+    if name.lower() in SECTIONS:
+        say(_contents(name.lower()))
+        return exits.DONE
     found = page(name)
     if found is None:
         root = ctx.find_root().command
@@ -118,11 +122,12 @@ def _show(ctx: click.Context, name: str) -> int:
     return exits.DONE
 
 
-def _contents() -> str:
+def _contents(*only: str) -> str:
     from aiorts.guide import SECTIONS, pages
 
     parts = []
-    for section, (title, _) in SECTIONS.items():
+    for section in only or SECTIONS:
+        title, _ = SECTIONS[section]
         rows = [(page.name, page.title) for page in pages() if page.section == section]
         parts.append(f"{title}\n{table(rows)}")
     return "\n\n".join(

@@ -28,7 +28,7 @@ from aiorts.cli.runtime.alone import (
     takes_data,
 )
 from aiorts.cli.runtime.ends import Ends
-from aiorts.errors import ComponentError, ConfigurationError, SystemFileError
+from aiorts.errors import AiortsError, ComponentError, ConfigurationError, SystemFileError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.extensions.type_names import shown as in_quotes
@@ -231,9 +231,12 @@ def _alone(
     fed = fed and takes_data(draft)
     shown = shown and bool(sends) and (fed or not takes_data(draft))
     if count is not None and not (shown or fed):
-        raise ConfigurationError(
-            "--count: no samples are printed and none are read, so that none are counted; use --for"
-        )
+        if takes_data(draft):
+            raise ConfigurationError(
+                f"--count: {name} has in-ports, and standard input is not read (a terminal, /dev/null, or --simulate), "
+                "so that no samples are counted; pipe samples into it, or use --for"
+            )
+        raise ConfigurationError("--count: no samples are printed and none are read; use --for")
     ends = Ends(None) if fed else None
     check_rate(rate)
     plans = [plan_service(catalogue, *one) for one in _settings((name,), {}, services).items()]
@@ -244,7 +247,8 @@ def _alone(
         try:
             component = await kernel.create(cls, name, **params)
         except BaseException as error:
-            error.add_note(name)
+            if not (isinstance(error, AiortsError) and str(error).startswith(f"{name}:")):
+                error.add_note(name)
             raise
         for service in kernel.services:
             service.starting()
