@@ -38,13 +38,13 @@ class Kernel(Microkernel):
         debug: check the thread of every port call, copy every sample: slow; finds writers that change what they wrote.
         contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further (`aiorts
             run` takes SIGINT itself). By default it is passed on after the component went to error.
-        initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None is for ever (`aiorts
+        initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None waits forever (`aiorts
             run`: 30). One over it is cancelled, or refused when it returns if it blocks, and its component not added.
         plugins: where types asked for by name come from; installed packages by default.
         services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
 
     Raises:
-        PluginError: nobody offers a service of that name.
+        PluginError: no plugin offers a service of that name.
         ConfigurationError: names each setting that is wrong.
     """
 
@@ -188,10 +188,11 @@ class Kernel(Microkernel):
     def listen(
         self, connector: Connector, listener: Callable[[ConnectorEvent], object], *kinds: str
     ) -> Callable[[], None]:
-        """Tell `listener` what becomes of the samples of a connector, until the returned function is called.
+        """Call `listener` for each event of a connector's samples, until the returned function is called.
 
-        It is told on the loop, soon after, in order. One that raises is counted and harms nobody. A connector that is
-        listened to is slower; all others are not. For all connectors: `bus.subscribe(ConnectorEvent, listener)`.
+        The calls come on the loop, soon after the event, in order. An exception of a listener is counted and affects
+        nothing else. A connector with a listener is slower; all others are not. For all
+        connectors: `bus.subscribe(ConnectorEvent, listener)`.
 
         Args:
             kinds: of `ConnectorEventKind`; all by default.
@@ -245,7 +246,7 @@ class Kernel(Microkernel):
         Each instance gets a new one in its place, between two cycles, all of a context at once: same name, place in the
         order and lifecycle state, parameters in force and sets, and the connectors and unread samples of the ports
         that its code still has. `on_initialize` of the new one runs before, beside the old one; then its `on_reload`,
-        which is told the old one; no other transition hook runs. Tasks of the old one are cancelled (beside
+        which gets the old one; no other transition hook runs. Tasks of the old one are cancelled (beside
         the new one's they would take each other's samples), and its `on_finalize` runs at the end: what `on_reload`
         takes over for good it takes away from the old one. It returns
         when the new code has done its first cycles without a failure; whatever fails before that has everything taken
@@ -262,7 +263,7 @@ class Kernel(Microkernel):
             cycles: the new code has proved itself after so many cycles of each context, 0 at once,
             seconds: or after so many seconds of the kernel's clock.
             timeout: seconds of the kernel's clock in which `on_initialize` of each new instance has to return, every
-                context to come to the end of a cycle, and `on_reload` to return; None is for ever.
+                context to come to the end of a cycle, and `on_reload` to return; None is forever.
             import_timeout: seconds of real time that running the file may take.
 
         Raises:
@@ -286,7 +287,7 @@ class Kernel(Microkernel):
         A source that has finished counts as ready. A name may be given before there is a component of it.
 
         Args:
-            timeout: seconds of the kernel's clock; None waits for ever.
+            timeout: seconds of the kernel's clock; None waits forever.
 
         Raises:
             TransitionTimeout: says who is not active, and why as far as that is known.

@@ -53,7 +53,7 @@ def to_ns(seconds: float, what: str = "seconds") -> int:
     nanoseconds = float(seconds) * NS_PER_S
     if math.isinf(nanoseconds):
         return int(seconds) * NS_PER_S
-    # A delay rounded down to nothing would let a loop that halves its delays spin for ever.
+    # A delay rounded down to nothing would let a loop that halves its delays spin forever.
     return round(nanoseconds) or int(seconds > 0)
 
 
@@ -321,7 +321,7 @@ class SimulatedClock(Clock):
 
     @property
     def held(self) -> bool:
-        """Somebody holds the clock."""
+        """Whether the clock is held."""
         return self._holds > 0
 
     def hold(self) -> Hold:

@@ -66,7 +66,7 @@ class AiortsError(Exception):
     """Base of every exception that aiorts itself raises.
 
     Attributes:
-        typed: for a mistake in text that somebody typed, the text and the place; a command line quotes and marks it.
+        typed: for a mistake in text that a user typed, the text and the place; a command line quotes and marks it.
     """
 
     code: ClassVar[str] = "E-AIORTS"
@@ -215,7 +215,7 @@ class HookTimeout(AiortsError, TimeoutError):
 
 
 class HookAbandoned(HookTimeout):
-    """A hook ignored every cancellation; its task was left behind and its component is never run again."""
+    """A hook ignored every cancellation; its task was abandoned and its component is never run again."""
 
     code = "E-ABANDONED"
 

@@ -264,7 +264,7 @@ def _no_thread_descriptor_or_complaint_left() -> Iterator[None]:
     faults += [f"descriptor {name} ({target})" for name, target in opened.items()]
     faults += complaints.texts
     if faults:
-        pytest.fail(f"left behind: {'; '.join(faults)}")
+        pytest.fail(f"abandoned: {'; '.join(faults)}")
 
 
 @pytest.fixture(autouse=True)

@@ -28,8 +28,8 @@ EXPECTED = {
     "A04": "A reset that failed can be asked for again, and works when its cause is gone.",
     "A05": "A hook raises SystemExit, KeyboardInterrupt or the like: an error of its component, not the end of all.",
     "A06": "A hook that swallows its cancellation is cancelled a few times, then abandoned; the kernel closes in time.",
-    "A07": "A hook that waits for ever while it is cancelled is abandoned in the same way.",
-    "A08": "A hook that waits for ever is noticed by its deadline, and the others run on.",
+    "A07": "A hook that waits forever while it is cancelled is abandoned in the same way.",
+    "A08": "A hook that waits forever is noticed by its deadline, and the others run on.",
     "A09": "A hook that blocks the loop is named, with file and line, while it blocks; the process can be made to end.",
     "A11": "Writes in an endless loop, with no other await, leave everybody else their turns.",
     "A14": "A task that a component started fails: that is its component's error and never gets lost.",
@@ -85,7 +85,7 @@ EXPECTED = {
     "D07": "A file that is cut off anywhere gives one clear message, in little memory.",
     "D08": "Lengths and counts that lie, and compression bombs, are refused by a limit.",
     "D09": "What is no recording is refused in one line.",
-    "D10": "Recordings of other versions are read or refused by their version; the golden files are read for ever.",
+    "D10": "Recordings of other versions are read or refused by their version; the golden files are read forever.",
     "D11": "A pickle is refused by its first bytes; nothing unpickles.",
     "D12": "A type that is not known here is named; nothing that a file names is imported.",
     "D13": "A large recording is opened and sought at once, in little memory.",
@@ -142,7 +142,7 @@ def render(shown: dict[str, list[str]]) -> str:
         "",
         "Written by `python tests/faults.py` from the marks `fault(...)` of the tests; a test fails when it is stale.",
         "Besides its own expectation each has these: no other component is harmed, no sample is lost uncounted,",
-        "nothing is left behind, every wait ends, bad input never gives a traceback.",
+        "nothing is abandoned, every wait ends, bad input never gives a traceback.",
     ]
     for group, title in GROUPS.items():
         lines += ["", f"## {group}: {title}", "", "| Fault | Expected | Tests |", "|---|---|---|"]

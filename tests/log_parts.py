@@ -18,7 +18,7 @@ NO_MAP: Any = {}
 
 @record
 class Trip:
-    """What `log/golden/fields-*.mcap` hold: it stays as it is for ever."""
+    """What `log/golden/fields-*.mcap` hold: it stays as it is forever."""
 
     tm: int = 0
     speed: float | None = None

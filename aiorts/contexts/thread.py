@@ -448,7 +448,7 @@ class ThreadDriver:
         if member is not None:
             error = HookAbandoned(
                 f"{member.component.name}.{member.hook}: did not return when its context stopped; its thread was "
-                "left behind"
+                "abandoned"
             )
             member.abandoned = True
             self.context.runner.life.record(member, member.hook, error)

@@ -94,7 +94,7 @@ def _steps(component: ComponentSide, change: Change, done: Done) -> Steps:
     outcome: list[BaseException | None] = []
     member.hooks["configure"] = HookKind.PLAIN, lambda: outcome.append(change())
     yield Call(member, "configure")
-    done(outcome[0] if outcome else TransitionTimeout(f"{component.name}: left behind before {_WHAT}"))
+    done(outcome[0] if outcome else TransitionTimeout(f"{component.name}: abandoned before {_WHAT}"))
 
 
 def _later(kernel: KernelSide, component: ComponentSide, change: Change) -> asyncio.Task[None]:

@@ -230,7 +230,7 @@ def _refuse_result(result: object, expected: str) -> NoReturn:
     got = type(result).__name__
     if inspect.iscoroutine(result):
         result.close()
-        got = "a coroutine, which nobody awaits"
+        got = "a coroutine, which is never awaited"
     raise ValueError(f"expected {expected}, got {got}")
 
 

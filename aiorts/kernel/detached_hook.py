@@ -1,7 +1,7 @@
 """Hooks that belong to no execution context, `on_initialize` and `on_finalize`: each runs in a task of its own.
 
 The same containment as in a context (`execution/task_driver.py`), for one hook: what it raises is returned, what
-ignores cancellation is left behind.
+ignores cancellation is abandoned.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ async def _contain(
     rest = budget or (closing.result() if closing.done() else StopBudget(kernel.loop, 0.0))
     ended = await see_through(kernel_task(kernel.loop, _cancel(task, rest), f"aiorts end {where}"))
     if not ended:
-        cell(component).abandoned = HookAbandoned(f"{where}: ignored {CANCELLATIONS} cancellations; it was left behind")
+        cell(component).abandoned = HookAbandoned(f"{where}: ignored {CANCELLATIONS} cancellations; it was abandoned")
         return cell(component).abandoned
     if budget is None and closing.done():
         return ClosedError(f"{where}: the kernel closed before it returned; it was cancelled")
@@ -92,7 +92,7 @@ async def _contain(
 
 
 async def _cancel(task: asyncio.Task[Any], budget: StopBudget) -> bool:
-    """Cancel once for each grace step; False when the task was left behind."""
+    """Cancel once for each grace step; False when the task was abandoned."""
     for _ in range(CANCELLATIONS):
         task.cancel()
         done, _pending = await asyncio.wait([task], timeout=budget.grace)

@@ -56,13 +56,13 @@ class Microkernel:
         debug: check the thread of every port call, copy every sample: slow; finds writers that change what they wrote.
         contain_interrupts: a KeyboardInterrupt raised in a hook is that component's error and goes no further (`aiorts
             run` takes SIGINT itself). By default it is passed on after the component went to error.
-        initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None is for ever (`aiorts
+        initialize_timeout: seconds of the kernel's clock that an `on_initialize` may take; None waits forever (`aiorts
             run`: 30). One over it is cancelled, or refused when it returns if it blocks, and its component not added.
         plugins: where types asked for by name come from; installed packages by default.
         services: the services to attach when it opens, by the name that a plugin offers each by, with its settings.
 
     Raises:
-        PluginError: nobody offers a service of that name.
+        PluginError: no plugin offers a service of that name.
         ConfigurationError: names each setting that is wrong.
     """
 
@@ -152,7 +152,7 @@ class Microkernel:
     async def aclose(self) -> None:
         """Stop contexts, disconnect, finalise components, each in reverse order, within 5 s; idempotent.
 
-        A hook gets 2 s, then it is cancelled four times at 0.5 s, then left behind and reported. A caller that is
+        A hook gets 2 s, then it is cancelled four times at 0.5 s, then abandoned and reported. A caller that is
         cancelled is cancelled when all is closed. Called by a component of this kernel it is queued and returns at
         once.
 
@@ -417,7 +417,7 @@ class Microkernel:
             subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
             push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
             length: samples the reader's buffer holds, 1 to 1,000,000. out_length: the backlog of a periodic connector.
-            full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None for ever.
+            full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None forever.
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
             measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
@@ -444,7 +444,7 @@ class Microkernel:
 
         Args:
             activate: have the members active before the first cycle.
-            timeout: seconds of the kernel's clock for `on_startup` and `on_activated` of all of them; None is for ever.
+            timeout: seconds of the kernel's clock for `on_startup` and `on_activated` of all of them; None is forever.
 
         Called by a hook of one of the components it does not wait for what that hook is in the way of. A caller that
         is cancelled leaves no context behind.
@@ -568,7 +568,7 @@ async def _end_service(service: KernelService, hook: Literal["closing", "ending"
 
 
 def _checked(what: str, seconds: float | None) -> float | None:
-    """Raise ConfigurationError unless it is a time above 0, or None, which is for ever."""
+    """Raise ConfigurationError unless it is a time above 0, or None, which is forever."""
     number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
     if seconds is not None and not (number and 0 < seconds < math.inf):
         raise ConfigurationError(f"{what} = {seconds!r}: expected seconds above 0, or None")

@@ -417,7 +417,7 @@ class Registry:
             self._kernel.pass_on_interrupt(error)
 
     async def end_tasks(self, tasks: Iterable[asyncio.Task[Any]], budget: StopBudget) -> None:
-        """Cancel these, as often as grace steps allow; what ignores that is left behind and logged."""
+        """Cancel these, as often as grace steps allow; what ignores that is abandoned and logged."""
         left = {task for task in tasks if not task.done() and task is not current_task()}
         for task in left:
             owner = owner_of(task)
@@ -430,7 +430,7 @@ class Registry:
                 task.cancel()
             _, left = await asyncio.wait(left, timeout=budget.grace)
         for task in left:
-            _LOG.error("task %s ignored %s cancellations and was left behind", task.get_name(), CANCELLATIONS)
+            _LOG.error("task %s ignored %s cancellations and was abandoned", task.get_name(), CANCELLATIONS)
             if (owner := owner_of(task)) is not None:
                 self.disown(owner, task)
             abandon_task(task)

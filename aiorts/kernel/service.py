@@ -100,7 +100,7 @@ class KernelService:
         """A connector of data ports came into being."""
 
     def observers_changed(self) -> None:
-        """Whether anybody listens to hooks, or to what becomes of samples, has changed (`Bus.hooks_wanted`)."""
+        """Called when the first listener to hooks or samples comes, or the last one goes (`Bus.hooks_wanted`)."""
 
     async def closing(self, budget: StopBudget) -> None:
         """The kernel closes: contexts run on until this returns."""
@@ -138,7 +138,7 @@ def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> S
     """The service that is offered as `name`, imported, with these settings.
 
     Raises:
-        PluginError: nobody offers it, or it cannot be loaded.
+        PluginError: no plugin offers it, or it cannot be loaded.
         ConfigurationError: names each setting that is wrong.
     """
     from aiorts.kernel.extensions.arguments import (  # late: only who names a service needs it

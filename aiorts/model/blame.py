@@ -32,8 +32,8 @@ class Blame:
 
     kind: str
     """"hook": one of the context's own; "loop": other code on the event loop (a hook of another context, a task that a
-    component started, code of the application); "gc": a garbage collection; "machine": nobody in this process ran;
-    "unknown": it was over before anybody could look."""
+    component started, code of the application); "gc": a garbage collection; "machine": no code of this process ran;
+    "unknown": it was over before it could be sampled."""
     component: str = ""
     """Empty for the application's code, "gc", "machine" and "unknown"."""
     hook: str = ""

@@ -44,7 +44,7 @@ class ConnectorProfile:
     empty: EmptyPolicy | None = None
     """OpenRTM's empty policy where one was given: kept, and used by generic components only."""
     timeout: float | None = 1.0
-    """Seconds that an awaited write waits with full = block; None waits for ever."""
+    """Seconds that an awaited write waits with full = block; None waits forever."""
     stamp: Stamp | None = None
     """When the connector stamps samples; None leaves the writer's stamp."""
     measure: int = 0

@@ -78,7 +78,7 @@ def infer_type(default: object) -> Any:
         items = {float} if items == {int, float} else items
         if len(items) == 1:
             return types.GenericAlias(Mapping, (str, items.pop()))
-    raise TypeError(f"default {shown(default)}: give type=, it cannot be told from the default")
+    raise TypeError(f"default {shown(default)}: give type=; the default does not show it")
 
 
 def _infer_tuple(default: tuple[object, ...] | list[object]) -> Any:

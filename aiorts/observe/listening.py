@@ -86,7 +86,7 @@ class ConnectorEvent(Event):
     connector: str
     kind: ConnectorEventKind
     sample: Any = None
-    """Where the happening is about one."""
+    """Where the event is about one."""
 
 
 class _Notes:
@@ -116,9 +116,9 @@ class Listening:
     def add(
         self, connector: Connector, listener: Callable[[ConnectorEvent], object], kinds: Iterable[str]
     ) -> Callable[[], None]:
-        """Tell `listener` of these kinds, or of all, until the returned function is called."""
+        """Call `listener` for events of these kinds, or of all, until the returned function is called."""
         if connector.closed or self._kernel.connectors.get(connector.name) is not connector:
-            raise StateError(f"{connector.name}: is not a connector of {self._kernel.name}; nobody can listen to it")
+            raise StateError(f"{connector.name}: is not a connector of {self._kernel.name}; it takes no listener")
         if not transport_of(connector).listenable:
             raise StateError(f"{connector.name}: a real-time thread is at it, and nothing there may listen")
         entry = (

@@ -112,7 +112,7 @@ class ProcessSettings:
         began = time.monotonic_ns()
         gc.collect(generation)
         took = time.monotonic_ns() - began
-        # The highest cost is forgotten slowly: one that was interrupted must not keep collections away for ever.
+        # The highest cost is forgotten slowly: one that was interrupted must not keep collections away forever.
         self._cost_ns[generation] = max(took, self._cost_ns[generation] * 7 // 8)
 
     # -- memory ----------------------------------------------------------------------------------------------------

@@ -186,7 +186,7 @@ class _Anew(SourceFileLoader):
 async def read_anew(kernel: Microkernel, origin: Origin, limit: float) -> FreshCode:
     """Read, compile and run the file in a thread, for at most `limit` seconds of real time.
 
-    A simulated clock stands still meanwhile. One that does not come to an end is left behind.
+    A simulated clock stands still meanwhile. One that does not come to an end is abandoned.
 
     Raises:
         PluginError: names file and line; the class is gone, or is no component any more.
@@ -205,7 +205,7 @@ async def read_anew(kernel: Microkernel, origin: Origin, limit: float) -> FreshC
         with suppress(RuntimeError):  # the loop has been closed meanwhile: nobody wants to know any more
             loop.call_soon_threadsafe(deliver, outcome)
 
-    too_slow = PluginError(f"{origin.path}: still being run after {limit:g} s; it was left behind, nothing was changed")
+    too_slow = PluginError(f"{origin.path}: still being run after {limit:g} s; it was abandoned, nothing was changed")
     # A thread that nobody waits for: a file that never ends must not keep the interpreter from ending.
     work = threading.Thread(
         target=lambda: report_from_thread(_run(name, origin)), name=f"aiorts reload {origin}", daemon=True

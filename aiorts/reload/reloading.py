@@ -85,12 +85,12 @@ def check_replaceable(component: Component) -> None:
     name = component.name
     component.kernel.registry.check_settled(component)
     if cell(component).abandoned is not None:
-        why = "one of its hooks was left behind and still runs the old code; remove it"
+        why = "one of its hooks was abandoned and still runs the old code; remove it"
     elif component in component.kernel.registry.taken_back:
         why = "its code was taken back, and a hook of it has not returned; wait for that"
     elif cell(component).realtime:
         why = (
-            "is in a real-time context, whose thread waits for nobody; take it out with `context.remove`, reload, and "
+            "is in a real-time context, whose thread never waits; take it out with `context.remove`, reload, and "
             "add it again"
         )
     else:

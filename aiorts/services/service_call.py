@@ -1,7 +1,7 @@
 """A call that may wait: let in, run, answered, given up; on the kernel's loop.
 
 An `async def` has a task of its own, so that a deadline, a caller that is cancelled and a provider that goes end it
-without hurting anybody else. One that ignores cancellation is cancelled once for each grace step and then left behind,
+without hurting anybody else. One that ignores cancellation is cancelled once for each grace step and then abandoned,
 as a hook is; its answer, should it come, is ignored.
 """
 
@@ -267,7 +267,7 @@ class ServiceCall(Visit):
     def _abandon(self, task: asyncio.Task[None]) -> None:
         component = self.component
         error = HookAbandoned(
-            f"{component.name}.{self.hook}: ignored {CANCELLATIONS} cancellations; it was left behind"
+            f"{component.name}.{self.hook}: ignored {CANCELLATIONS} cancellations; it was abandoned"
             f"{'' if self.link.provided.concurrent else ' and its component never runs again'}"
         )
         abandon_task(task)

@@ -36,8 +36,8 @@ class Provided(ServiceEnd[I], Generic[I]):
             call runs.
         always: calls are served in every lifecycle state; without, while the component is active somewhere, or in no
             context at all.
-        failure: "reply": what a method raises is told to who called; "error": moreover it moves the component to error,
-            as if a hook had raised.
+        failure: "reply": the caller gets what a method raises; "error": moreover the component goes to error, as if a
+            hook had raised.
         port, instance: the port it belongs to and its name in it, where they are not the attribute's.
         max_connectors: connectors the port takes at the most; None is unlimited.
 

@@ -65,7 +65,7 @@ def _awaited(required: Required[Any], only: Link | None, name: str, seconds: flo
         if not kernel.on_loop_thread():
             raise ThreadError(
                 f"{link.named(name)}: awaited outside of the kernel's loop; in the thread of a ThreadContext use "
-                "call_blocking, a real-time hook waits for nobody"
+                "call_blocking, a real-time hook must not wait"
             )
         answer = link.answers[name]
         if answer.plain and not link.threaded:
@@ -111,7 +111,7 @@ def refusal(provided: Provided[Any]) -> str:
     """Why a component serves no calls now; "" when it does."""
     here = provided.port._cell
     if here.abandoned is not None:
-        return "a hook or method of it was left behind and it never runs again"
+        return "a hook or method of it was abandoned and it never runs again"
     if provided._vacant:
         return "it is being removed"
     if provided.always:

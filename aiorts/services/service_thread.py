@@ -64,7 +64,7 @@ def _steps(call: ServiceCall, member: Member) -> Steps:
         yield Call(member, call.hook, (call, outcome))
         call.runs = False
     if not outcome:
-        why = reason or "its thread was left behind"
+        why = reason or "its thread was abandoned"
         failure = ServiceUnavailable(f"{call.link.named(call.answer.name)}: {why}")
         call.link.kernel.call_on_loop(lambda: call.conclude(None, failure))
     else:

@@ -279,7 +279,7 @@ class _Matching:
         if not self._required or not self._provided:
             kind = "requires" if self._provided else "provides"
             what = ", ".join(f"{end.path} {end.polarity} {end.spec.name}" for end in ends) or "nothing"
-            raise WiringError(f"{where}: nobody {kind} anything ({what}); connect a Required with a Provided")
+            raise WiringError(f"{where}: no port {kind} anything ({what}); connect a Required with a Provided")
         self._mapped: dict[Required[Any], Provided[Any] | None] = {}
         for key, value in mapping.items():
             required = self._named(key, self._required)

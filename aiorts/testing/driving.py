@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _LONGEST_NS: Final = 3600 * 10**9
-"""Virtual time after which a hook that still waits is taken to wait for ever."""
+"""Virtual time after which a hook that still waits is taken to wait forever."""
 
 
 def is_ticked(context: Context) -> bool:

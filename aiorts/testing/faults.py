@@ -84,7 +84,7 @@ class Failing(_Faulty):
         self, hook: str, error: BaseException | None = None, *, name: str = "", after: int = 0, times: int | None = None
     ) -> None:
         super().__init__(hook, name=name, after=after, times=times)
-        self.error = RuntimeError(f"{hook} fails as it was told to") if error is None else error
+        self.error = RuntimeError(f"{hook} fails as instructed") if error is None else error
 
     def _fault(self) -> None:
         raise self.error

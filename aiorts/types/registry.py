@@ -122,7 +122,7 @@ def all_types() -> Mapping[str, type]:
 def wire_name(cls: type) -> str:
     """The name that stands in frames.
 
-    Bare for the records that come with aiorts, full for all others, the same for ever.
+    Bare for the records that come with aiorts, full for all others, the same forever.
     """
     return full_name(cls).removeprefix(_BUILTIN)
 

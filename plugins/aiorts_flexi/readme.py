@@ -35,7 +35,7 @@ there, with the character where it stands. This file is written by `python -m ai
 
 As Unix filters they read and write lines that name a port. A line for a filter with one in-port is for that one,
 whatever port it names; else a line of `output1` is for `input1` where there is no in-port `output1`, so that
-filters with several ports stand in a pipe without being told their names. Any other name is refused.
+filters with several ports stand in a pipe without names of ports on the command line. Any other name is refused.
 A line that is no sample of its port, or that FlexiFilter cannot convert, is reported with its number and left out, and
 the status is 1 at the end. What another component cannot use (a sum out of range, say) puts it into error and ends it,
 with status 3.

@@ -32,7 +32,7 @@ GUARANTEES: list[tuple[str, str, str, tuple[str, ...]]] = [
     (
         "aiorts.kernel.execution.task_driver",
         "",
-        "one that ignores them all is left behind with its task, and the context goes on",
+        "one that ignores them all is abandoned with its task, and the context goes on",
         (
             "execution/test_hook_timeout.py::"
             "test_hook_over_its_deadline_is_cancelled_each_half_second_then_abandoned_and_the_neighbour_runs_on",

@@ -104,7 +104,7 @@ PROMISES = {
     "**order**": "ports/test_fan.py::test_samples_are_read_in_order_of_arrival_and_each_tells_its_source",
     "**immutable data**": "ports/test_out_port.py::test_no_reader_sees_what_a_writer_changes_afterwards",
     "**one component's fault stays its own**": (
-        "execution/test_failing_hooks.py::test_whatever_a_hook_raises_is_its_components_error_and_nobody_elses"
+        "execution/test_failing_hooks.py::test_whatever_a_hook_raises_is_the_error_of_its_component_alone"
     ),
     "**a fault of aiorts itself is said**": (
         "kernel/test_internal_faults.py::test_a_context_goes_on_after_a_fault_of_its_own_and_the_run_has_failed"

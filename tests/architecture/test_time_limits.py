@@ -24,7 +24,7 @@ def calls(text: str) -> Iterator[tuple[ast.Call, str]]:
 
 
 def unbounded(text: str) -> list[str]:
-    """What a test file has that may take longer, or for ever."""
+    """What a test file has that may take longer, or forever."""
     found = []
     for call, name in calls(text):
         if name == "pytest.mark.timeout":
@@ -34,7 +34,7 @@ def unbounded(text: str) -> list[str]:
                 found.append(f"line {call.lineno}: {ast.unparse(call)}: write time_limit(...) of campaign.py")
         waits = name in WAITING or name.endswith(".communicate")
         if waits and not any(word.arg in ("timeout", None) for word in call.keywords):
-            found.append(f"line {call.lineno}: {name} waits for ever; give it a timeout")
+            found.append(f"line {call.lineno}: {name} waits forever; give it a timeout")
     return found
 
 

@@ -221,7 +221,7 @@ def test_who_reads_a_dump_and_stalls_delays_no_other_component(way: str, tmp_pat
         took = time.monotonic() - began
         shown, said = first + process.stdout.read(), process.stderr.read()
     assert process.returncode == 130
-    assert b"E-STOP" not in said  # nothing is left behind that has to be ended by force
+    assert b"E-STOP" not in said  # nothing is abandoned that has to be ended by force
     assert took < 10.0  # 2 s: a hook that waits is cancelled when its grace is over
     assert 30_000 < len(shown) < 200_000  # a pipe full, and not what 1.4 s bring
     count, late = (tmp_path / "report").read_text().split()

@@ -186,7 +186,7 @@ def test_nobody_is_kept_from_a_device_or_waits_for_a_pipe(folder: Path) -> None:
     os.mkfifo(folder / "pipe")
     done = here(folder, "run", "parts.py:Counter", "--log-file", "pipe")
     assert done.returncode == 2
-    assert "a pipe that nobody reads" in done.stderr
+    assert "a pipe without a reader" in done.stderr
 
 
 def test_a_component_in_error_is_named_again_at_the_end_when_that_was_long_ago(folder: Path) -> None:

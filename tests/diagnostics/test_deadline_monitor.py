@@ -1,4 +1,4 @@
-"""A hook that waits for ever is detected within twice its limit, per component and per hook; the others go on."""
+"""A hook that waits forever is detected within twice its limit, per component and per hook; the others go on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIMIT = 0.5
 
 
 class Stuck(Component):
-    """Waits for ever in one hook."""
+    """Waits forever in one hook."""
 
     def __init__(self, name: str = "", where: str = "on_execute") -> None:
         super().__init__(name)

@@ -425,7 +425,7 @@ IN_A_CONTEXT = ["on_startup", "on_activated", "on_execute", "on_state_update", "
 @pytest.mark.fault("A05")
 @BOTH
 @pytest.mark.parametrize("animal", ZOO, ids=lambda animal: type(animal).__name__)
-async def test_whatever_a_hook_raises_is_its_components_error_and_nobody_elses(
+async def test_whatever_a_hook_raises_is_the_error_of_its_component_alone(
     kind: type[Diary], animal: BaseException, anyio_backend: Any
 ) -> None:
     async with Kernel(contain_interrupts=True) as kernel:

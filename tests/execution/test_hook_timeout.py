@@ -1,4 +1,4 @@
-"""A hook that does not return: cancelled once for each grace step, left behind, and never in anybody's way."""
+"""A hook that does not return: cancelled once for each grace step, abandoned, and never in anybody's way."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Stuck(Component):
 
 
 class StuckInFinally(Stuck):
-    """Awaits for ever in its `finally`."""
+    """Awaits forever in its `finally`."""
 
     async def _stick(self, hook: str) -> None:
         if hook == self.where:
@@ -91,7 +91,7 @@ def test_hook_over_its_deadline_is_cancelled_each_half_second_then_abandoned_and
             assert "stuck.on_execute: ignored 4 cancellations" in str(stuck.last_error)
             before = healthy.count("on_execute")
             assert before in (11, 12)
-            with pytest.raises(StateError, match="left behind"):
+            with pytest.raises(StateError, match="abandoned"):
                 await context.reset(stuck)
             await let_go(stuck)
             await clock.advance(1.0)

@@ -146,7 +146,7 @@ def test_an_import_that_never_ends_is_left_behind_and_the_loop_goes_on(tmp_path:
 
         counting = asyncio.ensure_future(count())
         async with Kernel() as kernel:
-            with pytest.raises(PluginError, match=r"still being imported after 0.2 s; it was left behind"):
+            with pytest.raises(PluginError, match=r"still being imported after 0.2 s; it was abandoned"):
                 await load_aside(extension, kernel.clock, Component, limit=0.2)
         counting.cancel()
         return turns

@@ -496,7 +496,7 @@ async def later(value: object) -> None:
     ("answer", "why"),
     [
         (lambda value: value < 5, "p = 9: its validator says no"),
-        (lambda value: later(value) if value == 9 else None, "p = 9: expected None, got a coroutine, which nobody"),
+        (lambda value: later(value) if value == 9 else None, "p = 9: expected None, got a coroutine, which is never"),
         (lambda value: (_ for _ in ()).throw(ValueError()) if value == 9 else None, "p = 9: refused; nothing"),
     ],
 )

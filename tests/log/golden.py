@@ -1,4 +1,4 @@
-"""Makes the files of `golden/`, which are kept for ever: every later version has to read them. Never run it again."""
+"""Makes the files of `golden/`, which are kept forever: every later version has to read them. Never run it again."""
 
 from __future__ import annotations
 

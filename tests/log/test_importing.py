@@ -398,7 +398,7 @@ YAML = {
 @pytest.mark.timeout(30)
 @pytest.mark.parametrize("what", YAML)
 def test_the_yaml_of_a_bag_is_not_read_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
-    """Not even opened: a pipe that nobody writes into would hold whoever does for ever."""
+    """Not even opened: a pipe that nobody writes into would hold whoever does forever."""
     monkeypatch.chdir(tmp_path)
     source = bag(tmp_path / "bag", "MCAP", 2, {"/speed": MAKERS["/speed"]})
     said = source / "metadata.yaml"

@@ -434,7 +434,7 @@ def test_observers_that_ignore_cancellation_do_not_delay_the_end_beyond_five_sec
 
     took = simulate(main)  # it ends, and so would asyncio.run
     assert took <= (5.0 if hooks else 1.2)
-    assert "ignores ignored 4 cancellations and was left behind" in caplog.text
+    assert "ignores ignored 4 cancellations and was abandoned" in caplog.text
 
 
 @pytest.mark.row(105)

@@ -384,7 +384,7 @@ async def test_a_read_that_would_wait_is_an_error_of_the_component_that_names_th
 
 
 async def test_the_lock_of_a_port_is_never_taken_by_a_real_time_thread() -> None:
-    """Held by somebody for ever, it holds up nobody."""
+    """Held by somebody forever, it holds up nobody."""
 
     class Blocker(Component):
         inp = InPort(TimedLong)

@@ -320,7 +320,7 @@ async def test_a_file_that_never_ends_is_left_behind(source: Make) -> None:
         import sys
 
         try:
-            with pytest.raises(PluginError, match=r"reloaded_.*\.py: still being run after 0.2 s; it was left behind"):
+            with pytest.raises(PluginError, match=r"reloaded_.*\.py: still being run after 0.2 s; it was abandoned"):
                 await kernel.reload("Slow", import_timeout=0.2)
             assert kernel.components["slow"] is old
         finally:

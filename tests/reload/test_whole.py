@@ -1,4 +1,4 @@
-"""All of a context at once, nobody else late, nothing left behind; composites, machines, plugins and packages."""
+"""All of a context at once, nobody else late, nothing abandoned; composites, machines, plugins and packages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every public coroutine of service ports, cancelled at every turn of the loop: nothing stuck, nothing left behind."""
+"""Every public coroutine of service ports, cancelled at every turn of the loop: nothing stuck, nothing abandoned."""
 
 from __future__ import annotations
 

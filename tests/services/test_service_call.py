@@ -283,7 +283,7 @@ async def test_a_method_that_ignores_cancellation_is_left_behind_and_blocks_nobo
         ticks = loop.ticks
         await kernel.sleep(0.1)
         assert loop.ticks - ticks == 10
-        with pytest.raises(ServiceUnavailable, match="left behind"):
+        with pytest.raises(ServiceUnavailable, match="abandoned"):
             await arm.brake.proxy.stop()
         free.set()
 

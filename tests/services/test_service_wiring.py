@@ -318,8 +318,8 @@ async def test_what_cannot_be_connected_says_why() -> None:
         loose, other = PlainBrake("loose"), await kernel.add(Arm("other"))
         for ports, options, why in (
             ((arm.brake, reading.inp), {}, "r.inp is a data port"),
-            ((arm.brake, other.brake), {}, "nobody provides anything"),
-            ((brake.service, brake.service), {}, "nobody requires anything"),
+            ((arm.brake, other.brake), {}, "no port provides anything"),
+            ((brake.service, brake.service), {}, "no port requires anything"),
             ((arm.brake, loose.service), {}, "await kernel.add"),
             ((arm.brake, PlainBrake.service), {}, "is a declaration"),
             ((arm.brake, brake.service), {"subscription": "new"}, "unknown option 'subscription'"),

@@ -338,7 +338,7 @@ async def test_a_hook_that_hangs_in_its_thread_is_told_of_while_it_does(
 
 
 class Hangs(Component):
-    """Waits for ever in one hook; `stubborn`, whatever is done about it, until it is let go."""
+    """Waits forever in one hook; `stubborn`, whatever is done about it, until it is let go."""
 
     input = InPort(TimedLong)
 

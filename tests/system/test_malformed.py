@@ -109,13 +109,13 @@ def test_an_empty_path_of_a_port_is_named(write: Write, old: str, new: str, wher
             'members = ["arm", "sink"]',
             'members = ["arm"]',
             '"sink"',
-            "waits for 'sink active' for ever: sink is in no context",
+            "waits for 'sink active' forever: sink is in no context",
         ),
         (
             'members = ["arm", "sink"]',
             'members = ["sink"]',
             '"arm active"',
-            "waits for 'arm active' for ever: arm is in no context",
+            "waits for 'arm active' forever: arm is in no context",
         ),
         (
             'members = ["source"]',

@@ -30,7 +30,7 @@ async def test_failing_fails_as_often_and_as_late_as_told() -> None:
     component = faults.Failing("on_execute", after=2, times=1)
     async with Rig(component) as rig:
         await rig.tick(2)
-        with pytest.raises(RuntimeError, match="on_execute fails as it was told to"):
+        with pytest.raises(RuntimeError, match="on_execute fails as instructed"):
             await rig.tick()
         await rig.reset()
         await rig.activate()

@@ -126,7 +126,7 @@ class LeavesATimer(Good):
 
 
 class LeavesAThread(Good):
-    """A thread that waits for ever."""
+    """A thread that waits forever."""
 
     def configure(self, settings: Pace) -> None:
         threading.Thread(target=THREADS_END.wait, args=(30.0,), daemon=True).start()

@@ -46,7 +46,7 @@ def graph_command(
     """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
 
     mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run. What
-    `aiorts check` calls an error is told on standard error; the rest is drawn all the same, and the exit status is 2.
+    `aiorts check` reports as an error is printed on standard error; the rest is drawn, and the exit status is 2.
     """
     language = language or _language_of(output)
     system = load(file, changes)

@@ -36,7 +36,7 @@ class LogFile:
         self._torn = False
         self._descriptor = -1
         try:
-            # Without waiting: a pipe that nobody reads would hold us up here for ever.
+            # Without waiting: a pipe that nobody reads would hold us up here forever.
             self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)
             os.set_blocking(self._descriptor, True)
             self._take()
@@ -119,7 +119,7 @@ def _why(path: Path, error: OSError | ValueError) -> str:
     if error.errno == errno.ENOENT:
         return f"there is no folder {str(path.parent)!r}; make it, or name another"
     if error.errno == errno.ENXIO:
-        return "a pipe that nobody reads; start its reader first"
+        return "a pipe without a reader; start its reader first"
     if error.errno == errno.EISDIR:
         return "is a folder; name a file"
     return f"{error.strerror or error}; name a file that can be written"

@@ -42,8 +42,8 @@ class Context:
     Args:
         name: unique in its kernel; the kernel gives one ("periodic0") where there is none.
         deadline: seconds of the kernel's clock that a hook may take; None is unlimited. A hook over it is cancelled and
-            its component goes to error; one that blocks the loop goes there when it returns. The time counts whoever
-            uses it up, another one that blocks the loop, too. On a simulated clock code that blocks takes no time.
+            its component goes to error; one that blocks the loop goes there when it returns. The time counts even
+            where other code blocks the loop meanwhile. On a simulated clock code that blocks takes no time.
         timing: take the execution time of every hook for `statistics`.
 
     Raises:
@@ -253,7 +253,7 @@ class Context:
         if here.group is not None:
             here.group.check_context(component, self)
         if here.abandoned is not None:
-            raise StateError(f"{component.name}: one of its hooks was left behind and it never runs again; remove it")
+            raise StateError(f"{component.name}: one of its hooks was abandoned and it never runs again; remove it")
         if here.kernel is not None:
             here.kernel.registry.check_settled(component)
         for other in component.contexts:

@@ -71,7 +71,7 @@ class Batch:
 
 @dataclass(slots=True)
 class Wait:
-    """Wait until the deadline on the kernel's clock (None: for ever) or until a request comes."""
+    """Wait until the deadline on the kernel's clock (None: forever) or until a request comes."""
 
     deadline_ns: int | None = None
 
@@ -311,7 +311,7 @@ class Life:
             cause = located(member.failure)
             return f"{member.component.name} in {self._context.name}: cannot {event}: it goes to error: {cause}"
         if member.abandoned:
-            advice = "one of its hooks was left behind and it never runs again; remove it"
+            advice = "one of its hooks was abandoned and it never runs again; remove it"
         else:
             advice = ADVICE.get((member.state, event), "it cannot be asked for here")
         return f"{member.component.name} in {self._context.name}: cannot {event} from {member.state}: {advice}"

@@ -126,7 +126,7 @@ class Member:
 
     @property
     def abandoned(self) -> bool:
-        """Whether one of the component's hooks was left behind: none runs again."""
+        """Whether one of the component's hooks was abandoned: none runs again."""
         return self._abandoned
 
     @abandoned.setter

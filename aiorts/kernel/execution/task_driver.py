@@ -3,7 +3,7 @@
 The context awaits each hook in its own plain task: no task switch, no cancel scope, no task group that one stray
 CancelledError could end. Whether the kernel cancelled is known from the count of `hook_timeout.py`, not from
 `task.cancelling()`; who else cancels the task is decided in `DriverTask.cancel`. A hook over its deadline is
-cancelled once for each grace step; one that ignores them all is left behind with its task, and the context goes on in
+cancelled once for each grace step; one that ignores them all is abandoned with its task, and the context goes on in
 a new one: repeated delivery, as cancel scopes do it, would pin a core. One that blocks is judged when it returns.
 """
 
@@ -130,7 +130,7 @@ class TaskDriver:
         self._joined = False
         """Whether the component whose hook runs now came into a second context meanwhile, or has another deadline."""
         self._left = False
-        """Whether a hook that was begun quickly was left behind: its task must find out when it returns after all."""
+        """Whether a hook that was begun quickly was abandoned: its task must find out when it returns after all."""
         self.bus = bus
         self.call_at = call_at
         self._steps = steps
@@ -576,7 +576,7 @@ class TaskDriver:
         hook = member.hook
         error = HookAbandoned(
             f"{member.component.name}.{hook}: ignored {timer.cancels} cancellations; "
-            "it was left behind and never runs again"
+            "it was abandoned and never runs again"
         )
         abandon_task(self.task)
         member.cell.abandoned = error

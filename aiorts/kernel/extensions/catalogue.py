@@ -46,7 +46,7 @@ class Extension:
     target: str
     """"module:attribute", or "file.py:Class" of a single file."""
     source: str
-    """Who offers it: "package NAME VERSION" or "folder PATH"; "" for what somebody typed."""
+    """Who offers it: "package NAME VERSION" or "folder PATH"; "" for a target that a user typed."""
     folder: Path | None = None
     """Where its modules are, for one that is not installed."""
     project: str = ""
@@ -54,7 +54,7 @@ class Extension:
 
     @property
     def described(self) -> str:
-        """Kind, name, source and target, for messages; what somebody typed as it was typed."""
+        """Kind, name, source and target, for messages; a target that a user typed, as it was typed."""
         return self.name if not self.source else f"{singular(self.kind)} {self.name!r} of {self.source} ({self.target})"
 
     def load(self) -> Any:
@@ -138,7 +138,7 @@ class Catalogue:
         """The one extension of that name.
 
         Raises:
-            PluginError: nobody offers it (near names are given), or several do (all are named).
+            PluginError: no plugin offers it (near names are given), or several do (all are named).
         """
         offers = self._offers[kind]
         found = offers.get(name, [])

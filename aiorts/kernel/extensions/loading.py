@@ -50,7 +50,7 @@ class Offer(Protocol):
     @property
     def source(self) -> str: ...
 
-    """Who offers it; "" for what somebody typed."""
+    """Who offers it; "" for a target that a user typed."""
 
     @property
     def folder(self) -> Path | None: ...
@@ -60,7 +60,7 @@ class Offer(Protocol):
     @property
     def described(self) -> str: ...
 
-    """Its kind, name, source and target, for messages; what somebody typed as it was typed."""
+    """Its kind, name, source and target, for messages; a target that a user typed, as it was typed."""
 
 
 def load(extension: Offer) -> Any:
@@ -133,7 +133,7 @@ def load_in_time(extension: Offer, limit: float, prepare: Callable[[], None] | N
         prepare: called in that thread before.
 
     Raises:
-        PluginError: it cannot be loaded, or was left behind while it was still being imported.
+        PluginError: it cannot be loaded, or was abandoned while it was still being imported.
     """
     answers: list[tuple[Any, PluginError | None]] = []
 
@@ -218,7 +218,7 @@ def class_of(extension: Offer, found: Any, base: type[T]) -> type[T]:
 
 
 def _too_slow(extension: Offer, limit: float) -> PluginError:
-    return PluginError(f"{extension.described}: still being imported after {limit:g} s; it was left behind")
+    return PluginError(f"{extension.described}: still being imported after {limit:g} s; it was abandoned")
 
 
 def _imported(extension: Offer) -> Any:

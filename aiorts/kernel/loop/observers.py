@@ -158,7 +158,7 @@ class AsyncObserver(Observer):
             task.cancel()
             await asyncio.wait([task], timeout=_GRACE)
         if task is not None and not task.done():
-            _LOG.error("observer %s ignored %s cancellations and was left behind", self._name, CANCELLATIONS)
+            _LOG.error("observer %s ignored %s cancellations and was abandoned", self._name, CANCELLATIONS)
             abandon_task(task)
 
 

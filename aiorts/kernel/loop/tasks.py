@@ -38,9 +38,9 @@ _LEFT_BEHIND: list[asyncio.Task[Any]] = []
 
 
 def abandon_task(task: asyncio.Task[Any]) -> None:
-    """Take a task that cannot be ended out of the loop's books, or `asyncio.run` would wait for it for ever."""
+    """Take a task that cannot be ended out of the loop's books, or `asyncio.run` would wait for it forever."""
     asyncio._unregister_task(task)
-    # Kept for good: collected, its coroutine would be sent a GeneratorExit, and might ignore that one too, for ever.
+    # Kept for good: collected, its coroutine would be sent a GeneratorExit, and might ignore that one too, forever.
     _LEFT_BEHIND.append(task)
     task._log_destroy_pending = False  # type: ignore[attr-defined] # it is known and was reported
 

@@ -151,7 +151,7 @@ class InPort(Port[T]):
         return self._receiver.last_source
 
     def read_blocking(self, timeout: float | None = None) -> T:
-        """`read` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds (None: for ever).
+        """`read` for the thread of a `ThreadContext`: blocks the thread, at most `timeout` seconds (None: forever).
 
         Raises:
             ReadTimeout: no sample arrived in time.

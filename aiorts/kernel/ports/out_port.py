@@ -132,7 +132,7 @@ class OutPort(Port[T]):
             False when a connector with full = reject had no room (its statistics say which one), else True.
 
         Raises:
-            WouldBlock: a reader with full = block has no room; nobody got the sample.
+            WouldBlock: a reader with full = block has no room; no reader got the sample.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
             RecordError: a field of a dataclass is not what it says; nothing was sent.
             ThreadError: called in a foreign thread, which cannot wake a reader that sleeps; the sample lies unread.
@@ -224,8 +224,8 @@ class OutPort(Port[T]):
             sample = self._checked(sample)
         if (self._blocking or self._others) and (full := self._without_room()) is not None:
             raise WouldBlock(
-                f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread), and nobody got this sample; "
-                "await write(), or write_blocking() in a thread, waits for room"
+                f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread), and no reader got this "
+                "sample; await write(), or write_blocking() in a thread, waits for room"
             )
         return self._deliver(sample)
 
@@ -289,7 +289,7 @@ class OutPort(Port[T]):
 
     async def _write_waiting(self, sample: T) -> bool:
         host = self._bound()
-        if host.realtime:  # its thread waits for nobody
+        if host.realtime:  # its thread never waits
             return self._write_general(sample)
         if self._blocking and len(self._connectors) == 1:
             done, entries = True, [self._blocking[0][4].queue_up(sample, host.loop.create_future())]

@@ -296,7 +296,7 @@ class Receiver:
         Raises:
             BusyError: another task waits.
             ClosedError: the port was removed.
-            WouldBlock: its thread waits for nobody.
+            WouldBlock: its thread never waits.
         """
         port = self.port
         port._raise_if_over()

@@ -144,7 +144,7 @@ def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
         shown = [*path[:_MOST_NAMED], "..."] if len(path) > _MOST_NAMED else path
         number = edges[cycle[-1]][cycle[0]][2]
         text = (
-            f"{' → '.join([*shown, path[0]])}: all run on events, so that one sample keeps this cycle busy for ever; "
+            f"{' → '.join([*shown, path[0]])}: all run on events, so that one sample keeps this cycle busy forever; "
             f"put one of them into a periodic context"
         )
         yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
@@ -204,7 +204,7 @@ def _waits(found: Survey) -> Iterator[Said]:
             continue
         text = (
             f"{writer} may have {most} samples to pass on and there is room for {profile[0].length}: it would wait for "
-            f"{reader}, which runs after it in the same context, for ever; set length = {most} or more, or a timeout"
+            f"{reader}, which runs after it in the same context, forever; set length = {most} or more, or a timeout"
         )
         yield Said("warning", "W-BLOCK", ("connections", connection.number - 1, "full"), text)
 

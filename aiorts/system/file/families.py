@@ -100,7 +100,7 @@ def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
         for number, condition in enumerate(entry.start.conditions):
             inside = parts(system.composites, condition.component, everybody=True)
             if condition.state != ADDED and not run.intersection(inside):
-                what = f"waits for {str(condition)!r} for ever: {condition.component} is in no context"
+                what = f"waits for {str(condition)!r} forever: {condition.component} is in no context"
                 yield (*key, "after", number), f"{what}; name it among the members of one"
 
 

@@ -523,7 +523,7 @@ def _texts(groups: Any) -> Any:
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Options with dotted keys (`buffer.length = 4`) as one level; a time-out of `inf` as the None that is for ever."""
+    """Options with dotted keys (`buffer.length = 4`) as one level; a time-out of `inf` as the None that is forever."""
     flat: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, dict):

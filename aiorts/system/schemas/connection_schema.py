@@ -70,7 +70,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "timeout": {
         "anyOf": [{"type": "number", "minimum": 0}, _TEXT],
         "default": 1.0,
-        "description": "Seconds that a blocked writer waits; inf is for ever.",
+        "description": "Seconds that a blocked writer waits; inf waits forever.",
     },
     "stamp": {
         **_choice(Stamp, "on_send", "on_received", "on_read", "on_write", "none", ""),
