@@ -105,7 +105,7 @@ def test_fields_are_read_as_curves(drive: Path) -> None:
         "base.sonar.data[1]",
         "base.speed.data",
     ]
-    assert (heading[0].unit, speed[0].unit, sonar[0].unit) == ("m", "m/s", "")
+    assert (heading[0].unit, speed[0].unit, sonar[0].unit) == ("", "m/s", "")
     assert len(heading[0].values) == len(heading[0].times) == 100
     assert list(second[0].values) == [2.0] * 100
     assert heading[0].times[99] == 0.99
@@ -136,7 +136,7 @@ def test_a_path_and_curves_are_drawn_the_same_every_time(drive: Path) -> None:
             assert raw == drive.with_name(f"{name}1.{form}").read_bytes()
             assert name == "times" or len(raw) <= 60_000
     text = drive.with_name("path0.svg").read_text()
-    assert "position.x [m]" in text
+    assert "odometry.pose.data.position.x<" in text
     root = ElementTree.fromstring(text)
     lines = [path.get("d", "") for path in root.iter("{http://www.w3.org/2000/svg}path")]
     longest = max(lines, key=len).replace("M", "L").split("L")[1:]
@@ -233,6 +233,105 @@ def test_a_legend_stays_within_the_picture(scans: Path) -> None:
     line = [sys.executable, "-c", LEGEND, *words]
     done = subprocess.run(line, cwd=scans.parent, capture_output=True, text=True, timeout=100)
     assert done.stdout.splitlines()[1::2] == ["0.0", "0.0"], done.stderr
+
+
+@record
+class Weather:
+    """Two fields that have no unit in common; in every second sample one is absent."""
+
+    tm: int = 0
+    distance: float = 0.0
+    temperature: float | None = None
+    inner: TimedDoubleSeq | None = None
+
+
+@record
+class Level:
+    """One field beside the stamp."""
+
+    tm: int = 0
+    heights: Sequence[float] = ()
+
+
+@pytest.fixture
+def weather(tmp_path: Path) -> Path:
+    path = tmp_path / "weather.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        port, level = writer.add_port("outside", Weather, {"unit": "m"}), writer.add_port("level", Level, {"unit": "m"})
+        for i in range(20):
+            inner = TimedDoubleSeq(i, [1.0] * (i % 4))
+            writer.write(port, Weather(i, 1.0, 20.0 if i % 2 else None, inner if i % 2 else None), i)
+            writer.write(level, Level(i, [1.0, 2.0]), i)
+    return path
+
+
+UNKNOWN = pytest.mark.parametrize("unknown", [False, True])
+
+
+@pytest.fixture
+def types(unknown: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether the types of a recording are loaded."""
+    if unknown:
+        monkeypatch.setattr("aiorts_log.mcap.reader.named_type", lambda name: (None, f"{name} is not known here"))
+
+
+@UNKNOWN
+@pytest.mark.usefixtures("types")
+def test_the_unit_of_a_port_is_that_of_a_record_with_one_field(weather: Path) -> None:
+    names = ["outside.distance", "outside.temperature", "level.heights", "level.heights[1]", "level.tm"]
+    with open_recording(weather) as reader:
+        found = read_series(reader, names, None, None, lambda done: None)
+    assert [group[0].unit for group in found] == ["", "", "m", "m", ""]
+
+
+@UNKNOWN
+@pytest.mark.usefixtures("types")
+def test_an_item_that_no_sample_has_is_an_error_with_the_longest(
+    weather: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aiorts_log.analysis.plot.find_spec", lambda name: True)
+    target = weather.with_name("x.svg")
+    for field, why in (
+        ("heights[30]", "level: no sample has heights[30]; the longest has 2; nothing is drawn"),
+        ("inner.data[3]", "outside: no sample has inner.data[3]; the longest has 3; nothing is drawn"),
+    ):
+        port = why.partition(":")[0]
+        for fields in ([f"{port}.{field}"], ["outside.distance", f"{port}.{field}"]):
+            status, out, err = run(capsys, weather, *fields, "-o", target)
+            assert (status, out, err) == (2, "", f"aiorts: E-RECORDING: {weather}: {why}\n")
+    assert not target.exists()
+    with open_recording(weather) as reader:
+        ((some,),) = read_series(reader, ["outside.inner.data[2]"], None, None, lambda done: None)
+    assert [value for value in some.values if value == value] == [1.0] * 5
+
+
+def test_a_field_without_a_number_in_any_sample_is_an_error(
+    drive: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aiorts_log.analysis.plot.find_spec", lambda name: True)
+    path = drive.with_name("none.mcap")
+    with RecordingWriter(path, RecordingOptions(min_free=0)) as writer:
+        writer.write(writer.add_port("outside", Weather), Weather(), 0)
+    status, _, err = run(capsys, path, "outside.temperature", "-o", drive.with_name("x.svg"))
+    assert (status, "outside.temperature: is None or NaN in every sample; nothing is drawn" in err) == (2, True)
+
+
+DOTS = """
+import re, sys
+from aiorts.cli.app import run_command
+for fields in (["outside.temperature"], ["--xy", "outside.tm", "outside.temperature"]):
+    assert run_command(["log", "plot", "weather.mcap", *fields, "-o", "x.svg", "--overwrite"]) == 0
+    print(sum(one.count("<use ") for one in re.findall("<g clip-path=.*?</g>", open("x.svg").read(), re.DOTALL)))
+assert run_command(["log", "plot", "weather.mcap", "outside.distance", "-o", "x.svg", "--overwrite"]) == 0
+print(len(re.findall("<g clip-path=.*?<use ", open("x.svg").read())))
+"""
+
+
+def test_points_between_gaps_are_marked(weather: Path) -> None:
+    pytest.importorskip("matplotlib")
+    line = [sys.executable, "-c", DOTS]
+    done = subprocess.run(line, cwd=weather.parent, capture_output=True, text=True, timeout=100)
+    assert done.stdout.splitlines()[1::2] == ["10", "12", "0"], done.stderr  # a path has a begin and an end, too
 
 
 def test_what_cannot_be_drawn_is_one_line_and_leaves_nothing(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:

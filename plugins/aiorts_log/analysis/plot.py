@@ -5,6 +5,7 @@ The same recording gives the same bytes. Colours can be read on white and on bla
 
 from __future__ import annotations
 
+import math
 from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -94,10 +95,8 @@ def draw_times(file: Path, file_type: str, groups: Sequence[Sequence[Series]], p
             for number, one in enumerate(several):
                 kept = thinned(one.times, one.values, _PIECES)
                 xs, ys = [one.times[i] for i in kept], [one.values[i] for i in kept]
-                mark = "." if len(kept) < 2 else ""
-                axis.plot(
-                    xs, ys, color=_COLOURS[number % len(_COLOURS)], label=_cut(one.label, picture.width), marker=mark
-                )
+                colour = _COLOURS[number % len(_COLOURS)]
+                axis.plot(xs, ys, color=colour, label=_cut(one.label, picture.width), **_marks(xs, ys))
             name = f"{several[0].label}{f' [{unit}]' if unit else ''}"
             if len(several) == 1 and _inches(name) <= _TALL:
                 axis.set_ylabel(name)
@@ -106,6 +105,13 @@ def draw_times(file: Path, file_type: str, groups: Sequence[Sequence[Series]], p
                 axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=most, borderaxespad=0.0)
         axes[-1, 0].set_xlabel("time [s]")
         _save(figure, file, file_type, picture)
+
+
+def _marks(xs: Sequence[float], ys: Sequence[float]) -> dict[str, Any]:
+    """Marks the points that no line leads to: those between two gaps."""
+    there = [False, *(math.isfinite(x) and math.isfinite(y) for x, y in zip(xs, ys, strict=True)), False]
+    alone = [i - 1 for i in range(1, len(there) - 1) if there[i] and not there[i - 1] and not there[i + 1]]
+    return {"marker": ".", "markevery": alone} if alone else {}
 
 
 def _columns(several: Sequence[Series], width: float) -> int:
@@ -134,7 +140,8 @@ def draw_path(file: Path, file_type: str, x: Series, y: Series, picture: Picture
     with _matplotlib() as figure_of:
         figure = figure_of(figsize=(picture.width, picture.height or picture.width), layout="constrained")
         axis = figure.subplots()
-        axis.plot([xs[i] for i in kept], [ys[i] for i in kept], color=_COLOURS[0])
+        path = [xs[i] for i in kept], [ys[i] for i in kept]
+        axis.plot(*path, color=_COLOURS[0], **_marks(*path))
         if kept:
             for number, at, what in ((2, kept[0], "begin"), (1, kept[-1], "end")):
                 axis.plot([xs[at]], [ys[at]], "o", color=_COLOURS[number], label=what)

@@ -15,12 +15,15 @@ from aiorts.errors import AiortsError, ConfigurationError, RecordError
 from aiorts.progress import Step
 from aiorts.types import convert, path_type, read_path
 from aiorts_log.analysis.values import values_of
-from aiorts_log.errors import DamagedError
+from aiorts_log.errors import DamagedError, RecordingError
 from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording
 
 _MOST: Final = 16
 """Items of a sequence that are drawn, a curve for each."""
 _STEP: Final = re.compile(r"\.?([^.\[\]]+)|\[(\d{1,9})\]")
+_ENDLESS: Final = 2**63
+_INDEX: Final = re.compile(r"\[(-?\d{1,9})\]")
+_STAMPS: Final = ("tm", "sec", "nsec", "header")
 _BATCH: Final = 2048
 
 
@@ -45,12 +48,14 @@ class _Field:
         self.port = port
         self.label = f"{name}.{path}" if path else name
         self._path = path
-        self.unit = port.metadata.get("unit", "")
+        self._unit: str | None = None
         simple = re.fullmatch(r"\w+(\.\w+)*", path) is not None
         self._get: Callable[[Any], Any] = attrgetter(path) if simple else lambda record: read_path(record, path)
         self._series: list[Series] = []
         self._items = 0
         self._shape: tuple[int, ...] = ()
+        self._lengths: dict[str, int] = {}
+        """By the item that a sample had not: the length of the longest sequence there."""
         self.numbers: Callable[[RecordedSample], Sequence[float]] = self._of_plain if port.unknown else self._of_record
         if not port.unknown and hasattr(port.type, "__dataclass_fields__"):
             try:
@@ -62,17 +67,29 @@ class _Field:
     def series(self) -> list[Series]:
         """The curves: one, or one for each item."""
         if len(self._series) == 1:
-            return [Series(self.label, self.unit, "", self._series[0].times, self._series[0].values)]
+            return [Series(self.label, self._series[0].unit, "", self._series[0].times, self._series[0].values)]
         if self._items > _MOST:
             other = f"{self.label}{self._place(_MOST)}"
             self._series[0].left_out = f"{self.label}: {_MOST} of {self._items} items drawn; name others, as {other}"
         return self._series
 
+    @property
+    def why_empty(self) -> str:
+        """Why no sample has a number there; "" when one has, and where there was no sample."""
+        if any(value == value for one in self._series for value in one.values) or not self._series:
+            return ""
+        if not self._lengths:
+            return f"{self.label}: is None or NaN in every sample"
+        item = max(self._lengths, key=len)
+        return f"{self.port.name}: no sample has {item}; the longest has {self._lengths[item]}"
+
     def add(self, seconds: float, sample: RecordedSample) -> None:
         """Add the values of a sample."""
+        if self._unit is None:
+            self._unit = self.port.metadata.get("unit", "") if self._has_unit(sample) else ""
         for number, value in enumerate(self.numbers(sample)):
             if number == len(self._series):
-                self._series.append(Series(f"{self.label}{self._place(number)}", self.unit))
+                self._series.append(Series(f"{self.label}{self._place(number)}", self._unit))
             one = self._series[number]
             one.times.append(seconds)
             one.values.append(value)
@@ -96,16 +113,32 @@ class _Field:
             value = self._get(record)
         except (AttributeError, RecordError):
             value = None  # the path is right, and leads through what is absent
+            for index in _INDEX.finditer(self._path):
+                self._too_short(self._path[: index.end()], _items(record, self._path[: index.start()]), int(index[1]))
         return self._checked(value)
 
     def _of_plain(self, sample: RecordedSample) -> Sequence[float]:
         value = values_of(sample)
-        for name, index in _STEP.findall(self._path):
+        for step in _STEP.finditer(self._path):
+            name, index = step.groups()
+            if value is None or (index and self._too_short(self._path[: step.end()], _length(value), int(index))):
+                return [math.nan]
             try:
                 value = value[int(index)] if index else value[name]
             except (KeyError, IndexError, TypeError):
                 raise ConfigurationError(f"{self.label}: there is no {name or index} in its samples") from None
         return self._checked(value)
+
+    def _has_unit(self, sample: RecordedSample) -> bool:
+        """Whether the port's unit is that of the field: not of a stamp, nor of one of several fields."""
+        return re.split(r"[.\[]", self._path, maxsplit=1)[0] not in _STAMPS and _is_one(values_of(sample))
+
+    def _too_short(self, item: str, length: int, index: int) -> bool:
+        """Whether a sequence of that length lacks the item, which is kept in mind."""
+        short = not -length <= index < length
+        if short:
+            self._lengths[item] = max(length, self._lengths.get(item, 0))
+        return short
 
     def _checked(self, value: Any) -> Sequence[float]:
         if hasattr(value, "ravel"):
@@ -118,6 +151,28 @@ class _Field:
         if not all(isinstance(one, int | float) for one in numbers):
             raise ConfigurationError(f"{self.label}: is {type(values[0]).__name__}, not a number; {_way(values[0])}")
         return [float(one) for one in numbers]
+
+
+def _is_one(value: Any) -> bool:
+    """Whether what a sample holds is one value, or one sequence, beside its stamp."""
+    if isinstance(value, list) and value:
+        return _is_one(value[0])
+    if not isinstance(value, dict):
+        return True
+    data = [one for name, one in value.items() if name not in _STAMPS]
+    return len(data) == 1 and _is_one(data[0])
+
+
+def _items(record: Any, path: str) -> int:
+    """The number of items at a path; as good as endless where it leads to no sequence."""
+    try:
+        return _length(read_path(record, path))
+    except (AttributeError, AiortsError):
+        return _ENDLESS
+
+
+def _length(value: Any) -> int:
+    return len(value) if hasattr(value, "__len__") and getattr(value, "shape", None) != () else _ENDLESS
 
 
 def _number(value: Any) -> Any:
@@ -146,6 +201,7 @@ def read_series(
 
     Raises:
         ConfigurationError: there is no such port or field, or it is no number.
+        RecordingError: no sample has a number there.
         DamagedError: the recording is damaged.
     """
     fields = [_find(reader, name) for name in names]
@@ -162,6 +218,9 @@ def read_series(
         if not number % _BATCH:
             step(_BATCH)
     step(number % _BATCH)
+    for one in fields:
+        if why := one.why_empty:
+            raise RecordingError(f"{reader.path}: {why}; nothing is drawn")
     return [one.series for one in fields]
 
 
