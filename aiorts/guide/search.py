@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from typing import Final, NamedTuple
 
 from aiorts.guide.contents import Page, pages
 
 _WORD: Final = re.compile(r"[a-z0-9]+(?:[-_.][a-z0-9]+)*")
 _HEADING: Final = re.compile(r"^#{1,4} ")
+_DOUBLED: Final = re.compile(r"([bgmnprt])\1$")
+"""What an ending doubled: dropped, running."""
 _COMMON: Final = frozenset(
     (
         *(
@@ -31,7 +34,7 @@ _COMMON: Final = frozenset(
             "i",
         ),
         *("if", "in", "is", "it", "its", "my", "not", "of", "on", "or", "that", "the", "this", "to", "use", "using"),
-        *("want", "what", "when", "where", "which", "who", "why", "will", "with"),
+        *("want", "was", "were", "what", "when", "where", "which", "who", "why", "will", "with"),
     )
 )
 _IN_TITLE: Final = 8.0
@@ -92,9 +95,12 @@ def _words(text: str) -> list[str]:
     ]
 
 
+@cache
 def _stem(word: str) -> str:
     """The word without the endings that a plural or a verb has."""
-    for ending in ("ing", "ies", "es", "ed", "s"):
-        if word.endswith(ending) and len(word) - len(ending) >= 3 and not word.endswith("ss"):
-            return word.removesuffix(ending) + ("y" if ending == "ies" else "")
+    if len(word) > 3 and word.endswith("s") and not word.endswith("ss"):
+        word = f"{word[:-3]}y" if word.endswith("ies") else word[:-1]
+    for ending in ("ing", "ed"):
+        if word.endswith(ending) and len(word) - len(ending) >= 3:
+            word = _DOUBLED.sub(r"\1", word.removesuffix(ending))
     return word.removesuffix("e") if len(word) > 4 else word

@@ -58,6 +58,43 @@ def test_a_search_names_the_page_first_that_the_question_is_about(capsys: pytest
     assert "--list" in err
 
 
+@pytest.mark.parametrize(
+    "forms",
+    [("recording", "recordings"), ("drop", "drops", "dropped", "dropping"), ("code", "codes"), ("add", "adding"),
+     ("policy", "policies"), ("setting", "settings"), ("class", "classes"), ("miss", "missed", "misses")],
+)  # fmt: skip
+def test_a_search_finds_the_same_for_each_form_of_a_word(forms: tuple[str, ...]) -> None:
+    found = [search(form) for form in forms]
+    assert found[0]
+    assert all(one == found[0] for one in found)
+
+
+QUESTIONS = {
+    "my reader is too slow and samples are lost": "slow-reader",
+    "how many messages were dropped": "slow-reader",
+    "which push policy for my rates": "choose-policy",
+    "only the newest value": "choose-policy",
+    "block the writer until there is room": "choose-policy",
+    "what made the cycle miss its deadline": "missed-deadline",
+    "garbage collection pauses": "missed-deadline",
+    "SCHED_FIFO permission denied": "real-time",
+    "restart a component after an error": "supervise",
+    "systemd unit with a watchdog": "deploy",
+    "run in a docker container": "deploy",
+    "convert a recording to a ROS 2 bag": "ros-bag",
+    "a dataclass as message type": "records",
+    "a custom execution context": "write-context",
+    "my own binary format": "write-codec",
+    "options of aiorts run for my service": "write-service",
+    "benchmark my own code": "write-bench",
+}
+
+
+def test_a_question_of_a_user_is_answered_by_one_of_the_first_two_pages() -> None:
+    found = {question: [hit.page.name for hit in search(question)[:2]] for question in QUESTIONS}
+    assert {question: names for question, names in found.items() if QUESTIONS[question] not in names} == {}
+
+
 @pytest.mark.parametrize("width", [20, 80, 200])
 def test_a_page_keeps_every_word_and_is_no_wider_than_the_terminal(width: int) -> None:
     for page in pages():
