@@ -115,7 +115,8 @@ def drawn(name: str) -> str:
         for at in [_LEFT + tenth / 10 * _SCALE]
     )
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" role="img">\n'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" '
+        f'viewBox="0 0 {width:g} {height:g}">\n'
         f"<style>{_STYLE}</style>\n"
         f'<rect width="{width:g}" height="{height:g}" rx="6" fill="#fff"/>\n'
         f'<text x="8" y="{_UP + 4:g}">written</text><text x="8" y="{_DOWN + 4:g}">read</text>\n{ticks}\n'

@@ -129,11 +129,12 @@ def _look(kernel: Microkernel, path: str) -> Any:
     """
     owner, _, rest = path.partition(".")
     first, _, field = rest.partition(".")
-    component = kernel.components.get(owner)
+    name, _, what = path.rpartition(".")
+    component, context, connector = kernel.components.get(owner), kernel.contexts.get(name), kernel.connectors.get(name)
+    if connector is not None and what in _LEDGER and "." in name:
+        return _LEDGER[what](connector)  # named by its ports: its name begins with that of a component
     if component is not None and first:
         return _of_component(component, path, first, field)
-    name, _, what = path.rpartition(".")
-    context, connector = kernel.contexts.get(name), kernel.connectors.get(name)
     if context is not None and what in _CONTEXT:
         return _CONTEXT[what](context)
     if connector is not None and what in _LEDGER:

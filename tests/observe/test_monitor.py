@@ -9,7 +9,7 @@ import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext, SimulatedClock
 from aiorts.errors import ClosedError, ConfigurationError, WiringError
-from aiorts.testing import simulate
+from aiorts.testing import simulate, simulated
 from aiorts.types import TimedDouble
 
 pytestmark = pytest.mark.row(81)
@@ -44,6 +44,17 @@ async def system(kernel: Kernel) -> tuple[Source, Sink, Any]:
 
 
 PATHS = ["source.out.data", "sink.into", "source.gain", "source.state", "loop.lateness", "loop.ticks", "wire.written"]
+
+
+@simulated
+async def test_a_connector_without_a_name_of_its_own_is_named_by_its_ports() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        connector = await kernel.connect(source.out, sink.into)
+        source.out.write_nowait(TimedDouble(0, 1.0))
+        assert connector.profile.name == "source.out-sink.into"
+        reading = await anext(kernel.monitor(["source.out-sink.into.written"], rate=2.0))
+        assert dict(reading.values) == {"source.out-sink.into.written": 1}
 
 
 def test_values_come_at_the_rate_with_the_time_and_no_sample_is_taken() -> None:
