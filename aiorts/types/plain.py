@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import binascii
 import math
+import re
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from aiorts.errors import RecordError
@@ -54,7 +55,8 @@ def from_plain(cls: type[T], plain: Plain, *, defaults: bool = False) -> T:
     """The record that `to_plain` wrote. RecordError names the field that is missing, unknown or wrong.
 
     Args:
-        defaults: fields that have a default may be missing; those that are None by default always may.
+        defaults: fields that have a default may be missing, and a datetime may be text (ISO 8601, with a zone), as in
+            the lines of filters; fields that are None by default may always be missing.
     """
     if cls in PLAIN_TYPES:
         return cast("T", _take(kind_of(cls, cls.__name__), plain, cls.__name__, defaults))
@@ -137,6 +139,22 @@ def _take_float(kind: Kind, plain: Plain, where: str) -> Any:
             raise wrong_value(where, 'a number, "NaN", "Infinity" or "-Infinity"', plain)
         return _NON_FINITE[plain]
     return kind.check(plain, where)
+
+
+def _take_datetime(kind: Kind, plain: Plain, where: str, defaults: bool) -> Any:
+    if not defaults or not isinstance(plain, str):
+        return kind.check(plain, where)
+    from datetime import datetime
+
+    try:
+        moment = datetime.fromisoformat(plain)
+    except ValueError:
+        raise wrong_value(where, "a datetime such as 2026-03-01T12:00:00Z, or its nanoseconds", plain) from None
+    if moment.utcoffset() is None:
+        raise RecordError(f"{where}: {shown(plain)} has no time zone; add Z for UTC, or an offset such as +09:00")
+    if re.search(r"[.,]\d{6}0*[1-9]", plain):
+        raise wrong_value(where, "whole microseconds", plain)
+    return kind.check(moment, where)
 
 
 def _put_bytes(kind: Kind, value: bytes) -> Plain:
@@ -336,5 +354,6 @@ _TAKE_PARTS: tuple[tuple[type, Callable[[Any, Plain, str, bool], Any]], ...] = (
     (TupleKind, _take_tuple),
     (FixedTupleKind, _take_fixed),
     (OptionalKind, _take_optional),
+    (DateTimeKind, _take_datetime),
 )
-"""Kinds that may hold records."""
+"""Kinds that may hold records, or that are more than one thing in a line."""

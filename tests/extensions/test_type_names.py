@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -170,6 +171,11 @@ def test_what_is_installed_and_reached_by_path_is_one_offer(folder: Path, monkey
     assert [one.target for one in other] == ["tnm_alone.py:Part"]  # which is another class
     with pytest.raises(PluginError, match=r"offered twice, by tnm_pack:Part .* and tnm_alone.py:Part"):
         catalogue.find("components", "Part")
+    # What may be written in place of the name needs nothing removed.
+    with pytest.raises(PluginError, match=r'or write "(.*)" or "(.*)" in place of the name') as caught:
+        catalogue.find("components", "Part")
+    texts = re.findall(r'"(.*?)"', str(caught.value))
+    assert len({found(text, catalogue) for text in texts}) == 2
     assert found("Part", Catalogue([folder / "tnm_pack"])) is found("tnm_pack/part.py:Part")
 
 

@@ -203,6 +203,14 @@ def test_the_interface_that_parameters_state_is_checked_with_its_place(
     assert marked(one) == mark
 
 
+def test_a_wrong_parameter_hides_no_wrong_port(write: Write) -> None:
+    text = changed('type = "parts.py:Middle"', 'type = "parts.py:Middle"\nparams.gain = 0.0', CHAIN)
+    text = changed('to = "middle.input"', 'to = "middle.inptu"', text)
+    said = [(one.where, one.remedy) for one in found(write(text), "error")]
+    assert [where for where, _ in said] == ["components.middle.params.gain", "connections[1].to"]
+    assert said[1][1] == "did you mean 'input'?"
+
+
 def test_options_and_params_that_set_the_same_are_refused_naming_both(write: Write) -> None:
     text = flexi(
         'type = "FlexiFilter"\noptions = ["-i", "TimedLong", "-o", "TimedLong", "-m", "0>0"]\nparams.map = "0>2>0"'

@@ -123,6 +123,11 @@ def test_a_bad_override_is_refused(text: str) -> None:
         parse(GOOD, HERE, [text])
 
 
+def test_plugins_that_are_no_table_are_named_with_what_to_write() -> None:
+    with pytest.raises(SystemFileError, match=r'plugins: expected a table, got \[\]; write plugins.path = \["\."\]'):
+        parse("plugins = []\nschema = 1\n", HERE)
+
+
 def test_a_plugin_folder_outside_is_refused() -> None:
     with pytest.raises(SystemFileError, match="outside the system file's folder"):
         parse('schema = 1\n[plugins]\npath = [".."]\n', HERE)

@@ -6,6 +6,7 @@ import json
 import math
 import random
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
@@ -15,7 +16,17 @@ from hypothesis import strategies as st
 from aiorts.errors import RecordError
 from aiorts.testing.invented import invent, record_types
 from aiorts.testing.samples import difference
-from aiorts.types import RangeData, TimedBoolean, TimedDouble, TimedDoubleSeq, TimedLong, TimedString, full_name, record
+from aiorts.types import (
+    RangeData,
+    TimedBoolean,
+    TimedDouble,
+    TimedDoubleSeq,
+    TimedLong,
+    TimedString,
+    from_plain,
+    full_name,
+    record,
+)
 from aiorts.types.registry import _by_full_name, _by_short_name
 from aiorts.wire.lines import LineReader, LineWriter, line_of, split_sample
 from each import each
@@ -112,6 +123,37 @@ def test_a_line_may_leave_out_fields_that_have_a_default_at_any_depth() -> None:
 def test_a_line_without_a_field_that_has_no_default_names_it(line: str, message: str) -> None:
     with pytest.raises(RecordError, match=message):
         LineReader({"input0": Sweep}).sample(line, NOW)
+
+
+@dataclass(frozen=True)
+class Filled:
+    at: datetime
+    before: datetime | None = None
+
+
+def test_a_line_may_have_a_datetime_as_text_with_a_zone() -> None:
+    reader = LineReader({"input0": Filled})
+    moment = datetime(2026, 3, 1, 12, tzinfo=UTC)
+    for text in ("2026-03-01T12:00:00Z", "2026-03-01 21:00:00.000000000+09:00"):
+        assert reader.sample(json.dumps({"at": text, "before": text}), NOW)[1] == Filled(moment, moment)
+    assert reader.sample(line_of("input0", Filled(moment)), NOW)[1] == Filled(moment)
+    with pytest.raises(RecordError, match="expected a datetime with a time zone"):
+        from_plain(Filled, {"at": "2026-03-01T12:00:00Z", "before": None})  # what is no line stays strict
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("2026-03-01T12:00:00", "Filled.at: '2026-03-01T12:00:00' has no time zone; add Z"),
+        ("noon", "Filled.at: expected a datetime such as 2026-03-01T12:00:00Z, .* got 'noon'"),
+        ("2026-03-01T12:00:00.0000001Z", "Filled.at: expected whole microseconds"),
+        ("1066-10-14T12:00:00Z", "Filled.at: expected a datetime with a time zone, from 1677"),
+        ("0001-01-01T00:00:00+09:00", "Filled.at: expected a datetime with a time zone, from 1677"),
+    ],
+)
+def test_a_text_that_is_no_exact_datetime_is_refused(text: str, message: str) -> None:
+    with pytest.raises(RecordError, match=message):
+        LineReader({"input0": Filled}).sample(json.dumps({"at": text}), NOW)
 
 
 def test_with_several_in_ports_a_line_names_its_own() -> None:

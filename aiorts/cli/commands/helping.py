@@ -15,7 +15,7 @@ from aiorts.cli.console.codes import CODES
 from aiorts.cli.console.output import say, table
 from aiorts.cli.console.report import has_colours
 
-_SHOWN: Final = 8
+_SHOWN: Final = 5
 """Places that a search shows."""
 _LONGEST_LINE: Final = 90
 
@@ -141,7 +141,7 @@ def _search(question: str) -> int:
     hits = search(question)
     if not hits:
         raise click.UsageError(f"no page has a word of {question[:60]!r}; aiorts help --list shows all pages")
-    for hit in hits[:_SHOWN]:
+    for hit in [hit for hit in hits if 2 * hit.score >= hits[0].score][:_SHOWN]:
         line = hit.line if len(hit.line) <= _LONGEST_LINE else f"{hit.line[: _LONGEST_LINE - 3]}..."
         place = hit.page.title if hit.heading == hit.page.title else f"{hit.page.title}: {hit.heading}"
         say(f"aiorts help {hit.page.name}   {place}\n    {line}")

@@ -11,6 +11,7 @@ import click
 
 from aiorts import Catalogue, Extension
 from aiorts.errors import PluginError
+from aiorts.kernel.extensions.origins import told_apart
 
 
 def offered(catalogue: Catalogue, kind: str) -> dict[str, tuple[Extension, ...]]:
@@ -86,8 +87,7 @@ def _can_be_typed(name: str) -> bool:
 
 
 def _twice(name: str, several: tuple[Extension, ...]) -> PluginError:
-    sources = " and ".join(f"{one.target} ({one.source})" for one in several)
-    return PluginError(f"`aiorts {name}` is offered twice, by {sources}; remove one")
+    return PluginError(f"`aiorts {name}` is offered twice, by {told_apart(several)}")
 
 
 def _called(extension: Extension) -> str:

@@ -151,8 +151,9 @@ class Catalogue:
             broken = f" ({len(self.problems)} could not be read: see `aiorts plugins`)" if self.problems else ""
             raise PluginError(f"no {word} named {name[:100]!r}; {hint}{broken}")
         if len(found) > 1:
-            sources = " and ".join(f"{one.target} ({one.source})" for one in found)
-            raise PluginError(f"{word} {name!r} is offered twice, by {sources}; remove one")
+            from aiorts.kernel.extensions.origins import told_apart
+
+            raise PluginError(f"{word} {name!r} is offered twice, by {told_apart(found)}")
         return found[0]
 
     def _installed(self) -> Iterator[Extension]:

@@ -18,6 +18,12 @@ _LARGEST: Final = 1 << 20
 
 class _Offer(Protocol):
     @property
+    def kind(self) -> str: ...
+
+    @property
+    def source(self) -> str: ...
+
+    @property
     def target(self) -> str: ...
 
     @property
@@ -33,6 +39,25 @@ def without_doubles(offers: Iterable[T]) -> list[T]:
     for offer in offers:
         found.setdefault(_origin(offer) or offer, offer)
     return list(found.values())
+
+
+def told_apart(offers: Iterable[_Offer]) -> str:
+    """Who offers one name, and what to do: of components what may be written in place of the name."""
+    several = list(offers)
+    sources = " and ".join(f"{one.target} ({one.source})" for one in several)
+    texts = [f'"{text}"' for one in several if one.kind == "components" and (text := _as_text(one))]
+    instead = f", or write {' or '.join(texts)} in place of the name" if texts else ""
+    return f"{sources}; remove one{instead}"
+
+
+def _as_text(offer: _Offer) -> str:
+    """What names this offer alone, wherever it is written; "" for a module of a folder, which may be in several."""
+    if offer.folder is None:
+        return offer.target.partition(" ")[0]
+    if not offer.target.partition(":")[0].endswith(".py"):
+        return ""
+    here = os.path.realpath(offer.folder) == os.path.realpath(os.curdir)
+    return offer.target if here else f"{offer.folder.absolute()}{os.sep}{offer.target}"
 
 
 def _origin(offer: _Offer) -> tuple[str, str] | None:

@@ -14,7 +14,7 @@ from aiorts.errors import AiortsError, StateError, SystemFileError
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
 from aiorts.system.checks.connection_checks import joint_findings
-from aiorts.system.checks.draft import Draft, draft
+from aiorts.system.checks.draft import Draft, drafts_of
 from aiorts.system.checks.findings import Finding, Said, in_order
 from aiorts.system.checks.whole import whole_findings
 from aiorts.system.file.families import parts, with_parts
@@ -52,13 +52,12 @@ def check_text(
         return (_unread(error, path),)
     said = [Said("error", SystemFileError.code, one.key, one.what, one.of_key, one.where) for one in mistakes]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
-    # Of a component that the file says too little of, ports are not asked for: that would be said twice.
-    found.bad_params |= _marred(mistakes, "components")
     said += [
         Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
         for fault in found.faults
     ]
-    drafts = _drafts(found)
+    # Of a component that the file says too little of, ports are not asked for: that would be said twice.
+    drafts = drafts_of(found, _marred(mistakes, "components"))
     composed = compositions(system, drafts, _marred(mistakes, "composites"))
     said += composed.said
     said += [of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
@@ -77,14 +76,6 @@ def check_text(
 def _marred(mistakes: Iterable[Mistake], table: str) -> set[str]:
     """The names in a table of tables that something is wrong with; of the table itself that has been said."""
     return {str(mistake.key[1]) for mistake in mistakes if mistake.key[:1] == (table,) and mistake.key[1:]}
-
-
-def _drafts(found: Survey) -> dict[str, Draft]:
-    return {
-        name: draft(cls, name, found.settings[name])
-        for name, cls in found.types.items()
-        if name not in found.bad_params
-    }
 
 
 def _of_members(found: Survey, drafts: dict[str, Draft]) -> Iterable[Said]:

@@ -7,7 +7,7 @@ ports there, so that a port that is not declared cannot be judged.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from aiorts.errors import AiortsError, ComponentError
@@ -16,6 +16,7 @@ from aiorts.kernel.loop.origins import located
 from aiorts.kernel.ports import Port
 from aiorts.late import dataclass
 from aiorts.system.file.setting import Setting
+from aiorts.system.file.survey import Survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,20 @@ class Draft:
     """Whether these are all its ports."""
     error: AiortsError | None = None
     """Why it could not be made."""
+
+
+def drafts_of(found: Survey, without: Collection[str] = ()) -> dict[str, Draft]:
+    """The components of a system, as far as their ports are known, but for those `without`.
+
+    One with a wrong parameter has the others alone; its ports are not known where they are made of parameters.
+    """
+    made = {
+        name: draft(cls, name, found.settings[name])
+        for name, cls in found.types.items()
+        if name not in without and not (name in found.bad_params and hasattr(cls, "make_ports"))
+    }
+    # What a wrong parameter leads to has been said of the parameter.
+    return {name: one for name, one in made.items() if one.error is None or name not in found.bad_params}
 
 
 def draft(cls: type[Component], name: str, setting: Setting) -> Draft:

@@ -11,7 +11,7 @@ from aiorts.model.policy import Dataflow, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
 from aiorts.services import ServicePort
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
-from aiorts.system.checks.draft import Draft, draft
+from aiorts.system.checks.draft import Draft, drafts_of
 from aiorts.system.file.families import owners, with_parts
 from aiorts.system.file.survey import Survey, survey
 from aiorts.system.file.values import SystemFile
@@ -84,7 +84,7 @@ class Picture:
 def picture(system: SystemFile, catalogue: Catalogue | None = None) -> Picture:
     """The picture of a system; a part that cannot be loaded is drawn as far as the file describes it."""
     found = survey(system, catalogue)
-    drafts = {n: draft(cls, n, found.settings[n]) for n, cls in found.types.items() if n not in found.bad_params}
+    drafts = drafts_of(found)
     found.system = leaf_paths(system, {**drafts, **compositions(system, drafts).drafts})
     arrows = tuple(_arrows(found))
     homes: dict[str, str] = {}

@@ -53,6 +53,7 @@ __all__ = (
 
 SCHEMA: Final = 1
 CLOCKS: Final = ("system", "scaled", "simulated")
+_PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", "plugins", "clock", "components", "composites", "connections", "contexts")
 _COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start")
 _COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule")
@@ -281,7 +282,10 @@ class _Reader(Reading):
         return override
 
     def _plugin_paths(self, top: dict[str, Any]) -> tuple[Path, ...]:
-        table = self._get((), top, "plugins", dict, {})
+        table = top.get("plugins", {})
+        if not isinstance(table, dict):
+            self._say(("plugins",), f"expected a table, got {table!r:.80}; {_PLUGINS}")
+            return ()
         self._only(("plugins",), table, ("path",))
         folder = self._path.parent.resolve()
         paths = []

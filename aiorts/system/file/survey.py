@@ -55,7 +55,7 @@ class Survey:
     services: dict[str, ServicePlan] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
     bad_params: set[str] = field(default_factory=set)
-    """Components with a parameter that is wrong: what their ports will be is not known."""
+    """Components with a parameter that is wrong: what ports it makes is not known; those that are declared are."""
 
     def say(self, key: Key, error: AiortsError, where: str = "", *, of_key: bool = False) -> None:
         """Keep a fault; `where` in place of the key as it is written."""
