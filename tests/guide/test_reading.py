@@ -89,7 +89,7 @@ QUESTIONS = {
     "systemd unit with a watchdog": "deploy",
     "run in a docker container": "deploy",
     "convert a recording to a ROS 2 bag": "ros-bag",
-    "a dataclass as message type": "records",
+    "my own dataclass as the type of a port": "records",
     "a custom execution context": "write-context",
     "my own binary format": "write-codec",
     "options of aiorts run for my service": "write-service",
