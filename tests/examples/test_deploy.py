@@ -85,4 +85,5 @@ def test_it_is_ready_answers_the_watchdog_and_stops_at_sigterm(tmp_path: Path) -
     assert robot.returncode == 0, errors
     assert "robot is ready" in out
     assert "after some samples" in out
-    assert errors == ""
+    # A busy machine that has no bytecode yet imports for longer than the 0.2 s above which the loop's monitor warns.
+    assert [line for line in errors.splitlines() if "the event loop does not turn" not in line] == []
