@@ -12,11 +12,13 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.diagnostics.deadline_monitor import ContextTimer, DeadlineMonitor
     from aiorts.diagnostics.loop_monitor import LoopLimit, LoopMonitor, LoopStall, LoopStalls
+    from aiorts.diagnostics.unawaited import unawaited_told
 
 _late(
     globals(),
     {
         "aiorts.diagnostics.deadline_monitor": "ContextTimer DeadlineMonitor",
         "aiorts.diagnostics.loop_monitor": "LoopLimit LoopMonitor LoopStall LoopStalls",
+        "aiorts.diagnostics.unawaited": "unawaited_told",
     },
 )

@@ -146,10 +146,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
 async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
     """A component with its sets in force before its first hook, and supervised before it can fail."""
     cls, setting = plan.types[name], plan.settings[name]
-    if setting.sets or setting.active is not None:
-        component = await kernel.add(setting.make(cls, name))
-    else:
-        component = await kernel.create(cls, name, **setting.params)
+    component = await setting.create(kernel, cls, name)
     policy = plan.system.components[name].supervision
     if policy is not None:
         kernel.supervise(component, policy, factory=partial(setting.make, cls))

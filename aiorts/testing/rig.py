@@ -8,13 +8,14 @@ async with Rig(Pid("pid0"), rate=100.0) as rig:
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from inspect import iscoroutine
 from typing import TYPE_CHECKING, Any, Self
 
 from aiorts.assembly import Kernel
 from aiorts.clock import SimulatedClock, current_clock, to_ns
 from aiorts.contexts import ExternalContext
+from aiorts.diagnostics import unawaited_told
 from aiorts.errors import ClosedError, ComponentError, StateError, WiringError
 from aiorts.kernel import Component, InPort, OutPort
 from aiorts.kernel.loop.bus import HookFailed, PortAdded
@@ -42,7 +43,8 @@ class Rig:
     """Components under test. `async with` opens it, on any asyncio loop and inside `simulate`.
 
     The test keeps each component itself, with its own type: `pid = Pid("pid0")`, then `Rig(pid, params={"gain": 2.0})`.
-    While the rig is open, `await pid.configure(gain=3.0)` changes parameters as `--set` and tools do.
+    While the rig is open, `await pid.configure(gain=3.0)` changes parameters as `--set` and tools do, and
+    `await pid.configuration.activate("soft")` puts a configuration set in force; before it is opened, too.
 
     Args:
         components: in order of execution, all in one context.
@@ -51,7 +53,8 @@ class Rig:
         rate: Hz of an external context: each tick is one period later than the last. None: ticks take no time.
         context: the context they run in; an ExternalContext by default.
         clock: simulated; by default that of the loop, or a new one at 0.
-        strict: a hook that fails makes the next `tick`, `advance` or `activate` raise what it raised.
+        strict: a hook that fails makes the next `tick`, `advance` or `activate` raise what it raised; one that makes
+            a coroutine and does not await it makes them raise a ComponentError with hook and line.
         debug: the kernel's debug mode: checks the thread of each port call and copies each sample.
         activate: have the components active from the start.
     """
@@ -85,6 +88,8 @@ class Rig:
         self._failures: list[HookFailed] = []
         self._reported = 0
         self._expecting = 0
+        self._unawaited: list[str] = []
+        self._until_closed = ExitStack()
         self._is_open = False
         self._start_ns = self._ticks = 0
         self._in_ports: dict[InPort[Any], list[Any]] = {}
@@ -97,10 +102,12 @@ class Rig:
         self._clock = self._clock or current_clock() or SimulatedClock()
         self._kernel = Kernel("rig", clock=self._clock, debug=self._debug, contain_interrupts=True)
         await self._kernel.open()
+        self._until_closed.enter_context(unawaited_told(self._take_unawaited))
         try:
             await self._set_up(self._kernel)
         except BaseException:
             await self._kernel.aclose()
+            self._until_closed.close()
             raise
         self._is_open = True
         return self
@@ -129,6 +136,7 @@ class Rig:
                 await while_time_passes(self.clock, context.stop())
         finally:
             await kernel.aclose()
+            self._until_closed.close()
         if error is None:
             self._raise_failure()
 
@@ -388,8 +396,20 @@ class Rig:
         caught.error = new[0].error
         self._reported = len(self._failures)
 
+    def _take_unawaited(self, line: str, owner: Component | None) -> bool:
+        """Keep it for the next `_raise_failure`; what is no component's own, or not to be raised, is warned of."""
+        is_ours = self.strict and owner is not None and owner.name in self.kernel.components
+        if is_ours:
+            self._unawaited.append(line)
+        return is_ours
+
     def _raise_failure(self) -> None:
-        if not self.strict or self._expecting or self._reported == len(self._failures):
+        if not self.strict or self._expecting:
+            return
+        if self._unawaited:
+            lines, self._unawaited = self._unawaited, []
+            raise ComponentError("\n".join(dict.fromkeys(lines)))
+        if self._reported == len(self._failures):
             return
         failure = self._failures[self._reported]
         self._reported = len(self._failures)

@@ -32,6 +32,12 @@ class Counter(Component):
     def on_deactivated(self):
         self.log.warning("%s %s", self.context.kind, self.context.rate)
 
+class Sets(Counter):
+    configurations = {"two": {"last": 2}}
+
+class Named(Sets):
+    active = Param(1)
+
 class Fast(Counter):
     alone = {"rate": 200.0}
 
@@ -128,6 +134,41 @@ def test_a_class_says_which_context_it_runs_in_alone(folder: Path, name: str, op
 def test_as_a_filter_too(folder: Path) -> None:
     done = here(folder, "fast", AIORTS_PLUGINS=".")
     assert (done.returncode, data(done.stdout)) == (0, [1, 2, 3, -1])
+
+
+@pytest.mark.parametrize(
+    ("options", "last"), [(["active=two"], 2), (["active=default"], 3), (["active=two", "last=4"], 4)]
+)
+def test_a_configuration_set_is_chosen_by_run_and_by_the_filter(folder: Path, options: list[str], last: int) -> None:
+    for command in (
+        ["run", "parts.py:Sets", *(word for one in options for word in ("--set", one))],
+        ["sets", *(f"--{one}" for one in options)],
+    ):
+        done = here(folder, *command, "--rate", "500", AIORTS_PLUGINS=".")
+        assert (done.returncode, data(done.stdout)) == (0, [*range(1, last + 1), -1]), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (["run", "parts.py:Sets", "--set", "active=tow"], "sets: no set 'tow'; did you mean two?"),
+        (["sets", "--active", "tow"], "'tow' is not one of 'default', 'two'"),
+        (["counter", "--active", "two"], "No such option '--active'"),
+        (["counter", "--set", "last=1.5"], "--set is of `aiorts run`; write --last 1.5;"),
+        (["counter", "--set=counter.last=1"], "write --last 1;"),
+        (["counter", "--set", "lats=1"], "its parameters are options: --last"),
+        (["named", "--active", "two"], "--active 'two': "),
+    ],
+)
+def test_a_set_that_is_not_there_and_an_option_of_run_are_answered(folder: Path, command: list[str], said: str) -> None:
+    done = here(folder, *command, AIORTS_PLUGINS=".")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert said in done.stderr
+
+
+def test_the_help_of_the_filter_names_the_sets(folder: Path) -> None:
+    assert "--active SET" in here(folder, "sets", "--help", AIORTS_PLUGINS=".").stdout
+    assert "--active" not in here(folder, "counter", "--help", AIORTS_PLUGINS=".").stdout
 
 
 @pytest.mark.parametrize("command", [["run", "parts.py:ramp", "--set", "upto=1000"], ["ramp", "--upto", "1000"]])

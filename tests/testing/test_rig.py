@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
+import warnings
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -98,6 +99,23 @@ async def test_parameters_are_in_force_before_on_initialize_and_a_bad_one_is_ref
             pass
     with pytest.raises(ValueError, match="is for one component, there are 2"):
         Rig(Pid("pid0"), Plant("plant0"), params={"gain": 2.0})
+
+
+async def test_a_configuration_set_is_chosen_by_its_own_method_and_a_parameter_active_says_so() -> None:
+    class Soft(Pid):
+        configurations: ClassVar[dict[str, dict[str, float]]] = {"soft": {"gain": 0.5}}
+
+    with pytest.raises(
+        ConfigurationError, match=r"soft0.active: no such parameter; .* configuration\.activate\(NAME\)"
+    ):
+        async with Rig(Soft("soft0"), params={"active": "soft"}):
+            pass
+    soft = Soft("soft0")
+    await soft.configuration.activate("soft")
+    async with Rig(soft) as rig:
+        rig.feed("measured", 2.0)
+        await rig.tick()
+        assert rig.values("command") == [-1.0]
 
 
 async def test_component_in_a_rig_is_fed_ticked_and_asked() -> None:
@@ -241,6 +259,33 @@ async def test_failure_is_raised_by_the_tick_it_happened_in() -> None:
             await rig.tick()
         await rig.tick()
         assert [failure.component for failure in rig.failures] == ["cam"]
+
+
+async def test_an_await_that_is_missing_is_raised_with_hook_line_and_remedy() -> None:
+    class Lazy(Component):
+        out = OutPort(TimedLong)
+
+        async def on_execute(self) -> None:
+            self.out.write(TimedLong(0, 1))  # type: ignore[unused-coroutine]
+
+        async def on_deactivated(self) -> None:
+            self.sleep(1.0)  # type: ignore[unused-coroutine]
+
+    said = r"^lazy0.on_execute: .*test_rig.py:\d+: OutPort.write was never awaited and did nothing; use write_nowait"
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        async with Rig(Lazy("lazy0"), Lazy("lazy1")) as rig:
+            with pytest.raises(ComponentError, match=said):
+                await rig.tick()
+            with pytest.raises(ComponentError, match=r"lazy0.on_deactivated: .* Component.sleep was never awaited"):
+                await rig.deactivate()
+        assert warned == []
+        async with Rig(Lazy("lazy0"), strict=False) as rig:
+            await rig.tick()
+            rig.tick()  # type: ignore[unused-coroutine]
+        texts = [str(one.message) for one in warned]
+    assert [text.split("'")[1] for text in texts] == ["OutPort.write", "Rig.tick", "Component.sleep"]
+    assert warnings.showwarning.__module__ != "aiorts.diagnostics.unawaited"
 
 
 async def test_failure_of_another_kind_than_an_exception_is_wrapped() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import inspect
+import shlex
 import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
@@ -33,8 +34,10 @@ from aiorts.cli.runtime.options import Options, checked
 from aiorts.cli.runtime.session import execute
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.errors import AiortsError, ComponentError, ConfigurationError
+from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.type_modules import import_types
 from aiorts.system import FrameInput, StandardInput, construct, option_params
+from aiorts.system.file.setting import ACTIVE, Setting, setting_alone
 from aiorts.types import type_name
 
 _WORDS: Final = {"in": "in ", "out": "out"}
@@ -54,7 +57,7 @@ _OURS: Final = (
 def command_of(name: str, cls: type[Component]) -> click.Command:
     """Make the command that runs a component of this class."""
     table = getattr(cls, "options", None)
-    own = _from_table(table) if table is not None else _from_parameters(cls)
+    own = _from_table(table) if table is not None else [*_from_parameters(cls), *_from_sets(cls)]
     taken = {flag for option in own for flag in option.opts}
     ours = [option for option in _OURS if not taken.intersection(option.opts)]
 
@@ -66,17 +69,37 @@ def command_of(name: str, cls: type[Component]) -> click.Command:
 
 
 class _FilterCommand(click.Command):
-    """A command that takes `--loop=-1`: a negative value for an option that may go without a value."""
+    """A command that takes `--loop=-1`: a negative value for an option that may go without a value.
+
+    Who writes `--set PARAM=VALUE`, as for `aiorts run`, is told the option of that parameter.
+    """
 
     def make_parser(self, ctx: click.Context) -> Any:
         """Make click's parser, which would take -1 for an option, and the option for one without a value."""
         parser: Any = super().make_parser(ctx)
         parse = parser.parse_args
         beginnings = tuple(f"{flag}=-" for one in self.params if one.callback is _stripped for flag in one.opts)
-        vars(parser)["parse_args"] = lambda args: parse(
-            [word.replace("=", "= ", 1) if word.startswith(beginnings) else word for word in args]
-        )
+
+        def parse_args(args: list[str]) -> Any:
+            try:
+                return parse([word.replace("=", "= ", 1) if word.startswith(beginnings) else word for word in args])
+            except click.NoSuchOption as error:
+                if error.option_name != "--set":
+                    raise
+                raise click.UsageError(f"--set is of `aiorts run`; {self._instead(args)}", ctx) from None
+
+        vars(parser)["parse_args"] = parse_args
         return parser
+
+    def _instead(self, args: list[str]) -> str:
+        """What to write in place of `--set PARAM=VALUE`."""
+        after = " ".join(args).partition("--set")[2].lstrip(" =").split(" ")[0]
+        name, _, value = after.partition("=")
+        name = name.rpartition(".")[2]
+        flags = [flag for one in self.params for flag in one.opts if str(one.name).startswith(("param_", "option"))]
+        if _flag(name) in flags:
+            return f"write {_flag(name)} {shlex.quote(value) if value else 'VALUE'}"
+        return f"its parameters are options: {', '.join(flags) or 'it has none'}"
 
 
 def _stripped(_ctx: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> tuple[str, ...]:
@@ -138,6 +161,19 @@ def _from_parameters(cls: type[Component]) -> list[click.Option]:
     ]
 
 
+def _from_sets(cls: type[Component]) -> list[click.Option]:
+    """`--active` of a component that declares configuration sets, and has no parameter of that name."""
+    declared = declarations(cls).configuration
+    if len(declared.sets) == 1 or ACTIVE in declared.specs:
+        return []
+    text = f"The configuration set that is active: {', '.join(declared.sets)}."
+    return [
+        click.Option(
+            [_flag(ACTIVE), f"param_{ACTIVE}"], type=click.Choice(list(declared.sets)), metavar="SET", help=text
+        )
+    ]
+
+
 def _described(spec: Any) -> str:
     """The help of a parameter: its text, type, default and range."""
     default = plain(spec.default)
@@ -181,7 +217,7 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         params, actions, modules = _chosen(table, given)
         import_types(modules)
         check_rate(common.get("rate"))
-        _check(cls, table, params)
+        setting = _checked(cls, table, params)
         for option in actions:
             click.echo(getattr(cls, option.action)(**params))
         if actions:
@@ -190,7 +226,7 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         report_error(error, verbose=False)
         return exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
     ends = Ends(common.get("codec"))
-    filter_ = _Filter(cls, params, common.get("count"), common.get("rate"), ends)
+    filter_ = _Filter(cls, setting, common.get("count"), common.get("rate"), ends)
     debug = common["debug"]
     options = checked(
         Options(common.get("loop", "auto"), common.get("duration"), verbose=debug, debug=debug, tell_drops=True)
@@ -204,17 +240,18 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         ends.report_rest()
 
 
-def _check(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> None:
-    """Raise ConfigurationError, with the option, when a parameter does not take its value."""
+def _checked(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> Setting:
+    """What the options set; ConfigurationError, with the option, when a parameter does not take its value."""
     flags = {option.param: option.flags[-1] for option in table}
     draft = construct(cls, "draft")
     for name, value in params.items():
         try:
-            draft.params.check({name: value})
+            setting_alone(draft, {name: value})
         except ConfigurationError as error:
             cause = str(error).removeprefix(f"draft.{name} = ")
             cause = cause.rpartition("; ")[0] if cause.endswith(" kept") else cause
             raise ConfigurationError(f"{flags.get(name, _flag(name))} {cause}") from None
+    return setting_alone(draft, params)
 
 
 def _flag(parameter: str) -> str:
@@ -225,12 +262,12 @@ class _Filter:
     """The system of one component, standard input and standard output."""
 
     def __init__(
-        self, cls: type[Component], params: Mapping[str, Any], count: int | None, rate: float | None, ends: Ends
+        self, cls: type[Component], setting: Setting, count: int | None, rate: float | None, ends: Ends
     ) -> None:
         self._cls = cls
         self._rate = rate
         self._ends = ends
-        self._params = params
+        self._setting = setting
         self._count = count
         self._input: StandardInput | FrameInput | None = None
 
@@ -241,7 +278,7 @@ class _Filter:
 
     async def make(self, kernel: Kernel) -> None:
         """Create the components and connect them, readers before writers."""
-        component = await kernel.create(self._cls, **self._params)
+        component = await self._setting.create(kernel, self._cls)
         ins = {port.name: port.type for port in component.ports.values() if isinstance(port, InPort)}
         outs = outs_of(component)
         parts: list[Component] = [component]

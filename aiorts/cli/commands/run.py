@@ -23,7 +23,13 @@ from aiorts.errors import AiortsError, ComponentError
 
 @click.command(cls=RunCommand, short_help="Run a system file, or one component.")
 @click.argument("target", metavar="SYSTEM.toml|FILE.py:Class", shell_complete=targets)
-@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter; repeatable.")
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="COMPONENT.PARAM=VALUE",
+    help="Set a parameter, or with active=NAME the configuration set that is active; repeatable.",
+)
 @click.option("--for", "duration", type=float, metavar="S", help="End after S seconds of the system's time.")
 @click.option("--duration", "duration_once", type=float, hidden=True)
 @click.option(
@@ -68,7 +74,7 @@ def run(
 
     A component is FILE.py:Class, package.module:Class, or the name of an installed one. Alone, a component runs when
     data arrives, or in the context that its class names (`alone`); without in-ports, or with --rate, it runs
-    periodically. --set takes PARAM=VALUE.
+    periodically. --set takes PARAM=VALUE, or active=NAME for one of its configuration sets.
 
     Its in-ports read JSON lines from standard input where that is a pipe or a file, as `aiorts NAME` does. The run ends
     at the end of the input, with status 1 after a bad line. A terminal, /dev/null (systemd) and a socket are not read;

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import re
-import sys
-import traceback
-import warnings
 from collections.abc import Callable, Iterator
-from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from aiorts import Component, InPort, Kernel
+from aiorts.diagnostics import unawaited_told
 from aiorts.errors import SLOW_READER
-from aiorts.kernel.loop.origins import place
 from aiorts.model.policy import Dataflow, Subscription
 
 if TYPE_CHECKING:
@@ -26,8 +21,6 @@ _WHY: Final = {
     "overwritten": f"the reader is slower than the writer; {SLOW_READER}",
     "rejected": f"the reader is slower than the writer; {SLOW_READER}",
 }
-_NEVER_AWAITED: Final = re.compile(r"coroutine '(.+)' was never awaited")
-_FRAMES: Final = 20
 
 
 def dropped(kernel: Kernel, *, every: bool) -> Iterator[str]:
@@ -77,33 +70,12 @@ def unawaited_reported(tell: Tell) -> Iterator[list[str]]:
 
     The list has what was told so.
     """
-    before, told = warnings.showwarning, list[str]()
+    told = list[str]()
 
-    def show(
-        message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None, line: Any = None
-    ) -> None:
-        found = _NEVER_AWAITED.search(str(message))
-        if found is None or not issubclass(category, RuntimeWarning):
-            before(message, category, filename, lineno, file, line)
-            return
-        what = found[1]
-        instead = "use write_nowait, or async def and await" if what.endswith(".write") else "use async def and await"
-        where = f"{_hook_at(filename, lineno)}{place(filename, lineno)}"
-        told.append(f"{where}: {what} was never awaited and did nothing; {instead}")
-        tell("E-AWAIT", told[-1])
+    def take(line: str, _owner: Component | None) -> bool:
+        told.append(line)
+        tell("E-AWAIT", line)
+        return True
 
-    warnings.showwarning = show
-    try:
+    with unawaited_told(take):
         yield told
-    finally:
-        if warnings.showwarning is show:
-            warnings.showwarning = before
-
-
-def _hook_at(filename: str, lineno: int) -> str:
-    """Component and method that run this line now, with a colon behind them, as far as they are known."""
-    for frame, line in islice(traceback.walk_stack(sys._getframe(1)), _FRAMES):
-        if frame.f_code.co_filename == filename and line == lineno:
-            owner = frame.f_locals.get("self")
-            return f"{owner.name}.{frame.f_code.co_name}: " if isinstance(owner, Component) else ""
-    return ""

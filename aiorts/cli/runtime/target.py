@@ -38,6 +38,7 @@ from aiorts.model.options import doubts
 from aiorts.system import ClockEntry, Finding, StandardOutput, SystemFile, build, construct, load, prepare
 from aiorts.system.checks.whole import NOTHING_RUNS
 from aiorts.system.file.places import Key
+from aiorts.system.file.setting import Setting, setting_alone
 
 Settings: TypeAlias = Mapping[str, Mapping[str, Any]]
 """What services are to go by, by the service's name and the setting's."""
@@ -226,7 +227,7 @@ def _alone(
 ) -> Target:
     name = cls.__name__.lower()
     draft = construct(cls, name)
-    params = _params(draft, changes)
+    setting = _setting(draft, changes)
     sends = outs_of(draft) or "ports_for" in declarations(cls).overrides
     fed = fed and takes_data(draft)
     shown = shown and bool(sends) and (fed or not takes_data(draft))
@@ -245,7 +246,7 @@ def _alone(
         for plan in plans:
             plan.attach(kernel)
         try:
-            component = await kernel.create(cls, name, **params)
+            component = await setting.create(kernel, cls, name)
         except BaseException as error:
             if not (isinstance(error, AiortsError) and str(error).startswith(f"{name}:")):
                 error.add_note(name)
@@ -271,7 +272,7 @@ def _alone(
     return Target((name,), catalogue, make, unfed="" if fed else unfed, streams=streams, ends=ends)
 
 
-def _params(draft: Component, changes: Iterable[str]) -> Mapping[str, Any]:
+def _setting(draft: Component, changes: Iterable[str]) -> Setting:
     """What `--set` says of it, checked; ConfigurationError names every mistake."""
     params: dict[str, Any] = {}
     name = draft.name
@@ -283,5 +284,4 @@ def _params(draft: Component, changes: Iterable[str]) -> Mapping[str, Any]:
         if dot and component != name:
             raise ConfigurationError(f"--set {text[:80]!r}: the component is called {name!r}; write {param}=VALUE")
         params[param] = value
-    draft.params.check(params)
-    return params
+    return setting_alone(draft, params)

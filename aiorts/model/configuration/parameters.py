@@ -154,6 +154,8 @@ def check_mapping(given: object, owner: str, expected: str = "values by paramete
 
 
 def _unknown(name: object, specs: Mapping[str, ParameterSpec]) -> str:
+    if name == "active":
+        return ": no such parameter; a configuration set is chosen by configuration.activate(NAME), --set or a file"
     near = get_close_matches(str(name), specs, n=3)
     if near:
         return f": no such parameter; did you mean {' or '.join(near)}?"

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.kernel.commit import commit
 from aiorts.kernel.component import Component, construct
+from aiorts.kernel.declarations import declarations
 from aiorts.late import dataclass
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
+
+if TYPE_CHECKING:
+    from aiorts.assembly import Kernel
 
 ACTIVE: Final = "active"
 """`--set COMPONENT.active=NAME` chooses a set, where the component has no parameter of that name."""
@@ -37,8 +41,33 @@ class Setting:
         """The state that this makes of another."""
         return state.merged({DEFAULT: self.params, **self.sets}, self.active, owner)
 
+    async def create(self, kernel: Kernel, cls: type[Component], name: str = "") -> Component:
+        """A component of this class in this kernel, its sets in force before its first hook."""
+        if self.sets or self.active is not None:
+            return await kernel.add(self.make(cls, name))
+        return await kernel.create(cls, name, **self.params)
+
     def make(self, cls: type[Component], name: str) -> Component:
         """A component of this class with this configuration, in no kernel."""
         component = construct(cls, name)
         self.put(component)
         return component
+
+
+def setting_alone(component: Component, given: Mapping[str, Any]) -> Setting:
+    """What is said of a component that runs alone: values of parameters, and in `active` which set is active.
+
+    What is said is in force, though the active set may have another value.
+
+    Raises:
+        ConfigurationError: names all parameters that are wrong, or says that there is no such set.
+    """
+    declared = declarations(type(component)).configuration
+    if ACTIVE not in given or ACTIVE in component.params:
+        return Setting(component.params.check(given))
+    active = str(given[ACTIVE]).strip()
+    values = declared.activated(active, component.name).sets[active]
+    params = component.params.check({name: value for name, value in given.items() if name != ACTIVE})
+    chosen = {name: value for name, value in params.items() if name in values}
+    sets = {active: {**values, **chosen}} if chosen and active != DEFAULT else {}
+    return Setting(params, MappingProxyType(sets), active)
