@@ -13,7 +13,7 @@ import pytest
 
 from aiorts.cli.app import run_command
 from aiorts.types import TimedString
-from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter
+from aiorts_log import RecordingOptions, RecordingReader, RecordingWriter, info_of, open_recording
 from log_parts import BEGIN, MS, make, read
 
 
@@ -50,6 +50,48 @@ def test_info_says_what_a_recording_holds(tmp_path: Path, capsys: pytest.Capture
     lines = tmp_path / "run.jsonl"  # has none
     assert run(capsys, "convert", path, lines)[0] == 0
     assert run(capsys, "info", "--check", lines)[1].endswith("\n  all of it can be read\n")
+
+
+@pytest.mark.parametrize("form", ["mcap", "jsonl", "text", "not closed"])
+def test_the_rate_of_a_port_is_taken_from_its_first_sample_to_its_last(
+    form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, RecordingOptions(min_free=0, chunk=1024)) as writer:
+        names = ("plant.fast", "slow", "event", "once", "at_once", "none")
+        fast, slow, event, once, at_once, _ = (writer.add_port(name, TimedString) for name in names)
+        for i in range(1, 1001):
+            writer.write(fast, TimedString(i, "x" * 20), i * 10 * MS)
+            if not i % 20 and i <= 500:
+                writer.write(slow, TimedString(i, ""), i * 10 * MS)
+            if i in (400, 600):
+                writer.write(event, TimedString(i, ""), i * 10 * MS)
+            if i == 400:
+                writer.write(once, TimedString(i, ""), i * 10 * MS)
+                for number in range(2):
+                    writer.write(at_once, TimedString(number, ""), i * 10 * MS)
+    if form == "not closed":
+        path.write_bytes(path.read_bytes()[:-20])
+    elif form != "mcap":
+        target = tmp_path / ("run.jsonl" if form == "jsonl" else "run.txt")
+        assert run(capsys, "convert", path, target)[0] == 0
+        path = target
+    with open_recording(path) as reader:
+        assert len(reader.pieces) > (20 if form in ("mcap", "not closed") else 0)
+        if form == "mcap":
+            loaded = []
+            monkeypatch.setattr(reader, "_load", lambda piece, load=reader._load: loaded.append(piece) or load(piece))
+        rates = {port.name: port.rate for port in info_of(reader).ports}
+        if form == "mcap":
+            assert len(loaded) <= 12
+    assert rates.pop("none", None) is None
+    assert rates == {
+        "plant.fast": pytest.approx(100.0),
+        "slow": pytest.approx(5.0),
+        "event": pytest.approx(0.5),
+        "once": None,
+        "at_once": None,
+    }
 
 
 @pytest.mark.fault("D06")

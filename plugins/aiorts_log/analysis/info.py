@@ -1,4 +1,4 @@
-"""The figures of a recording, taken from its index without reading its samples."""
+"""The figures of a recording, taken from its index and, for the rates, from the first and last samples of its ports."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from aiorts_log.errors import DamagedError
 from aiorts_log.mcap.survey import GAP, MISSED, Gap
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PortInfo:
-    """A port; `rate` is samples a second over the whole recording, None for fewer than two."""
+    """A port; `rate` is samples a second from its first to its last, None for fewer than two."""
 
     name: str
     type: str
@@ -62,9 +63,19 @@ class RecordingInfo:
 
 def info_of(reader: Recording) -> RecordingInfo:
     """The figures of an open recording. DamagedError when its metadata are damaged."""
-    seconds = (reader.end - reader.start) / 1e9
+    try:
+        spans = reader.spans()
+    except DamagedError:  # its fault is told, and a rate would be a guess
+        spans = {}
     ports = tuple(
-        PortInfo(name, port.type_name, port.encoding, port.count, _rate(port.count, seconds), port.unknown)
+        PortInfo(
+            name,
+            port.type_name,
+            port.encoding,
+            port.count,
+            _rate(port.count, *spans.get(port.id, (0, 0))),
+            port.unknown,
+        )
         for name, port in reader.ports.items()
     )
     dropped: dict[str, int] = {}
@@ -103,8 +114,8 @@ def _missed(ending: Any) -> Iterator[tuple[str, int]]:
                 yield f"{name} ({why})", count
 
 
-def _rate(count: int, seconds: float) -> float | None:
-    return (count - 1) / seconds if count > 1 and seconds > 0 else None
+def _rate(count: int, first: int, last: int) -> float | None:
+    return 1e9 * (count - 1) / (last - first) if count > 1 and last > first else None
 
 
 def _gaps(reader: Recording) -> tuple[tuple[int, int], ...]:

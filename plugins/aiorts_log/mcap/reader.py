@@ -158,6 +158,10 @@ class Recording(ABC):
     def _loader(self) -> Callable[[Piece], Any]:
         """A function that loads the messages of a piece, for one pass over the samples."""
 
+    def _channels(self, piece: Piece) -> Collection[int] | None:
+        """The channels that have messages in a piece, by an index; None when nothing says it."""
+        return None
+
     @abstractmethod
     def _damaged(self, gap: Gap) -> DamagedError: ...
 
@@ -239,6 +243,32 @@ class Recording(ABC):
             raise self._damaged(self.damage[0])
         if len(whole) == len(self.pieces) and count != self.count:
             raise self._damaged(Gap(0, 0, f"its index counts {self.count} samples, there are {count}"))
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """The first and the last log time of each channel that has samples, from as few chunks as the index allows.
+
+        DamagedError: one of these chunks is not what was written.
+        """
+        firsts, lasts = self._firsts(1), self._firsts(-1)
+        return {channel: (firsts[channel], -lasts[channel]) for channel in firsts.keys() & lasts.keys()}
+
+    def _firsts(self, sign: Literal[1, -1]) -> dict[int, int]:
+        """The first log time of each channel, or, with the sign -1, the negative of its last."""
+        found: dict[int, int] = {}
+        open_ = {channel for channel, count in self._counts.items() if count}
+        load = self._loader()
+        pieces = ((sign * (piece.start if sign > 0 else piece.end), piece) for piece in self.pieces if piece.filled)
+        for earliest, piece in sorted(pieces):
+            open_ = {channel for channel in open_ if channel not in found or found[channel] > earliest}
+            if not open_:
+                break
+            there = self._channels(piece)
+            if there is not None and open_.isdisjoint(there):
+                continue
+            for message in load(piece):
+                time = sign * message[2]
+                found[message[0]] = min(time, found.get(message[0], time))
+        return found
 
     def records(self, **chosen: Any) -> Iterator[tuple[str, int, Any]]:
         """Read port, log time and record of each sample; arguments and errors as of `samples`.
@@ -340,6 +370,14 @@ class RecordingReader(Recording):
                 yield self._source.attachment(at, length)
             except BadBytes as error:
                 raise self._damaged(Gap(at, length, str(error))) from None
+
+    def _channels(self, piece: Piece) -> Collection[int] | None:
+        return self._indexes.get(piece.offset) or None
+
+    @cached_property
+    def _indexes(self) -> dict[int, frozenset[int]]:
+        """The channels of each chunk that has an index of its messages."""
+        return {one.offset: frozenset(one.indexes) for one in self._summary.chunks}
 
     def _loader(self) -> Callable[[Piece], Any]:
         held = 0
