@@ -201,7 +201,9 @@ def test_what_a_recording_says_of_itself_goes_over_to_text_and_back(tmp_path: Pa
             assert reader.ports["a"].metadata == {"unit": "m/s"}
             assert [(s.log_time, s.publish_time) for s in reader.samples()] == [(5, 3)]
     left_out = convert(source, tmp_path / "run.jsonl").left_out
-    assert left_out == ("4 files within the recording", "metadata of a")
+    assert left_out == ("1 file within the recording",)  # of the user: the others, and units, aiorts adds itself
+    assert convert(source, tmp_path / "run.csv").left_out == left_out
+    assert convert(source, tmp_path / "tables", split=True).left_out == left_out
 
 
 def test_the_roomba_recording_gives_the_same_numbers_after_every_form(

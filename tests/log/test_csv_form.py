@@ -255,6 +255,32 @@ def test_cells_are_read_as_they_were_written(cells: list[str], delimiter: str) -
     assert found == [["x", *cells]]
 
 
+@pytest.mark.parametrize(
+    ("text", "more", "told"),
+    [
+        (
+            "log_time,port,a.b.tm,a.b.data,c.tm,c.data\n1,a.b,1,2,,\n2,c,,,1,2\n",
+            [],
+            "--port a.b --type TYPE --port c --type TYPE",
+        ),
+        ("log_time,a.b.tm,a.b.data.x,c d.tm,c d.data\n", [], "--port a.b --type TYPE --port 'c d' --type TYPE"),
+        ("log_time,a.tm,a.data,b.x\n", [], "--port NAME --type TYPE"),
+        ("log_time,tm,data\n1,1,2\n", [], "--port NAME --type TYPE"),
+        ("log_time,tm,data\n1,1,2\n", ["--port", "a"], "--port a --type TYPE"),
+        ("t,x.tm,x.data\n1,1,2\n", ["--time", "t"], "--port x --type TYPE, and your other options"),
+    ],
+)
+def test_without_types_the_command_is_told_with_the_ports_of_the_table(
+    text: str, more: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, target = tmp_path / "my table.csv", tmp_path / "x.mcap"
+    source.write_text(text)
+    assert run_command(["log", "convert", str(source), str(target), *more]) == 2
+    err = capsys.readouterr().err
+    assert err.endswith(f": aiorts log convert '{source}' {target} {told}\n")
+    assert not target.exists()
+
+
 def test_the_command_names_what_is_typed_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "x.csv"
     source.write_text("log_time,data\n1,2\nx,3\n4,5\n")

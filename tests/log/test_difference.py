@@ -156,6 +156,31 @@ def test_values_alone_are_compared_whatever_the_log_times_are(
     assert 'choose by "tm" or "order"' in capsys.readouterr().err
 
 
+def test_two_runs_whose_times_are_others_are_told_how_to_be_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = numbers(*range(1, 51))
+    left = record(tmp_path / "a.mcap", a=values, b=values)
+    later = [(10**18 + time + 3 * bool(time), TimedDouble(10**18 + tm.tm, tm.data)) for time, tm in values]
+    right = record(tmp_path / "b.mcap", a=later, b=later)
+    status, out = run(capsys, left, right)
+    assert (status, out.count("50 missing, 50 extra")) == (1, 2)
+    assert out.splitlines()[-1] == (
+        "  hardly a sample has a partner by their log times: --from-start --time-tolerance 5ms takes them from the "
+        "first sample, --by order --ignore log_time goes by number"
+    )
+    _, out = run(capsys, left, right, "--by", "tm", "--time-tolerance", "1ns")
+    assert out.endswith("\n  hardly a sample has a partner by their stamps: --by order goes by number\n")
+    _, out = run(capsys, left, right, "--from-start")
+    assert "hardly a sample has a partner by their log times: --time-tolerance 5ms allows for jitter, --by" in out
+    assert run(capsys, left, right, "--from-start", "--time-tolerance", "5ms", "--ignore", "tm")[0] == 0
+    assert run(capsys, left, right, "--by", "order", "--ignore", "log_time", "--ignore", "tm") == (
+        0,
+        "equal: 100 samples of 2 ports\n",
+    )
+    assert "hardly" not in run(capsys, left, record(tmp_path / "c.mcap", a=values[:10], b=values))[1]
+
+
 def test_what_is_left_at_the_end_is_missing_or_extra(tmp_path: Path) -> None:
     left, right = record(tmp_path / "a.mcap", a=numbers(1, 2, 3)), record(tmp_path / "b.mcap", a=numbers(1, 2))
     for by in ("time", "tm", "order"):

@@ -113,7 +113,10 @@ def convert(
     if source_format is None and source.suffix.lower() in (".csv", ".tsv"):
         source_format = "csv"
     if source_format == "csv":
-        with TableReader(source, options) as reader, progress("converting", reader.size) as step:
+        with (
+            TableReader(source, options, target=target, ports=tuple(ports or ())) as reader,
+            progress("converting", reader.size) as step,
+        ):
             made = _write(target, [source], wanted, reader.ports, (), _stepping(reader, step))
             return Converted(made.samples, made.format, made.left_out, reader.unused, tuple(reader.bad), ())
     if source_format is not None and format_of(source) != source_format:

@@ -78,7 +78,7 @@ class PortDifference:
         left, right: number of samples in each.
         missing, extra: only in the first, only in the second; changed: with other values.
         late: partners whose log times, where they are compared, differ by more than the tolerance.
-        furthest, mean: difference of the log times of partners, in ns.
+        furthest, mean: difference of the log times of partners, in ns; 0 where they are ignored.
         types: both types when they differ; nothing is compared then.
         places: the first differences: time, kind, and for a change the field and both values.
     """
@@ -128,6 +128,13 @@ class Difference:
     def equal(self) -> bool:
         """Whether there is no difference."""
         return not (self.only_left or self.only_right) and all(port.equal for port in self.ports)
+
+    @property
+    def apart(self) -> bool:
+        """Whether hardly a sample, one in ten at most, has a partner in the other recording."""
+        partners = sum(port.partners for port in self.ports)
+        samples = [sum(port.missing for port in self.ports), sum(port.extra for port in self.ports)]
+        return min(samples) >= 9 * max(1, partners)
 
 
 def difference(
@@ -181,8 +188,9 @@ class _Pair:
         found, options = self.found, self._options
         apart = abs(one[0] - other[0])
         found.partners += 1
-        found.total += apart
-        found.furthest = max(found.furthest, apart)
+        if LOG_TIME not in options.ignored:
+            found.total += apart
+            found.furthest = max(found.furthest, apart)
         if options.compares_log_times and apart > options.tolerance:
             found.late += 1
             found.note(one[0], "late", f"{(other[0] - one[0]) / 1e6:+.6g} ms")

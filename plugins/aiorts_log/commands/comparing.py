@@ -80,7 +80,7 @@ def diff(
     if as_json:
         click.echo(json.dumps(_document(found), indent=1))
     else:
-        click.echo("\n".join(_lines(found, left, right)))
+        click.echo("\n".join([*_lines(found, left, right), *_hint(found, options)]))
     return exits.DONE if found.equal else exits.FAILED
 
 
@@ -107,6 +107,18 @@ def _lines(found: Difference, left: Path, right: Path) -> list[str]:
     if same := [port for port in found.ports if port.equal]:
         lines.append(f"  equal: {number(len(same), 'port')} with {number(sum(p.left for p in same), 'sample')}")
     return lines
+
+
+def _hint(found: Difference, options: DiffOptions) -> list[str]:
+    """What makes partners of samples whose times are those of two runs."""
+    if not found.apart or options.partners_by == "order":
+        return []
+    if options.partners_by == "tm":
+        return ["  hardly a sample has a partner by their stamps: --by order goes by number"]
+    start = "--time-tolerance 5ms allows for jitter"
+    if not options.from_start:
+        start = "--from-start --time-tolerance 5ms takes them from the first sample"
+    return [f"  hardly a sample has a partner by their log times: {start}, --by order --ignore log_time goes by number"]
 
 
 def _port_lines(port: PortDifference) -> list[str]:

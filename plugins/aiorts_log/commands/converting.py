@@ -81,7 +81,7 @@ def convert(
         --time t --time-unit s --map wx=data.avx --map wy=data.avy --map wz=data.avz
 
     A table has one port, or columns PORT.FIELD for several; --port and --type are given once for each of them. Exit
-    status 1 when something was left out.
+    status 1 when samples were left out: rows with --skip-bad, or the end of a recording that was not closed.
     """
     if types and len(types) != len(ports):
         given = f"{number(len(types), 'type')} for {number(len(ports), 'port')}"

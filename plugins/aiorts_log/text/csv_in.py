@@ -9,7 +9,9 @@ from __future__ import annotations
 import csv
 import os
 import re
+import shlex
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TextIO
 
@@ -26,6 +28,8 @@ from aiorts_log.text.csv_format import LOG_TIME, PORT, TableOptions, original, t
 from aiorts_log.text.flat import LONGEST
 
 _QUOTED: Final = 60
+_LOOKED: Final = 100_000
+"""Rows that are searched for the names of ports."""
 
 
 class _Port(NamedTuple):
@@ -52,12 +56,23 @@ class TableReader:
         columns: the names of its columns; unused: those that no field is read from.
         bad: the rows left out with `skip_bad`, as line number and reason.
 
+    Args:
+        target: what it is converted into, for the command that an error shows.
+        ports: those that were named without a type.
+
     Raises:
         RecordingError: it cannot be read.
         ConfigurationError: columns and ports do not match.
     """
 
-    def __init__(self, path: str | os.PathLike[str], options: TableOptions) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        options: TableOptions,
+        *,
+        target: Path | None = None,
+        ports: Sequence[str] = (),
+    ) -> None:
         self.path = Path(path)
         self.options = options
         self.bad: list[tuple[int, str]] = []
@@ -66,7 +81,7 @@ class TableReader:
         self._stream: TextIO = os.fdopen(file, encoding="utf-8-sig", newline="")
         self._before = csv.field_size_limit(LONGEST)  # of the whole process, by default 131072
         try:
-            self._begin()
+            self._begin(target, ports)
         except BaseException:
             self.close()
             raise
@@ -88,7 +103,7 @@ class TableReader:
         """Bytes read so far, approximately."""
         return self._stream.buffer.tell()
 
-    def _begin(self) -> None:
+    def _begin(self, target: Path | None, ports: Sequence[str]) -> None:
         options = self.options
         lines = iter(self._line, "")
         self._rows = self._numbered(csv.reader(lines, delimiter=options.delimiter, strict=True))
@@ -111,7 +126,8 @@ class TableReader:
         if not options.ports and (self.columns != (LOG_TIME,) or next(self._rows, None) is not None):
             # But for the table of an empty recording.
             raise ConfigurationError(
-                "a table does not have the types of its columns; give --port NAME --type TYPE once for each port"
+                f"a table does not have the types of its columns; give --port NAME --type TYPE once for each port: "
+                f"aiorts log convert {self._command(target, ports or self._named())}"
             )
         self._time = self._column(options.time, "--time")
         names = dict(options.ports)
@@ -122,6 +138,23 @@ class TableReader:
         self.ports = {name: one.port for name, one in self._ports.items()}
         used = {self._time, self._chooser, *(cell for fields in targets.values() for cell in fields.values())}
         self.unused = tuple(name for number, name in enumerate(self.columns) if number not in used)
+
+    def _command(self, target: Path | None, ports: Sequence[str]) -> str:
+        """The arguments of a command that says the types, which are still to be filled in."""
+        named = [word for name in ports or ("NAME",) for word in ("--port", name, "--type", "TYPE")]
+        more = "" if self.options == TableOptions() else ", and your other options"
+        return shlex.join([str(self.path), str(target or "TARGET"), *named]) + more
+
+    def _named(self) -> tuple[str, ...]:
+        """The ports that a table of several ports names; none where there may be others."""
+        if self.columns[:2] == (LOG_TIME, PORT):
+            found = {original(row[1]): None for _, row in islice(self._rows, _LOOKED) if len(row) > 1}
+            columns = self.columns[2:]
+        else:
+            found = {name.removesuffix(".tm"): None for name in self.columns if name.endswith(".tm")}
+            columns = tuple(name for name in self.columns if name != self.options.time)
+        known = all(any(column.startswith(f"{port}.") for port in found) for column in columns)
+        return tuple(found) if known else ()
 
     def _is_ours(self, names: dict[str, type]) -> bool:
         """Whether it is a table of several ports as aiorts writes them."""

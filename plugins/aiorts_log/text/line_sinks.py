@@ -1,4 +1,4 @@
-"""Writes recordings as JSON lines or tables; `left_out` has what these formats cannot hold."""
+"""Writes recordings as JSON lines or tables; `left_out` has what these formats cannot hold of what the user put in."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ from typing import Any, Final, NamedTuple, TextIO
 from aiorts.wire import LineWriter
 from aiorts_log.errors import RecordingError
 from aiorts_log.mcap.format import Attachment
-from aiorts_log.mcap.reader import RecordedPort, RecordedSample
+from aiorts_log.mcap.reader import END_NAME, METADATA_NAME, RecordedPort, RecordedSample
 from aiorts_log.text.columns import cells_of, columns_of
 from aiorts_log.text.csv_format import PORT, TableOptions, defused, quoted, time_cell
 from aiorts_log.text.flat import LONGEST
 from aiorts_log.text.sinks import known, record_of
 
 _BLOCK: Final = 512
+_OWN_FILES: Final = (METADATA_NAME, END_NAME, "system.toml")
+"""Files that aiorts puts into each recording: nobody misses them in a table."""
+_OWN_METADATA: Final = {"unit"}
+
+
+def _is_of_user(one: Attachment) -> bool:
+    return one.name not in _OWN_FILES
 
 
 class _TextSink:
@@ -36,8 +43,8 @@ class _TextSink:
         return (*([files] if self._files else ()), *units)
 
     def attach(self, one: Attachment) -> None:
-        """Count the file, which the format cannot hold."""
-        self._files += 1
+        """Count a file of the user, which the format cannot hold."""
+        self._files += _is_of_user(one)
 
     def _write_line(self, line: str) -> None:
         # A character has at most 4 bytes in UTF-8: a shorter line need not be encoded to be measured.
@@ -75,7 +82,7 @@ class LinesSink(_TextSink):
         if found is None:
             known(sample.port)
             found = self._writers[name, id(sample.port)] = sample.port, LineWriter(name, sample.port.type)
-            if sample.port.metadata:
+            if sample.port.metadata.keys() - _OWN_METADATA:
                 self._metadata.add(name)
         self._write_line(f'{found[1].line(record_of(sample))[:-1]}, "log_time": {sample.log_time}}}\n')
 
@@ -115,7 +122,7 @@ class TableSink(_TextSink):
             twice = next(name for name in header if header.count(name) > 1)
             raise RecordingError(f"two columns would be called {twice[:60]!r}; --split writes one table for each port")
         super().__init__(path)
-        self._metadata = {name for name, port in ports.items() if port.metadata}
+        self._metadata = {name for name, port in ports.items() if port.metadata.keys() - _OWN_METADATA}
         self._time = 0
         self._row: dict[str, list[str]] = {}
         if options.header:
@@ -179,8 +186,8 @@ class FolderSink:
         self._sinks[name].put(name, sample)
 
     def attach(self, one: Attachment) -> None:
-        """Count the file, which tables cannot hold."""
-        self._files += 1
+        """Count a file of the user, which tables cannot hold."""
+        self._files += _is_of_user(one)
 
     def finish(self) -> None:
         """Write what is left and close the files."""
