@@ -16,7 +16,9 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
         "How to",
         (
             *("choose-policy", "records", "slow-reader", "real-time", "supervise", "deploy", "ros-bag"),
-            *("missed-deadline", "write-context", "write-codec", "write-service", "write-bench"),
+            *("missed-deadline", "functions", "services", "state-machines", "composites", "dynamic-ports"),
+            *("reload", "observe"),
+            *("write-context", "write-codec", "write-service", "write-bench"),
         ),
     ),
     "reference": (
