@@ -17,7 +17,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
         (
             *("choose-policy", "records", "slow-reader", "real-time", "supervise", "deploy", "ros-bag"),
             *("missed-deadline", "functions", "services", "state-machines", "composites", "dynamic-ports"),
-            *("reload", "observe"),
+            *("reload", "observe", "filters", "notebook"),
             *("write-context", "write-codec", "write-service", "write-bench"),
         ),
     ),
