@@ -44,8 +44,9 @@ def test_slow_reader_is_told_to_take_the_newest_and_where_the_age_comes_from() -
     assert "8 / 40 Hz = 200 ms (the newest 8 are kept; measured: flush 200 ms, new/all 200 ms" in explained
     assert "1 / 40 Hz = 25 ms at most (the newest value is kept; measured: new/new 3.1 ms)" in explained
     assert last == (
-        '40 Hz -> 20 Hz: take new/new (subscription="new", push="new"), whose values are 3.1 ms old (median) instead '
-        "of 200 ms with flush; the reader takes 20 of 40 messages a second, and 20 are dropped; "
+        '40 Hz -> 20 Hz: take new/new (subscription="new", push="new"), whose values are 3.1 ms old (median; up to '
+        "25 ms, as their phases fall) instead of 200 ms with flush; with one read a cycle the reader takes 20 of 40 "
+        "messages a second, and 20 are dropped; one that drains takes all, the oldest 50 ms old (computed); "
         f"{SLOW_READER}."
     )
 
@@ -63,11 +64,12 @@ def test_a_buffer_that_keeps_the_oldest_is_as_old_as_its_length_by_the_readers_r
     assert "8 / 200 Hz = 40 ms (the newest 8 are kept; measured: periodic/new at 200 Hz overwrite 36.9 ms)" in explained
     assert 'take periodic/new at 200 Hz overwrite (subscription="periodic", push="new", push_rate=200)' in last
     assert "and 900 are dropped or held up by block; " in last
+    assert "; one that drains takes all with length=11 or more, the oldest 10 ms old (computed); " in last
 
 
 def test_an_age_that_has_another_cause_is_not_explained_by_length_and_rate() -> None:
     (last,) = answer.lines([measured(FLUSH, 1000, 100, 500.0)])
-    assert "500 ms old" in last
+    assert "500 ms old (median);" in last
 
 
 def test_a_buffer_of_one_is_not_chosen_by_the_luck_of_a_median() -> None:
@@ -75,6 +77,17 @@ def test_a_buffer_of_one_is_not_chosen_by_the_luck_of_a_median() -> None:
     one = Load("flush", length=1)
     *_, last = answer.lines([measured(one, 40, 20, 2.0), measured(NEWEST, 40, 20, 24.9)])
     assert 'take new/new (subscription="new", push="new")' in last
+
+
+def test_a_phase_that_is_kept_is_no_typical_value_and_who_drains_loses_nothing() -> None:
+    periodic = Load("periodic", "new", push_rate=5.0)
+    rows = [measured(FLUSH, 10, 5, 799.0), measured(NEWEST, 10, 5, 99.9), measured(periodic, 10, 5, 0.4)]
+    *_, last = answer.lines(rows)
+    assert 'take new/new (subscription="new", push="new"), whose values are 99.9 ms old (median; up to 100 ms, ' in last
+    assert (
+        "with one read a cycle the reader takes 5 of 10 messages a second, and 5 are dropped; one that drains" in last
+    )
+    assert "; one that drains takes all, the oldest 200 ms old (computed); " in last
 
 
 @pytest.mark.parametrize(("consumer", "age"), [(None, 0.1), (40.0, 27.8)])
@@ -87,6 +100,7 @@ def test_reader_that_keeps_up_is_told_to_take_flush(consumer: float | None, age:
     (last,) = answer.lines(rows)
     assert 'take flush (subscription="flush"), whose values are' in last
     assert last.endswith("nothing is dropped, for the reader keeps up.")
+    assert ("up to 50 ms" in last) is (consumer is not None)
     assert ("instead of 5.1 ms with periodic/new at 200 Hz" in last) is (consumer is None)
 
 

@@ -24,6 +24,20 @@ def test_only_periodic_has_a_push_rate() -> None:
     assert grid.plan({"subscription": "periodic", "push-rate": "none"}).loads == ()
 
 
+def test_a_periodic_connector_pushes_at_the_rate_of_its_reader_unless_another_is_said() -> None:
+    given = {"subscription": "flush,periodic", "push": "new", "consumer-rate": "5,20"}
+    planned = grid.plan(given)
+    periodic = [one for _, one in planned.loads if one.subscription == "periodic"]
+    assert [(one.consumer_rate, one.push_rate) for one in periodic] == [(5.0, 5.0), (20.0, 20.0)]
+    assert planned.fixed["push-rate"] == "that of the reader"
+    planned = grid.plan({**given, "push-rate": "200"})
+    assert {one.push_rate for _, one in planned.loads} == {None, 200.0}
+    assert planned.fixed["push-rate"] == "200"
+    for given in ({"subscription": "periodic"}, {"subscription": "periodic", "consumer-rate": "max"}):
+        planned = grid.plan(given)
+        assert ({one.push_rate for _, one in planned.loads}, planned.fixed["push-rate"]) == ({200.0}, "200")
+
+
 @pytest.mark.parametrize(
     "one",
     [

@@ -40,7 +40,18 @@ class _Found:
     @property
     def judged(self) -> float:
         """The age that is compared: what the buffer makes of it where that is known, for a median has its luck."""
-        return self.age if self.explained is None else 1000 * self.explained[0] / self.explained[1]
+        if self.explained is not None:
+            return 1000 * self.explained[0] / self.explained[1]
+        return max(self.age, self.bound) if self.load.subscription == "periodic" else self.age
+
+    @property
+    def bound(self) -> float:
+        """The greatest age of the newest value, however the phases of writer, connector and reader fall; 0: unknown."""
+        load = self.load
+        if load.producer_rate is None or load.consumer_rate is None or load.push not in ("all", "new"):
+            return 0.0
+        waits = load.push_rate if load.subscription == "periodic" and load.push == "new" else None
+        return 1000 / load.producer_rate + (1000 / waits if waits else 0.0)
 
 
 def lines(measured: Iterable[tuple[Load, Row]]) -> tuple[str, ...]:
@@ -132,7 +143,8 @@ def _answer(found: list[_Found]) -> str:
         stale, key=lambda one: one.age, default=None
     )
     take = (
-        f"{_rates(found[0])}: take {best.name} ({_options(best.load)}), whose values are {_ms(best.age)} old (median)"
+        f"{_rates(found[0])}: take {best.name} ({_options(best.load)}), whose values are {_ms(best.age)} old "
+        f"(median{_phase(best)})"
     )
     instead = "" if beside is None else f" instead of {_ms(beside.age)} with {beside.name}"
     if not behind or taken is None:
@@ -140,9 +152,26 @@ def _answer(found: list[_Found]) -> str:
         return f"{take}{instead}; {lost}, for the reader keeps up."
     held = " or held up by block" if any(one.load.full == "block" for one in found) else ""
     return (
-        f"{take}{instead}; the reader takes {taken:g} of {every:.4g} messages a second, and {every - taken:.4g} are "
-        f"dropped{held}; {SLOW_READER}."
+        f"{take}{instead}; with one read a cycle the reader takes {taken:g} of {every:.4g} messages a second, and "
+        f"{every - taken:.4g} are dropped{held};{_drained(found, taken)} {SLOW_READER}."
     )
+
+
+def _phase(one: _Found) -> str:
+    """That the age is one of many: the phase of writer and reader stays as it was at their start."""
+    single = one.explained is None or one.explained[0] == 1
+    return f"; up to {_ms(one.bound)}, as their phases fall" if single and one.age <= one.bound + _ALIKE_MS else ""
+
+
+def _drained(found: list[_Found], taken: float) -> str:
+    """What a reader gets that takes all in each cycle, as `drain()` does; not measured."""
+    rate = found[0].load.producer_rate
+    if rate is None:
+        return ""
+    most = int(rate / taken) + 1
+    there = max(one.load.length or 1 for one in found)
+    room = f" with length={most} or more" if most > there else ""
+    return f" one that drains takes all{room}, the oldest {_ms(1000 / taken)} old (computed);"
 
 
 def _alike(found: list[_Found], luck: float) -> list[_Found]:

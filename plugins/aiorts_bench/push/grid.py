@@ -98,7 +98,10 @@ AXES: Final = (
     Axis("producer-rate", "producer_rate", _rate("max", 1e6), "1000", "Messages a second of each writer, or max."),
     Axis("consumer-rate", "consumer_rate", _rate("max", 1e4), "max", "Messages a second that a reader takes, or max."),
     Axis("length", "length", _whole(1, 1_000_000), "8", "Lengths of the reader's buffer."),
-    Axis("push-rate", "push_rate", _rate("none", 1e4), "200", "Hz of periodic connectors."),
+    Axis(
+        *("push-rate", "push_rate", _rate("none", 1e4), "200"),
+        "Hz of periodic connectors; that of the reader where --consumer-rate gives it.",
+    ),
 )
 OPTIONS: Final = tuple(
     click.Option([f"--{axis.name}"], metavar="LIST", help=f"{axis.help} Default {axis.default}.") for axis in AXES
@@ -147,12 +150,15 @@ def plan(given: Mapping[str, str]) -> Plan:
     """Plan every combination that differs from the others in what is measured."""
     axes = parse(given)
     varying = [name for name, words in axes.items() if len(words) > 1]
+    follows = "push-rate" not in given and any(rate is not None for _, rate in axes["consumer-rate"])
     reasons: dict[str, None] = {}
     combinations = 0
     seen: dict[Load, dict[str, str]] = {}
     for combination in itertools.product(*axes.values()):
         words = {name: word for name, (word, _) in zip(axes, combination, strict=True)}
         requested = Load(**{axis.field: value for axis, (_, value) in zip(AXES, combination, strict=True)})
+        if follows and requested.consumer_rate is not None:
+            requested = replace(requested, push_rate=requested.consumer_rate)
         combinations += 1
         kept, changed, why = _sensible(requested)
         words.update(changed)
@@ -162,6 +168,8 @@ def plan(given: Mapping[str, str]) -> Plan:
             seen[kept] = words
     loads = tuple(({name: words[name] for name in varying}, one) for one, words in seen.items())
     fixed = {name: words[0][0] for name, words in axes.items() if len(words) == 1}
+    if follows:
+        fixed["push-rate"] = "that of the reader"
     left = combinations - len(loads)
     note = f"left out {left} of {combinations} combinations that differ in nothing: {'; '.join(reasons)}"
     return Plan(loads, fixed, (note,) if left else ())
