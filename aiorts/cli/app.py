@@ -85,8 +85,11 @@ class _LazyGroup(HelpfulGroup):
         if not known and name not in (names := self.list_commands(ctx)):
             from difflib import get_close_matches
 
+            from aiorts.kernel.extensions.uninstalled import named_in_project
+
             near = get_close_matches(name[:60], names, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:_SHOWN])}"
+            hint = named_in_project(name, "commands", "components")
+            hint = hint or (f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:_SHOWN])}")
             raise click.UsageError(f"no command {name[:60]!r}; {hint}", ctx)
         return super().resolve_command(ctx, args)
 

@@ -30,6 +30,7 @@ if typing.TYPE_CHECKING:
 MISSING: Any = dataclasses.MISSING
 NUMBERS = frozenset({*(f"{sign}{bits}" for sign in "iu" for bits in (8, 16, 32, 64)), "f32", "f64", "bool"})
 STRUCTURE = "__aiorts_structure__"
+_BARE = (bool, int, float, str)
 
 
 class UnresolvedName(DeclarationError):
@@ -109,6 +110,21 @@ def describe(cls: type) -> Structure:
 def fields_of(cls: type) -> tuple[Field, ...]:
     """The fields of a record type or dataclass, in order."""
     return describe(cls).fields
+
+
+def has_single_values(cls: type) -> bool:
+    """Whether all of a type is single values, or one list of numbers: what FlexiFilter converts."""
+    if not dataclasses.is_dataclass(cls):
+        return cls in _BARE
+    fields = [field for field in describe(cls).fields if field.name != "tm"]
+    return all(_is_single(field.kind) or (len(fields) == 1 and field.element is not None) for field in fields)
+
+
+def _is_single(kind: Kind) -> bool:
+    if isinstance(kind, OptionalKind):
+        return _is_single(kind.inner)
+    nested = getattr(kind, "structure", None)
+    return has_single_values(nested.cls) if nested is not None else kind is SCALARS.get(kind.spelling)
 
 
 def _of_dataclass(cls: type) -> Structure:

@@ -15,9 +15,10 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from typing import Any, Final, NoReturn
 
-from aiorts.errors import RecordError
+from aiorts.errors import AiortsError, RecordError
 from aiorts.types import describe, fields_of, from_plain, full_name, has_tm, to_plain, type_name, wire_type, with_tm
 from aiorts.types.samples import original
+from aiorts.types.structure import has_single_values
 
 _KEYS: Final = ("port", "type", "tm", "data")
 _LONGEST: Final = 60
@@ -180,7 +181,17 @@ class _Form:
     def check_type(self, name: Any) -> None:
         """RecordError when the line says it is of another type."""
         if name is not None and (type(name) is not str or name not in self._names):
-            raise RecordError(f"a {_shown(name)} for a port of {self._name}; put a flexifilter between them")
+            raise RecordError(f"a {_shown(name)} for a port of {self._name}; {self._advice(name)}")
+
+    def _advice(self, name: Any) -> str:
+        """What to do with lines of another type."""
+        try:
+            other = wire_type(name, bare=True) if type(name) is str else None
+        except AiortsError:
+            other = None
+        if other is not None and has_single_values(other) and has_single_values(self._cls):
+            return "put a flexifilter between them"
+        return f"pass on only lines of {self._name} (of a replay: --ports NAME)"
 
     def sample(self, data: Any, tm: Any) -> Any:
         """The sample with this data."""

@@ -49,6 +49,29 @@ def test_a_declared_type_is_listed_by_name_and_by_module_and_one_that_does_not_f
     assert types(capsys, "offered_b.*")[1] == "Basinb  user  tm: stamp, level: optional[f64]\n"
 
 
+def test_a_record_that_is_only_a_field_of_a_declared_one_is_found_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = TEXT.format("Spring").replace("    level", "    depth: float = 0.0\n    level") + TEXT.format(
+        "Stream"
+    ).replace("float | None = None", "Spring = Spring()").removeprefix("from aiorts.types import record\n")
+    project(tmp_path / "n", "plug-n", {"offered_n": text}, {"types/Stream": "offered_n:Stream"})
+    finders.offer_from(Catalogue([tmp_path]))
+    assert types(capsys, "Sprin") == (0, "Spring  user  tm: stamp, depth: f64, level: optional[f64]\n", "")
+    assert run_command(["inspect", "Spring"]) == 0
+    assert "depth" in capsys.readouterr().out
+    assert run_command(["inspect", "spring"]) == 6
+    assert "did you mean Spring" in capsys.readouterr().err
+
+
+def test_a_nested_record_is_inspected_without_types_before(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = TEXT.format("Brook") + TEXT.format("River").replace("float | None = None", "Brook = Brook()")
+    project(tmp_path / "m", "plug-m", {"offered_m": text}, {"types/River": "offered_m:River"})
+    finders.offer_from(Catalogue([tmp_path]))
+    assert run_command(["inspect", "Brook"]) == 0
+    assert "offered_m.Brook" in capsys.readouterr().out
+
+
 def test_a_broken_one_is_a_line_and_hides_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     project(tmp_path / "c", "plug-c", {"offered_c": TEXT.format("Basinc")}, {"types/Basinc": "offered_c:Basinc"})
     project(tmp_path / "d", "plug-d", {"offered_d": "import no_such"}, {"types/Basind": "offered_d:Basind"})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -21,6 +22,7 @@ from aiorts.errors import PluginError
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.extensions.loading import load
 from plugin_dists import COMPONENT, install, project
+from run_parts import here
 
 pytestmark = pytest.mark.fault("F05")
 
@@ -279,3 +281,24 @@ def test_any_name_and_target_is_listed_as_it_is_and_loads_or_is_a_plugin_error(e
 def load_class_of(catalogue: Catalogue, key: str) -> type[Component]:
     """Nothing that can be imported by chance is a component."""
     return catalogue.find("components", key).load_class(Component)
+
+
+def test_what_a_project_names_and_is_not_installed_is_told_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = project(tmp_path / "kit", "ucat-kit", {}, {"components/Horn": "ucat:Horn", "types/Blast": "ucat:Blast"})
+    (folder / "src").mkdir()
+    for place, file, where in ((folder, "pyproject.toml", "."), (folder / "src", "../pyproject.toml", "..")):
+        monkeypatch.chdir(place)
+        said = f"{file} names it: pip install -e {where} again"
+        for command in (["inspect", "Horn"], ["inspect", "Blast"], ["run", "Horn"], ["horn"]):
+            done = here(place, *command)
+            assert (done.returncode, said in done.stderr) == (6 if command[0] == "inspect" else 2, True), done.stderr
+        with pytest.raises(PluginError, match=re.escape(f"no component named 'Horn'; {said}")):
+            Catalogue().find("components", "Horn")
+    for name in ("Horns", "Blast"):
+        with pytest.raises(PluginError, match=f"no component named '{name}'; there are"):
+            Catalogue().find("components", name)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PluginError, match="no component named 'Horn'; there are"):
+        Catalogue().find("components", "Horn")

@@ -250,6 +250,10 @@ def test_a_line_may_name_the_type_in_full_and_a_bare_name_is_that_of_aiorts_wher
     assert LineReader({"port": TimedDouble}).sample(line_for("aiorts.types.TimedDouble"), 3)[1] == TimedDouble(3, 1.5)
     assert LineReader({"port": TimedDouble}).sample(line_for("TimedDouble"), 3)[1] == TimedDouble(3, 1.5)
     assert LineReader({"port": other}).sample(line_for(full_name(other)), 3)[1] == other(3, 1.5)
+    pair, several = LineReader({"port": Filled}), LineReader({"port": RangeData})
+    for wrong, name in ((pair, "TimedDouble"), (several, "TimedLong"), (several, "Filled"), (pair, "nowhere.Nothing")):
+        with pytest.raises(RecordError, match=r"; pass on only lines of \w+ \(of a replay: --ports NAME\)$"):
+            wrong.sample(line_for(name), 3)
     with pytest.raises(RecordError, match="put a flexifilter between them"):
         LineReader({"port": other}).sample(line_for("TimedDouble"), 3)
     del _by_full_name[full_name(other)], _by_short_name["TimedDouble"][full_name(other)]

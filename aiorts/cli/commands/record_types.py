@@ -13,10 +13,10 @@ from aiorts import exits
 from aiorts.cli.console.completion import type_names
 from aiorts.cli.console.output import plain, say, say_json, table
 from aiorts.cli.console.report import report
+from aiorts.cli.console.subjects import load_declared
 from aiorts.errors import UnknownTypeError
-from aiorts.kernel.extensions.finders import declared_types
 from aiorts.kernel.extensions.type_modules import import_types
-from aiorts.types import all_types, fields_of, find_type, full_name, has_tm, type_name, with_tm
+from aiorts.types import all_types, fields_of, full_name, has_tm, type_name, with_tm
 from aiorts.wire import LineReader, line_of
 
 GROUPS: Final = ("basic", "extended", "interface", "extra", "ros", "user")
@@ -113,8 +113,11 @@ def types(pattern: str, group: str | None, modules: tuple[str, ...], as_json: bo
     import aiorts.types.ros  # noqa: F401 - else loaded when a name of theirs is asked for
 
     import_types(modules)
-    broken = _load_offered(pattern)
-    listed = [cls for cls in all_types().values() if _matches(cls, pattern) and group in (None, group_of(cls))]
+    broken = load_declared(lambda name: _fits(name, pattern))
+    listed = _listed(pattern, group)
+    if not listed and not broken:
+        load_declared()  # it may be a record that is only a field of another
+        listed = _listed(pattern, group)
     if not listed and (pattern or group):
         names = {cls.__name__.lower(): cls.__name__ for cls in all_types().values()}
         reason = f": {broken[0]}" if broken else f"{_near(pattern, names)}; aiorts types lists all"
@@ -129,20 +132,8 @@ def types(pattern: str, group: str | None, modules: tuple[str, ...], as_json: bo
     return exits.DONE
 
 
-def _load_offered(pattern: str) -> list[str]:
-    """Import the types that plugins declare and the pattern fits; gives what is wrong with those that are broken."""
-    broken = []
-    for name in declared_types():
-        if _fits(name, pattern):
-            try:
-                find_type(name)
-            except UnknownTypeError as error:
-                broken.append(str(error))
-    return broken
-
-
-def _matches(cls: type, pattern: str) -> bool:
-    return _fits(full_name(cls), pattern)
+def _listed(pattern: str, group: str | None) -> list[type]:
+    return [cls for cls in all_types().values() if _fits(full_name(cls), pattern) and group in (None, group_of(cls))]
 
 
 def _fits(name: str, pattern: str) -> bool:

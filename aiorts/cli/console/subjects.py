@@ -5,16 +5,19 @@ It imports the module with that name, creates nothing and runs no hook.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
 from aiorts import Catalogue, Component
 from aiorts.cli.console.plugins_option import catalogue_of
 from aiorts.errors import DeclarationError, PluginError, UnknownTypeError
+from aiorts.kernel.extensions.finders import declared_types
 from aiorts.kernel.extensions.type_names import extension_of, split_type
+from aiorts.kernel.extensions.uninstalled import named_in_project
 from aiorts.late import dataclass
 from aiorts.types import all_types, find_type
+from aiorts.types.registry import is_known
 
 _MOST_LISTED = 12
 
@@ -72,8 +75,22 @@ def _of_type(name: str, catalogue: Catalogue) -> Subject:
     except UnknownTypeError as error:
         if "more than once" in str(error) or isinstance(error.__cause__, DeclarationError):
             raise
-        raise _unknown(name, catalogue) from None
+        load_declared()  # it may be a record that is only a field of another
+        if not is_known(name):
+            raise _unknown(name, catalogue) from None
+        cls = find_type(name)
     return Subject(cls, _home(cls))
+
+
+def load_declared(fits: Callable[[str], bool] = lambda _: True) -> list[str]:
+    """Import the types that plugins declare whose full name fits; what is wrong with those that are broken."""
+    broken = []
+    for name in filter(fits, declared_types()):
+        try:
+            find_type(name)
+        except UnknownTypeError as error:
+            broken.append(str(error))
+    return broken
 
 
 def _unknown(name: str, catalogue: Catalogue) -> UnknownTypeError:
@@ -83,6 +100,8 @@ def _unknown(name: str, catalogue: Catalogue) -> UnknownTypeError:
     named = sorted((*types, *components), key=lambda one: "/" not in one)
     lowered = {one.lower().rpartition("/")[2]: one for one in named}
     near = get_close_matches(name[:100].lower().rpartition("/")[2], lowered, n=3, cutoff=0.6)
+    if hint := named_in_project(name, "components", "types"):
+        return UnknownTypeError(f"no component or type named {name[:60]!r}; {hint}")
     hint = f"did you mean {' or '.join(lowered[one] for one in near)}? " if near else ""
     listed = ", ".join(components[:_MOST_LISTED]) or "none"
     return UnknownTypeError(

@@ -32,6 +32,7 @@ from aiorts.errors import AiortsError, ComponentError, ConfigurationError, Syste
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.extensions.type_names import shown as in_quotes
+from aiorts.kernel.extensions.uninstalled import named_in_project
 from aiorts.kernel.service import plan_service
 from aiorts.late import dataclass
 from aiorts.model.options import doubts
@@ -145,7 +146,9 @@ def _no_such(text: str, catalogue: Catalogue) -> str:
     near = get_close_matches(text[:100], [*files, *components], n=1)
     if not near:  # `pid` for `pid.toml`, and `flexiconst` for `FlexiConst`
         near = [one for one in (*files, *components) if one.lower().removesuffix(".toml") == text.lower()]
-    hint = f"did you mean {near[0]!r}?" if near else "give SYSTEM.toml, FILE.py:Class or package.module:Class"
+    hint = named_in_project(text, "components")
+    if not hint:
+        hint = f"did you mean {near[0]!r}?" if near else "give SYSTEM.toml, FILE.py:Class or package.module:Class"
     return f"no system file and no installed component; {hint}"
 
 

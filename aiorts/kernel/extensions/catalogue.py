@@ -146,8 +146,11 @@ class Catalogue:
         if not found:
             from difflib import get_close_matches
 
+            from aiorts.kernel.extensions.uninstalled import named_in_project
+
             near = get_close_matches(name[:100], offers, n=3)
-            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {_some(offers)}"
+            hint = named_in_project(name, kind)
+            hint = hint or (f"did you mean {' or '.join(near)}?" if near else f"there are {_some(offers)}")
             broken = f" ({len(self.problems)} could not be read: see `aiorts plugins`)" if self.problems else ""
             raise PluginError(f"no {word} named {name[:100]!r}; {hint}{broken}")
         if len(found) > 1:

@@ -156,10 +156,13 @@ def pair_faults(out: OutPort[Any], in_: InPort[Any]) -> Iterator[str]:
     where = f"{out.path} -> {in_.path}"
     if not issubclass(out.type, in_.type):
         from aiorts.types import type_name
+        from aiorts.types.structure import has_single_values
 
+        single = has_single_values(out.type) and has_single_values(in_.type)
+        between = "a FlexiFilter" if single else "a component of your own"
         yield (
             f"{where}: types differ: {out.path} sends {type_name(out.type)}, {in_.path} takes {type_name(in_.type)}; "
-            "put a FlexiFilter between them, if single values are all that goes over, or a component of your own"
+            f"connect ports of one type, or put {between} between them"
         )
     if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
         yield (
