@@ -69,3 +69,16 @@ def test_a_folder_that_cannot_be_read_is_a_line_and_the_rest_is_listed(tmp_path:
     assert done.returncode == 1
     assert "FlexiFilter" in done.stdout
     assert done.stderr.startswith("aiorts: E-PLUGIN: folder ")
+
+
+def test_one_fault_of_several_extensions_is_told_once(tmp_path: Path) -> None:
+    bad = "from aiorts.types import record\n@record\nclass Bad:\n    level: float | str = 0.0\n"
+    write(tmp_path / "one", "plug_one", bad + GOOD, "First")
+    with (tmp_path / "one" / "pyproject.toml").open("a") as file:
+        file.write('Second = "plug_one:Good"\n')
+    done = aiorts("plugins", "--plugins", str(tmp_path), "--check")
+    assert done.returncode == 1
+    assert done.stdout.count("Bad.level: float | str has more than one type") == 1
+    assert "plug_one.py:4)" in done.stdout
+    (line,) = (line for line in done.stdout.splitlines() if " Second " in line)
+    assert line.endswith("as First above")

@@ -203,6 +203,17 @@ def test_the_interface_that_parameters_state_is_checked_with_its_place(
     assert marked(one) == mark
 
 
+def test_what_keeps_a_module_from_being_imported_is_said_once_with_the_line_of_the_field(write: Write) -> None:
+    path = write(CHAIN)
+    parts = path.parent / "parts.py"
+    text = "from aiorts.types import record\n@record\nclass Bad:\n    tm: int = 0\n    level: float | str = 0.0\n"
+    parts.write_text(text + parts.read_text().replace("from __future__ import annotations\n", ""))
+    one = only(path, "error")
+    assert one.where == "components.source.type"
+    assert "Bad.level: float | str has more than one type" in one.message
+    assert "parts.py:5)" in one.message
+
+
 def test_a_wrong_parameter_hides_no_wrong_port(write: Write) -> None:
     text = changed('type = "parts.py:Middle"', 'type = "parts.py:Middle"\nparams.gain = 0.0', CHAIN)
     text = changed('to = "middle.input"', 'to = "middle.inptu"', text)

@@ -11,7 +11,6 @@ import click
 
 from aiorts import Catalogue, Extension
 from aiorts.errors import PluginError
-from aiorts.kernel.extensions.origins import told_apart
 
 
 def offered(catalogue: Catalogue, kind: str) -> dict[str, tuple[Extension, ...]]:
@@ -87,6 +86,8 @@ def _can_be_typed(name: str) -> bool:
 
 
 def _twice(name: str, several: tuple[Extension, ...]) -> PluginError:
+    from aiorts.kernel.extensions.origins import told_apart
+
     return PluginError(f"`aiorts {name}` is offered twice, by {told_apart(several)}")
 
 

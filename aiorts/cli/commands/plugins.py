@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -17,6 +18,8 @@ from aiorts.cli.console.report import printed, report
 from aiorts.late import dataclass
 
 _WORDS: Final = {"benches": "bench"}
+_PLACE: Final = re.compile(r"\(\S+:\d+\)")
+"""Where a fault is, in the result of an import: another extension with the same result has the same fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,17 +88,19 @@ def _problems(catalogue: Catalogue) -> Iterator[tuple[str, str]]:
     yield from clashes(catalogue, tuple(getattr(click.get_current_context().find_root().command, "own", ())))
 
 
-def _result_cells(one: _Finding) -> tuple[str, ...]:
+def _result_cells(one: _Finding, first: _Finding) -> tuple[str, ...]:
+    if one is not first and _PLACE.search(one.verdict):
+        return (f"as {first.name} above",)
     shows_file = one.verdict not in ("", "ok") and one.file and one.file not in one.verdict
     return (f"{one.verdict} [{one.file}]" if shows_file else one.verdict,) if one.verdict else ()
 
 
 def _table(findings: Iterable[_Finding]) -> str:
+    first: dict[str, _Finding] = {}
     rows = [
-        tuple(
-            map(printed, (_WORDS.get(one.kind, one.kind[:-1]), one.name, one.target, one.source, *_result_cells(one)))
-        )
+        tuple(map(printed, (_WORDS.get(one.kind, one.kind[:-1]), one.name, one.target, one.source, *cells)))
         for one in findings
+        for cells in [_result_cells(one, first.setdefault(one.verdict, one))]
     ]
     widths = [max((len(row[column]) for row in rows), default=0) for column in range(3)]
     return "\n".join(

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
-from aiorts.errors import PluginError
+from aiorts.errors import DeclarationError, PluginError
 from aiorts.kernel.extensions.files import load_file, load_module, make_importable
 from aiorts.kernel.loop.exceptions import trace_of
 from aiorts.kernel.loop.origins import place
@@ -114,8 +114,25 @@ def cause_of(error: BaseException) -> str:
         if not name.startswith(("<", _OURS)):
             file, line = name, trace.tb_lineno
         trace = trace.tb_next
+    if type(error) is DeclarationError and file is not None and line is not None:
+        line = _line_of_field(text, file, line)
     where = "" if file is None else f" ({place(file, line)})"
     return f"{type(error).__name__}: {text}{where}"
+
+
+def _line_of_field(text: str, file: str, line: int) -> int:
+    """The line of the field that a text begins with (`Class.field: ...`), where its class is made at `line`."""
+    import ast
+    import linecache
+
+    owner, _, field = text.partition(":")[0].rpartition(".")
+    with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+        for node in ast.walk(ast.parse("".join(linecache.getlines(file)))):
+            if isinstance(node, ast.ClassDef) and node.name == owner.rpartition(".")[2]:
+                found = [one.lineno for one in node.body if getattr(getattr(one, "target", None), "id", "") == field]
+                if found and line in (node.lineno, *(one.lineno for one in node.decorator_list)):
+                    return found[0]
+    return line
 
 
 def _text(thing: object) -> str:

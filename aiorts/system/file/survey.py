@@ -31,6 +31,9 @@ _TEXTS: Final = ("name", "empty", "stamp")
 """Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
 
 
+_FAILED: Final = " cannot be loaded: "
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
     """Something that keeps the system from being built: where, and the error with what is to be done."""
@@ -92,7 +95,10 @@ def _component(found: Survey, entry: ComponentEntry) -> None:
     try:
         cls = component_type(found.system, entry, found.catalogue)
     except (PluginError, SystemFileError) as error:
-        found.say((*key, "type"), error)
+        # What keeps one module from being imported keeps all its classes: it is said once.
+        _, failed, cause = str(error).partition(_FAILED)
+        if not failed or all(str(one.error).partition(_FAILED)[2] != cause for one in found.faults):
+            found.say((*key, "type"), error)
         return
     found.types[entry.name] = cls
     checked, faults = parameters(found.system, entry, cls)
