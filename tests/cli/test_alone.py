@@ -289,7 +289,7 @@ def test_without_standard_output_it_runs_all_the_same(folder: Path) -> None:
 
 
 PERIODICAL = '''
-from aiorts import Component, InPort, OutPort
+from aiorts import Component, InPort, OutPort, Param
 from aiorts.types import TimedLong
 
 class Ticking(Component):
@@ -320,7 +320,27 @@ class Picky(Component):
     numbers = InPort(TimedLong)
     def on_execute(self):
         raise ValueError("no")
+
+class Many(Component):
+    """Has as many in-ports as its parameter says."""
+    inputs = Param(1)
+    out = OutPort(TimedLong)
+    def ports_for(self, values):
+        return {f"in{number}": InPort(TimedLong) for number in range(values["inputs"])}
+    async def on_execute(self):
+        for port in self.ports.values():
+            for sample in port.drain() if isinstance(port, InPort) else ():
+                await self.out.write(sample)
 '''
+
+
+@pytest.mark.row(123)
+def test_run_feeds_ports_that_a_parameter_makes(folder: Path) -> None:
+    (folder / "parts.py").write_text(PERIODICAL)
+    fed = here(folder, "run", "parts.py:Many", "--set", "inputs=3", stdin='{"port": "in2", "data": 7}\n')
+    assert (fed.returncode, data(fed.stdout), fed.stderr) == (0, [7], "")
+    none = here(folder, "run", "parts.py:Many", "--set", "inputs=0", "--rate", "100", "--for", "0.05", stdin="1\n")
+    assert (none.returncode, none.stdout) == (0, "")
 
 
 @pytest.mark.row(123)

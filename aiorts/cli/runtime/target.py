@@ -231,8 +231,9 @@ def _alone(
     name = cls.__name__.lower()
     draft = construct(cls, name)
     setting = _setting(draft, changes)
-    sends = outs_of(draft) or "ports_for" in declarations(cls).overrides
-    fed = fed and takes_data(draft)
+    later = "ports_for" in declarations(cls).overrides  # ports that it has with its parameters
+    sends = outs_of(draft) or later
+    fed = fed and (takes_data(draft) or later)
     shown = shown and bool(sends) and (fed or not takes_data(draft))
     if count is not None and not (shown or fed):
         if takes_data(draft):
