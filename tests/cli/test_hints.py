@@ -163,7 +163,8 @@ def test_the_warning_of_lost_samples_is_shown_whole_however_long_the_names_are(f
     (line,) = [line for line in done.stderr.splitlines() if "lost so far" in line]
     assert line.startswith(f"aiorts: warning: {burst}.out -> {reader}.raw: ")
     assert line.partition(" lost so far: ")[2] == (
-        "overwritten, the reader is slower than the writer; from now on they are counted (connector.statistics); "
+        "overwritten, the reader is slower than the writer; further losses are summarised here, all are counted in "
+        "connector.statistics; "
         f"{SLOW_READER}"
     )
 

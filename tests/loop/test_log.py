@@ -131,8 +131,45 @@ def test_same_line_within_a_second_is_counted_and_told_with_the_next(bench: Benc
         bench.log.warning("late by %d", tick)
     bench.now = SECOND
     bench.log.warning("late by %d", 9)
-    assert bench.out.lines == ["late by 0", "late by 9 (repeated 4 times)"]
+    assert bench.out.lines == ["late by 0", "late by 9 (4 more like this before)"]
     assert [record.repeated for record in bench.out.records] == [0, 4]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ([0.5], "execute at 0.5"),
+        ([0.5, 0.75], "execute at 0.75 (the last of 2 more like this)"),
+        ([0.25], "execute at 0.25 (repeated 1 time)"),
+        ([0.25, OSError("0.5")], "execute at 0.25 (2 more like this)"),
+    ],
+)
+def test_only_lines_of_one_text_are_called_repeated(bench: Bench, values: list[object], told: str) -> None:
+    for value in (0.25, *values):
+        bench.log.warning("execute at %s", value)
+    bench.log.flush()
+    assert bench.out.lines == ["execute at 0.25", told]
+
+
+def test_the_same_text_again_is_repeated_with_the_next_line(bench: Bench) -> None:
+    for now in (0, 1, 2, SECOND):
+        bench.now = now
+        bench.log.warning("late by %d", 3)
+    assert bench.out.lines == ["late by 3", "late by 3 (repeated 2 times)"]
+
+
+def test_a_folded_line_runs_no_code_of_the_user(bench: Bench) -> None:
+    told: list[int] = []
+
+    class Asked:
+        def __str__(self) -> str:
+            told.append(1)
+            return "asked"
+
+    bench.log.warning("%s", Asked())
+    first = len(told)
+    bench.log.warning("%s", Asked())
+    assert len(told) == first
 
 
 def test_a_line_of_another_level_or_template_is_not_a_repeat(bench: Bench) -> None:
@@ -173,8 +210,8 @@ def test_what_is_pending_is_told_with_the_text_of_the_line_it_repeats(bench: Ben
         bench.log.warning("very %s", "x" * 1000)
     bench.log.flush()
     assert bench.out.lines[3:] == [
-        "b.on_activated failed: 100 % full (repeated 2 times)",
-        "elbow at 1.5 (repeated 2 times)",
+        "b.on_activated failed: 100 % full (2 more like this)",
+        "elbow at 1.5 (2 more like this)",
         f"very {'x' * 195} (repeated 2 times)",
     ]
 
@@ -191,7 +228,7 @@ def test_template_with_named_fields_keeps_working_when_it_was_repeated(bench: Be
     for now in (0, 1, SECOND):
         bench.now = now
         bench.log.info("%(joint)s at %(angle).1f", {"joint": "elbow", "angle": 1.5})
-    assert bench.out.lines == ["elbow at 1.5", "elbow at 1.5 (repeated 1 time)"]
+    assert bench.out.lines == ["elbow at 1.5", "elbow at 1.5 (1 more like this before)"]
 
 
 def test_template_that_does_not_fit_its_arguments_does_not_raise(
@@ -307,7 +344,10 @@ def test_lines_from_several_threads_are_all_accounted_for(bench: Bench) -> None:
     for thread in threads:
         thread.join()
     bench.log.flush()
-    assert bench.out.lines == ["same 0", "same 0 (repeated 1999 times)"]
+    first, last = bench.out.lines
+    assert first == "same 0"
+    assert last.startswith("same ")
+    assert last.endswith(" (the last of 1999 more like this)")
 
 
 @pytest.fixture

@@ -179,8 +179,7 @@ class Log(logging.Handler):
         context = self._failures.get(component, ("", 0))[0] if error is not None else self._context_of(component)
         if error is None or not component:
             return Line(self._now_ns(), level, _message(record), component, context, hook, error=error)
-        repeated = getattr(record, "repeated", 0)
-        times = f" (repeated {repeated} times)" if repeated else ""
+        times = str(getattr(record, "folded", ""))
         advice = advice_on(error, debug=self._options.debug)
         hook = _message(record).partition(" failed")[0].removeprefix(f"{component}.")
         cause = f"{cause_of(error)}{in_brackets(origin_of(error, installed=True))}"

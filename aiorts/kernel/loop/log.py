@@ -1,11 +1,12 @@
 """What `self.log` of a component is: this file counts and thins out lines, standard `logging` does the rest.
 
-Every record carries `kernel`, `component`, `hook`, `tick` and `repeated` as attributes. A line with the same level and
-template as one of the last second is counted instead of emitted, and the count comes with the next line, so nothing is
-lost in silence: calls = lines + repeated + dropped, once `flush()` was called. Output over 200 kB in a second is
-dropped and counted too, so a component that logs in a tight loop harms nobody; and so is what all components of a
-kernel together say beyond `SharedBudget`. A handler or filter that raises harms nobody either: the line stands on
-standard error then. Importing this configures no logging.
+Every record carries `kernel`, `component`, `hook`, `tick`, `repeated` and `folded` as attributes. A line with the same
+level and template as one of the last second is counted instead of emitted (`repeated`), and the count comes with the
+next line, so nothing is lost in silence: calls = lines + repeated + dropped, once `flush()` was called. How the line
+says so is `folded`: only lines of one text are called repeated. Output over 200 kB in a second is dropped and counted
+too, so a component that logs in a tight loop harms nobody; and so is what all components of a kernel together say
+beyond `SharedBudget`. A handler or filter that raises harms nobody either: the line stands on standard error then.
+Importing this configures no logging.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ _MAX_CAUSES: Final = 20
 _TEMPLATE_SHOWN: Final = 200
 _KEPT: Final = 16
 _KEPT_LENGTH: Final = 500
+_PLAIN: Final = frozenset((bool, int, float, str, type(None)))
 _ARGS: Final[Any] = BaseException.__dict__["args"]
 
 
@@ -58,15 +60,40 @@ class LogFields(NamedTuple):
 
 
 class _Folded:
-    """One template of the last second: when a line was emitted, what it said, and how many were not since."""
+    """One template of the last second: when a line was emitted, what was said last, and how many were not emitted."""
 
-    __slots__ = ("count", "emitted_ns", "text")
+    __slots__ = ("_alike", "_hash", "_known", "count", "emitted_ns", "text")
 
     def __init__(self, emitted_ns: int, template: str) -> None:
         self.emitted_ns = emitted_ns
         self.text = template[:_TEMPLATE_SHOWN]
-        """As it was emitted, once that is known: it is filled in outside of the lock, what is logged is the user's."""
+        """Of the last line that is known: it is filled in outside of the lock, what is logged is the user's."""
         self.count = 0
+        self._alike = self._known = True
+        self._hash: int | None = None
+
+    def said(self, line: str | None) -> None:
+        """One of its lines; None where finding out would run code of the user for a line that is not emitted."""
+        self._known = line is not None
+        if line is None:
+            self._alike = False
+            return
+        self._alike = self._alike and self._hash in (None, hash(line))
+        self._hash, self.text = hash(line), line[:_TEMPLATE_SHOWN]
+
+    def before(self, line: str) -> str:
+        """What the next line that is emitted says of those that were not."""
+        return (
+            _times(self.count) if self._alike and self._hash == hash(line) else f" ({self.count} more like this before)"
+        )
+
+    def alone(self) -> str:
+        """What is emitted where no next line came."""
+        if self._alike:
+            return f"{self.text}{_times(self.count)}"
+        if not self._known:
+            return f"{self.text} ({self.count} more like this)"
+        return self.text if self.count == 1 else f"{self.text} (the last of {self.count} more like this)"
 
 
 class SharedBudget:
@@ -123,7 +150,7 @@ class SharedBudget:
                 SHARED_BYTES_PER_SECOND // 1000,
                 dropped,
                 components,
-                extra={**LogFields(self._name, "")._asdict(), "repeated": 0, "dropped": dropped},
+                extra={**LogFields(self._name, "")._asdict(), "repeated": 0, "folded": "", "dropped": dropped},
             )
 
 
@@ -257,28 +284,32 @@ class ComponentLog:
             folded = self._keys.get(key)
             if folded is not None and now - folded.emitted_ns < _SECOND_NS:
                 folded.count += 1
+                folded.said(_text(key[1], args) if _PLAIN.issuperset(map(type, args)) else None)
                 return
-            repeated = self._keys.pop(key).count if folded is not None else 0
+            if folded is not None:
+                del self._keys[key]
             old = self._forget_old(now)
             emitted = self._keys[key] = _Folded(now, key[1])
         for old_level, silent in old:
             if self._afford(now, _LINE_BYTES + len(silent.text), silent.count):
                 self._emit_count(old_level, silent)
         line = _text(key[1], args)
-        emitted.text = line[:_TEMPLATE_SHOWN]
+        with self._lock:
+            emitted.said(line)
+        repeated = 0 if folded is None else folded.count
+        told = folded.before(line) if folded is not None and repeated else ""
         self._kept.append((now, level, line[:_KEPT_LENGTH], self._fields().hook))
         attached = _chain_bytes(error) + (_STACK_BYTES if stack_info else 0)
         traceback = 2 + 3 * (attached // _FRAME_BYTES) if attached else 0
         if self._afford(now, _line_bytes(key[1], args) + attached, 1 + repeated, traceback):
-            text = f"{key[1]}{_times(repeated)}" if repeated else msg
             self.logger.log(
                 level,
-                text,
+                f"{key[1]}{told}" if told else msg,
                 *args,
                 exc_info=safe_exc_info(error),
                 stack_info=stack_info,
                 stacklevel=stacklevel + 3,
-                extra=self._attributes(repeated, extra),
+                extra=self._attributes(repeated, told, extra),
             )
 
     def _forget_old(self, now: int) -> list[tuple[int, _Folded]]:
@@ -312,18 +343,16 @@ class ComponentLog:
         return fits
 
     def _emit_count(self, level: int, folded: _Folded) -> None:
-        text = f"{folded.text}{_times(folded.count)}"
-        self.logger.log(level, "%s", text, extra=self._attributes(folded.count, None))
+        self.logger.log(level, "%s", folded.alone(), extra=self._attributes(folded.count, "", None))
 
     def _emit_dropped(self, count: int) -> None:
         line = "1 line" if count == 1 else f"{count} lines"
         text = f"log output over {BYTES_PER_SECOND // 1000} kB/s: {line} dropped"
-        self.logger.warning(text, extra={**self._attributes(0, None), "dropped": count})
+        self.logger.warning(text, extra={**self._attributes(0, "", None), "dropped": count})
 
-    def _attributes(self, repeated: int, extra: Mapping[str, object] | None) -> dict[str, object]:
+    def _attributes(self, repeated: int, told: str, extra: Mapping[str, object] | None) -> dict[str, object]:
         attributes: dict[str, object] = {} if extra is None else dict(extra)
-        attributes.update(self._fields()._asdict())
-        attributes["repeated"] = repeated
+        attributes.update(self._fields()._asdict(), repeated=repeated, folded=told)
         return attributes
 
 

@@ -44,7 +44,7 @@ class Losses:
         connector.out._refresh()
 
     def begin(self, connector: Connector) -> None:
-        """It has lost a sample, in this thread: report it soon, and from now on only counted."""
+        """It has lost a sample, in this thread: report it soon, and those after it in summary."""
         connector._transport.losses = False
         connector.out._refresh()
         self._kernel.loop.call_soon_threadsafe(self._begun, connector)
@@ -64,8 +64,8 @@ class Losses:
     def _begun(self, connector: Connector) -> None:
         self._reported[connector] = lost = _lost(connector)
         self._report(
-            "%s -> %s: %s lost so far: overwritten, the reader is slower than the writer; from now on they are counted"
-            " (connector.statistics); %s",
+            "%s -> %s: %s lost so far: overwritten, the reader is slower than the writer; further losses are"
+            " summarised here, all are counted in connector.statistics; %s",
             connector.out.path,
             connector.in_.path,
             _samples(lost),
