@@ -320,13 +320,14 @@ def _facts(option: click.Option) -> Iterator[str]:
 def error_codes() -> str:
     from aiorts import errors
     from aiorts.cli.console.codes import CODES
+    from aiorts.guide import anchor
 
     raised: dict[str, list[str]] = {}
     for name in errors.__all__:
         cls = getattr(errors, name)
         if isinstance(cls, type) and issubclass(cls, errors.AiortsError):
             raised.setdefault(cls.code, []).append(f"aiorts.errors.{name}")
-    parts = []
+    parts = ["".join(f"- [`{code}`](#{anchor(code)}): {one.meaning}\n" for code, one in sorted(CODES.items()))]
     for code, one in sorted(CODES.items()):
         lines = [f"- Cause: {one.cause}", f"- Remedy: {one.remedy}"]
         if code in raised:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -39,6 +40,8 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
 }
 """Folder of a section -> its title and the names of its pages, in the order in which they are read."""
 
+_BLOCK_OR_HEADING: Final = re.compile(r"^```.*?^```$|^(##+) ([^\n]*)$", re.DOTALL | re.MULTILINE)
+
 
 class Page(NamedTuple):
     """A page of the guide."""
@@ -72,6 +75,33 @@ def pages() -> list[Page]:
 def anchor(heading: str) -> str:
     """The fragment by which a heading is linked, as GitHub makes it."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
+
+
+def headings(text: str) -> dict[str, str]:
+    """The headings of a page below its title, and what stands from each up to the next that is not below it."""
+    marks = [mark for mark in _BLOCK_OR_HEADING.finditer(text) if mark[1]]
+    ends = [
+        next((later.start() for later in marks[at + 1 :] if len(later[1]) <= len(mark[1])), len(text))
+        for at, mark in enumerate(marks)
+    ]
+    return {mark[2].strip("`"): text[mark.start() : end] for mark, end in zip(marks, ends, strict=True)}
+
+
+def entries(text: str, words: str) -> list[str]:
+    """What stands below the headings of a page that are these words, or the name that they end with.
+
+    One in the same case comes first, then any case; a heading that is no name is also found by a part of it.
+    """
+    found = headings(text)
+    ways: tuple[Callable[[str], bool], ...] = (
+        lambda head: f".{head}".endswith(f".{words}"),
+        lambda head: f".{head.lower()}".endswith(f".{words.lower()}"),
+        lambda head: " " in head and words.lower() in head.lower(),
+    )
+    for fits in ways:
+        if shown := [below for head, below in found.items() if fits(head)]:
+            return shown
+    return []
 
 
 def page(name: str) -> Page | None:

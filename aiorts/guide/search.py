@@ -10,6 +10,10 @@ from aiorts.guide.contents import Page, pages
 
 _WORD: Final = re.compile(r"[a-z0-9]+(?:[-_.][a-z0-9]+)*")
 _HEADING: Final = re.compile(r"^#{1,4} ")
+_LINK: Final = re.compile(r"!?\[([^\]]+)\]\([^)\s]+\)")
+_NO_PROSE: Final = re.compile(r"^```.*?^```$|^\|.*?$|^<!--.*?-->$", re.DOTALL | re.MULTILINE)
+_NEXT_PARAGRAPH: Final = re.compile(r"\n(?:\s*\n|(?=\s*(?:[-*]|\d+\.) ))")
+_NEXT_SENTENCE: Final = re.compile(r"(?<=[.?!])\s+(?=[A-Z`\[*])")
 _DOUBLED: Final = re.compile(r"([bgmnprt])\1$")
 """What an ending doubled: dropped, running."""
 _COMMON: Final = frozenset(
@@ -44,7 +48,7 @@ _MOST: Final = 8.0
 
 
 class Hit(NamedTuple):
-    """A place of the guide: a page, a heading in it, and the first line below that has a word of the question."""
+    """A place of the guide: a page, a heading in it, and the first sentence below that has a word of the question."""
 
     page: Page
     heading: str
@@ -82,10 +86,20 @@ def _hits(one: Page, wanted: set[str]) -> list[Hit]:
             counts[word] += _IN_TITLE * (word in in_title) + _IN_HEADING * (word in _words(heading))
         found = [count for count in counts.values() if count]
         if found and any(word in _words(" ".join([heading, *place])) for word in wanted):
-            first = next((text for text in place if wanted.intersection(_words(text))), "")
-            hits.append(Hit(one, heading, first.strip(), sum(found) * (len(found) / len(wanted)) ** 2))
+            hits.append(Hit(one, heading, _excerpt(place, wanted), sum(found) * (len(found) / len(wanted)) ** 2))
         heading, place = line.lstrip("# "), []
     return hits
+
+
+def _excerpt(place: list[str], wanted: set[str]) -> str:
+    """The first sentence with a word of the question, or the first one: links as their words, no tables and code."""
+    paragraphs = _NEXT_PARAGRAPH.split(_NO_PROSE.sub("", "\n".join(place)))
+    sentences = [
+        " ".join(_LINK.sub(r"\1", sentence).split())
+        for paragraph in paragraphs
+        for sentence in _NEXT_SENTENCE.split(paragraph)
+    ]
+    return next((one for one in sentences if wanted.intersection(_words(one))), next(filter(None, sentences), ""))
 
 
 def _words(text: str) -> list[str]:

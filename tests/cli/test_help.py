@@ -60,10 +60,12 @@ def test_a_code_belongs_to_one_kind_of_error() -> None:
     assert all(cls.code in CODES for cls in classes)
 
 
-def test_errors_are_listed_and_explained(capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_are_listed_and_explained(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     status, out, err = run(capsys, "help", "errors")
     assert (status, err) == (0, "")
     assert [line.split()[0] for line in out.splitlines() if re.match(r"[EWN]-", line)] == sorted(CODES)
+    assert max(map(len, out.splitlines())) <= 80
     for spelled in (("errors", "E-LINE"), ("errors", "e-line"), ("E-LINE",)):
         status, out, _ = run(capsys, "help", *spelled)
         assert status == 0

@@ -100,6 +100,69 @@ QUESTIONS = {
     "options of aiorts run for my service": "write-service",
     "benchmark my own code": "write-bench",
 }
+DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote", "network", "two processes")
+
+
+@pytest.mark.parametrize("question", DISTRIBUTION)
+def test_what_is_asked_about_several_processes_is_answered_first_by_the_limits(question: str) -> None:
+    hit = search(question)[0]
+    assert (hit.page.name, hit.heading.partition(":")[0]) == ("limits", "Several processes or machines")
+
+
+@pytest.mark.parametrize("question", ["node", "executor", "subscription", "reason", "motor"])
+def test_an_excerpt_is_prose_without_links_tables_and_code(question: str) -> None:
+    for hit in search(question):
+        assert not hit.line.startswith(("|", "```", "class ", "import "))
+        assert "](" not in hit.line
+
+
+@pytest.mark.parametrize(
+    ("words", "first", "inside"),
+    [("api Rig", "### `aiorts.testing.Rig`", "feed("), ("Rig", "### `aiorts.testing.Rig`", "feed("),
+     ("testing.Rig", "### `aiorts.testing.Rig`", "feed("), ("TimedPose2D", "### `aiorts.types.TimedPose2D`", "Pose2D"),
+     ("record-types timedpose2d", "### `TimedPose2D`", "stamp"), ("FlexiAdd", "## FlexiAdd", "--port"),
+     ("policies full policy", "## Buffer and full policy: what happens to a slow reader", "WriteTimeout"),
+     ("errors-codes E-LINE", "", "error-codes")],
+)  # fmt: skip
+def test_a_part_of_a_page_is_shown_by_its_heading(
+    words: str, first: str, inside: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = run(capsys, "help", *words.split())
+    assert (status, out.partition("\n")[0]) == (0 if first else 2, first)
+    assert inside in out + err
+    assert len([line for line in out.splitlines() if re.match(r"#+ ", line)]) == bool(first)
+
+
+def test_a_public_name_is_shown_by_its_last_word_and_a_misspelt_one_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    import aiorts
+
+    taken = {page.name for page in pages()} | {"run"}
+    for name in aiorts.__all__[::4]:
+        if name.lower() not in taken:
+            assert f"### `aiorts.{name}`" in run(capsys, "help", name)[1], name
+    for words, near in (("Rgi", "did you mean Rig?"), ("api Rigg", "did you mean Rig?"), ("api xyzzy", "help api")):
+        status, out, err = run(capsys, "help", *words.split())
+        assert (status, out) == (2, "")
+        assert near in err
+
+
+def test_a_table_folds_its_last_column_or_names_equal_cells_once() -> None:
+    two = "| name | what it is |\n|---|---|\n| a | one two three four five |\n| b | |"
+    assert rendered(two, 20, bold=False).splitlines() == [
+        "a", "    what it is: one", "        two three", "        four five", "b"
+    ]  # fmt: skip
+    assert rendered(two.replace("five", "five six seven eight"), 40, bold=False).splitlines() == [
+        "name  what it is", "a     one two three four five six seven", "      eight", "b"
+    ]  # fmt: skip
+    wide = f"| kind | sent | stored | read |\n|---|---|---|---|\n| {'k' * 40} | itself | a list | itself |"
+    assert rendered(wide, 40, bold=False).splitlines() == ["k" * 40, "    sent, read: itself", "    stored: a list"]
+
+
+def test_a_picture_is_its_description_and_where_it_is_shown() -> None:
+    shown = rendered("![a curve](a.svg)", 80, bold=False)
+    assert shown == "(picture, shown by aiorts help --serve: a curve)"
 
 
 def test_a_question_of_a_user_is_answered_by_one_of_the_first_two_pages() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from difflib import get_close_matches
 from pathlib import Path
 from shutil import get_terminal_size
@@ -18,6 +19,8 @@ from aiorts.cli.console.report import has_colours
 _SHOWN: Final = 5
 """Places that a search shows."""
 _LONGEST_LINE: Final = 90
+_NAMES: Final = ("api", "record-types", "flexi")
+"""Pages whose headings are public names."""
 
 
 def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
@@ -33,7 +36,9 @@ def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list
 
 
 @click.command("help", short_help="Help for a command, an error code or a topic; the guide.")
-@click.argument("topic", nargs=-1, metavar="[COMMAND | errors [E-CODE] | TOPIC]", shell_complete=_topics)
+@click.argument(
+    "topic", nargs=-1, metavar="[COMMAND | errors [E-CODE] | TOPIC [HEADING] | NAME]", shell_complete=_topics
+)
 @click.option("--list", "listed", is_flag=True, help="List the pages of the guide.")
 @click.option("--search", metavar="WORDS", help="Find the pages that answer a question.")
 @click.option(
@@ -58,13 +63,16 @@ def help_(
     serve: bool,
     port: int,
 ) -> int:
-    """Show the help of COMMAND, the meaning of an error code, or the page TOPIC of the guide.
+    """Show the help of COMMAND, the meaning of an error code, the page TOPIC of the guide or a part of it, or what a
+    public NAME of aiorts is.
 
     \b
     aiorts help run
     aiorts help errors E-LINE
     aiorts help tutorial
     aiorts help policies
+    aiorts help policies "full policy"
+    aiorts help Rig
     aiorts help --search "slow consumer"
     """
     if search is not None:
@@ -84,8 +92,8 @@ def help_(
         say("\n\n".join(_explained(code) for code in codes) if codes else _all_codes())
         return exits.DONE
     command: click.Command = root.command
-    if len(topic) == 1 and isinstance(command, click.Group) and topic[0] not in command.list_commands(ctx):
-        return _show(ctx, topic[0])
+    if topic and isinstance(command, click.Group) and topic[0] not in command.list_commands(ctx):
+        return _show(ctx, topic[0], " ".join(topic[1:]))
     context = root
     for name in topic:
         if not isinstance(command, click.Group):
@@ -99,26 +107,39 @@ def help_(
     return exits.DONE
 
 
-def _show(ctx: click.Context, name: str) -> int:
-    """Print the page of this name, or the contents of a section.
+def _show(ctx: click.Context, name: str, heading: str) -> int:
+    """Print the page of this name or what it has below a heading, the contents of a section, or a public name.
 
     Raises:
         UsageError: there is none.
     """
-    from aiorts.guide import SECTIONS, page, pages, rendered
+    from aiorts.guide import SECTIONS, entries, headings, page, pages, rendered
 
-    if name.lower() in SECTIONS:
+    if name.lower() in SECTIONS and not heading:
         say(_contents(name.lower()))
         return exits.DONE
     found = page(name)
-    if found is None:
+    if found is not None:
+        shown = entries(found.text, heading) if heading else [found.text]
+        names = headings(found.text)
+        otherwise = f"aiorts help {found.name} shows the page"
+    else:
+        named = [one for one in pages() if one.name in _NAMES]
+        shown = next((below for one in named if (below := entries(one.text, " ".join([name, heading]).strip()))), [])
         root = ctx.find_root().command
         commands = root.list_commands(ctx) if isinstance(root, click.Group) else []
-        near = get_close_matches(name[:60].lower(), [*commands, *(one.name for one in pages())], n=1)
-        hint = f"did you mean {near[0]}?" if near else "aiorts --help lists commands, aiorts help --list topics"
-        raise click.UsageError(f"no command, error code or topic {name[:60]!r}; {hint}", ctx)
+        names = dict.fromkeys([*commands, *(one.name for one in pages()), *headings(named[0].text)], "")
+        otherwise = "aiorts --help lists commands, aiorts help --list topics"
+    if not shown:
+        wanted = heading if found else name
+        known = {one.lower(): one for full in reversed(names) for one in (full, full.rpartition(".")[2])}
+        near = get_close_matches(wanted[:60].lower(), known, n=1)
+        hint = f"did you mean {known[near[0]]}?" if near else otherwise
+        what = f"{found.name} has no heading" if found else "no command, error code, topic or public name"
+        raise click.UsageError(f"{what} {wanted[:60]!r}; {hint}", ctx)
     coloured = has_colours(sys.stdout)
-    click.echo(rendered(found.text, get_terminal_size().columns, bold=coloured), color=coloured)
+    width = get_terminal_size().columns
+    click.echo("\n\n".join(rendered(text, width, bold=coloured) for text in shown), color=coloured)
     return exits.DONE
 
 
@@ -168,8 +189,13 @@ def _save(ctx: click.Context, topic: tuple[str, ...], folder: Path) -> int:
 
 
 def _all_codes() -> str:
-    rows = [(code, one.meaning) for code, one in sorted(CODES.items())]
-    return f"{table(rows, indent='')}\n\naiorts help errors E-CODE shows its usual cause and what to do."
+    wide = max(map(len, CODES)) + 2
+    width = max(get_terminal_size().columns, wide + 30)
+    lines = [
+        textwrap.fill(one.meaning, width, initial_indent=f"{code:{wide}}", subsequent_indent=" " * wide)
+        for code, one in sorted(CODES.items())
+    ]
+    return "\n".join(lines) + ("\n\naiorts help errors E-CODE shows its usual cause and what to do.")
 
 
 def _explained(code: str) -> str:

@@ -27,7 +27,7 @@ CODES: Final[dict[str, Code]] = {
     "E-AIORTS": Code(
         "An error of aiorts that has no code of its own.",
         "An extension raises AiortsError itself.",
-        "Read the line; the author of the extension should give its errors a code.",
+        "Look with --debug which extension raised it; its author derives the error with a `code` of its own.",
     ),
     "E-AWAIT": Code(
         "A coroutine was made and never awaited: it did nothing.",
