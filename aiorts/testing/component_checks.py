@@ -1,6 +1,7 @@
 """The conformance suite of components: what each must hold to so that neighbours, contexts and kernels can rely on it.
 
 Each check plays a new component in virtual time, fed every cycle; only what blocks the loop is measured in real time.
+That comes first, and ends at the first cycle that takes too long: all other checks would take as long as its hooks do.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def check_component(
             By default each in-port gets a record as its type makes it without arguments.
         make_context: the kind of context it is for; a ThreadContext needs a rate.
         cycles: how many a check runs. deterministic: the component claims that the same inputs give the same outputs.
-        may_block: real seconds for which a hook may hold the event loop.
+        may_block: real seconds for which a hook may hold the event loop; one that may hold it long needs few `cycles`.
         only: names of the checks to run; by default all. skip: names of checks to leave out.
 
     Raises:
@@ -83,9 +84,11 @@ class _Case:
     def rig(self, component: Component, *, context: Context | None = None, debug: bool = True) -> Rig:
         return Rig(component, context=context or self.make_context(), strict=False, debug=debug)
 
-    async def run(self, rig: Rig) -> None:
-        """Feed and tick."""
+    async def run(self, rig: Rig, on: Callable[[], bool] = lambda: True) -> None:
+        """Feed and tick, as long as `on` says so."""
         for cycle in range(self.cycles):
+            if not on():
+                return
             for name, samples in self._inputs(rig.components[0]):
                 rig.feed(f"{rig.components[0].name}.{name}", samples[cycle % len(samples)])
             await rig.tick()
@@ -101,6 +104,100 @@ class _Case:
 
 
 _SUITE: Suite[_Case] = Suite()
+
+
+@_SUITE.check
+def does_not_block_the_loop(case: _Case) -> None:
+    """No step of a hook holds the event loop for longer than `may_block` real seconds."""
+    if _is_threaded(case):
+        return
+    found: list[tuple[float, str]] = []
+    while len(found) < _ATTEMPTS and (not found or found[-1][0] > case.may_block):
+        found.append(_longest_step(case))
+    seconds, hook = min(found)
+    expect(seconds <= case.may_block, f"steps of at most {case.may_block} s", f"{hook}: {seconds:.3f} s in one step")
+
+
+def _longest_step(case: _Case) -> tuple[float, str]:
+    """Real seconds of the longest step of any hook, and of which; a cycle with one that is too long is the last."""
+    longest = [(0.0, "")]
+
+    async def main(clock: SimulatedClock) -> None:
+        component = case.make()
+        with _measured(type(component), longest):
+            async with case.rig(component) as rig:
+                await case.run(rig, lambda: max(longest)[0] <= case.may_block)
+
+    simulate(main)
+    return max(longest)
+
+
+@contextmanager
+def _measured(cls: type[Component], steps: list[tuple[float, str]]) -> Iterator[None]:
+    """Meanwhile the hooks of this class note how long each of their steps takes."""
+    kinds = hook_kinds(cls, Component)
+    own = {hook: vars(cls).get(hook) for hook in HOOKS if kinds[hook]}
+    for hook in own:
+        setattr(cls, hook, _measured_hook(getattr(cls, hook), kinds[hook], hook, steps))
+    try:
+        yield
+    finally:
+        for hook, function in own.items():
+            if function is None:
+                delattr(cls, hook)
+            else:
+                setattr(cls, hook, function)
+
+
+def _measured_hook(
+    function: Callable[..., Any], kind: int, hook: str, steps: list[tuple[float, str]]
+) -> Callable[..., Any]:
+    def note(seconds: float) -> None:
+        steps.append((seconds, hook))
+
+    @functools.wraps(function)
+    def plain(*args: Any) -> Any:
+        return _timed(note, function, *args)
+
+    @functools.wraps(function)
+    async def awaited(*args: Any) -> Any:
+        return await _Steps(function(*args), note)
+
+    return awaited if kind == HookKind.ASYNC else plain
+
+
+def _timed(note: Callable[[float], None], function: Callable[..., T], *args: Any) -> T:
+    started_ns = SystemClock().monotonic_ns()
+    try:
+        return function(*args)
+    finally:
+        note((SystemClock().monotonic_ns() - started_ns) / 1e9)
+
+
+class _Steps:
+    """A coroutine whose every step is timed."""
+
+    def __init__(self, work: Awaitable[Any], note: Callable[[float], None]) -> None:
+        self._steps: Any = work.__await__()
+        self._note = note
+
+    def __await__(self) -> _Steps:
+        return self
+
+    def __iter__(self) -> _Steps:
+        return self
+
+    def __next__(self) -> Any:
+        return _timed(self._note, self._steps.send, None)
+
+    def send(self, value: Any) -> Any:
+        return _timed(self._note, self._steps.send, value)
+
+    def throw(self, *error: Any) -> Any:
+        return _timed(self._note, self._steps.throw, *error)
+
+    def close(self) -> None:
+        self._steps.close()
 
 
 @_SUITE.check
@@ -191,98 +288,6 @@ def leaves_nothing_behind(case: _Case) -> None:
     for thread in set(threading.enumerate()) - threads:
         thread.join(1.0)
         expect(not thread.is_alive(), "no thread of its own after on_finalize", f"thread {thread.name}")
-
-
-@_SUITE.check
-def does_not_block_the_loop(case: _Case) -> None:
-    """No step of a hook holds the event loop for longer than `may_block` real seconds."""
-    if _is_threaded(case):
-        return
-    worst = min((_longest_step(case) for _ in range(_ATTEMPTS)), default=(0.0, ""))
-    seconds, hook = worst
-    expect(seconds <= case.may_block, f"steps of at most {case.may_block} s", f"{hook}: {seconds:.3f} s in one step")
-
-
-def _longest_step(case: _Case) -> tuple[float, str]:
-    """Real seconds of the longest step of any hook, and which hook that is."""
-    longest = [(0.0, "")]
-
-    async def main(clock: SimulatedClock) -> None:
-        component = case.make()
-        with _measured(type(component), longest):
-            async with case.rig(component) as rig:
-                await case.run(rig)
-
-    simulate(main)
-    return max(longest)
-
-
-@contextmanager
-def _measured(cls: type[Component], steps: list[tuple[float, str]]) -> Iterator[None]:
-    """Meanwhile the hooks of this class note how long each of their steps takes."""
-    kinds = hook_kinds(cls, Component)
-    own = {hook: vars(cls).get(hook) for hook in HOOKS if kinds[hook]}
-    for hook in own:
-        setattr(cls, hook, _measured_hook(getattr(cls, hook), kinds[hook], hook, steps))
-    try:
-        yield
-    finally:
-        for hook, function in own.items():
-            if function is None:
-                delattr(cls, hook)
-            else:
-                setattr(cls, hook, function)
-
-
-def _measured_hook(
-    function: Callable[..., Any], kind: int, hook: str, steps: list[tuple[float, str]]
-) -> Callable[..., Any]:
-    def note(seconds: float) -> None:
-        steps.append((seconds, hook))
-
-    @functools.wraps(function)
-    def plain(*args: Any) -> Any:
-        return _timed(note, function, *args)
-
-    @functools.wraps(function)
-    async def awaited(*args: Any) -> Any:
-        return await _Steps(function(*args), note)
-
-    return awaited if kind == HookKind.ASYNC else plain
-
-
-def _timed(note: Callable[[float], None], function: Callable[..., T], *args: Any) -> T:
-    started_ns = SystemClock().monotonic_ns()
-    try:
-        return function(*args)
-    finally:
-        note((SystemClock().monotonic_ns() - started_ns) / 1e9)
-
-
-class _Steps:
-    """A coroutine whose every step is timed."""
-
-    def __init__(self, work: Awaitable[Any], note: Callable[[float], None]) -> None:
-        self._steps: Any = work.__await__()
-        self._note = note
-
-    def __await__(self) -> _Steps:
-        return self
-
-    def __iter__(self) -> _Steps:
-        return self
-
-    def __next__(self) -> Any:
-        return _timed(self._note, self._steps.send, None)
-
-    def send(self, value: Any) -> Any:
-        return _timed(self._note, self._steps.send, value)
-
-    def throw(self, *error: Any) -> Any:
-        return _timed(self._note, self._steps.throw, *error)
-
-    def close(self) -> None:
-        self._steps.close()
 
 
 @_SUITE.check

@@ -20,6 +20,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import heapq
+import inspect
 import math
 import selectors
 from collections.abc import Coroutine
@@ -63,13 +64,15 @@ def simulate(
 ) -> T:
     """Runs `main` to its end on a new `SimulatedLoop` and returns its result; `asyncio.run` in virtual time.
 
-    `main` is a coroutine, or a function that is given the clock and returns something to await. Tasks left over are
-    cancelled, asynchronous generators and the default executor shut down, the event loop policy is never touched.
-    `seed` shuffles what is ready at one instant (see `SimulatedLoop`); what fails then says the seed.
-    Raises StateError when called from a running loop, or when nothing will ever happen again.
+    `main` is a coroutine, or a function that is given the clock and returns something to await: `simulate(main())` for
+    `async def main()`, `simulate(main)` for `async def main(clock)`. Tasks left over are cancelled, asynchronous
+    generators and the default executor shut down, the event loop policy is never touched. `seed` shuffles what is ready
+    at one instant (see `SimulatedLoop`); what fails then says the seed.
+    Raises StateError when called from a running loop, or when nothing will ever happen again; TypeError when `main` is
+    neither of the two.
     """
     clock = SimulatedClock() if clock is None else clock
-    coroutine = main if isinstance(main, Coroutine) else _call(main, clock)
+    coroutine = main if isinstance(main, Coroutine) else _call(_taking_a_clock(main), clock)
     if _inside_a_loop():
         coroutine.close()
         raise StateError("simulate(): a loop is running in this thread; await the code, or call simulate from outside")
@@ -90,8 +93,30 @@ def _inside_a_loop() -> bool:
     return True
 
 
+def _taking_a_clock(main: Callable[[SimulatedClock], Awaitable[T]]) -> Callable[[SimulatedClock], Awaitable[T]]:
+    """TypeError unless `main` can be called with a clock, and with that alone."""
+    if not callable(main):
+        raise TypeError(f"simulate(): expected a coroutine, or a function that takes the clock, got {main!r:.200}")
+    try:
+        signature = inspect.signature(main)
+    except ValueError:
+        return main  # written in C: it says itself what it takes
+    name = getattr(main, "__name__", "main")
+    try:
+        signature.bind(None)
+    except TypeError as error:
+        what = f"simulate({name}) calls {name} with the clock alone, but it is {name}{signature}"
+        form = f"simulate({name}())" if not signature.parameters else f"simulate({name}(...)) with its arguments"
+        raise TypeError(f"{what} ({error}); write {form}, or give it one parameter: {name}(clock)") from None
+    return main
+
+
 async def _call(main: Callable[[SimulatedClock], Awaitable[T]], clock: SimulatedClock) -> T:
-    return await main(clock)
+    found = main(clock)
+    if not inspect.isawaitable(found):
+        name = getattr(main, "__name__", "main")
+        raise TypeError(f"simulate({name}): {name} returned {found!r:.200}, nothing to await; write async def {name}")
+    return await found
 
 
 class _OwnTimer(asyncio.TimerHandle):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Kernel, LifecycleState
+from aiorts import Kernel, LifecycleState, PeriodicContext
 from aiorts.errors import ConfigurationError, PluginError, SystemFileError, WiringError
 from aiorts.system import SystemFile, build, is_source, load, prepare, wait_finished
+from aiorts.testing import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -259,3 +260,34 @@ async def test_a_plugin_below_the_folder_offers_its_types_to_the_file_and_to_the
         assert type(later) is type(kernel.components["one"])
     with pytest.raises(PluginError, match="no component named 'Grip'"):
         prepare(make(text.replace('".", "plugins"', '"."')))
+
+
+PROMPT = """
+from aiorts import Component
+
+class Prompt(Component):
+    def on_startup(self):
+        self.at = []
+    def on_execute(self):
+        self.at.append(self.clock.monotonic_ns())
+"""
+
+
+def test_members_of_a_file_execute_one_period_after_t0_and_those_started_active_at_t0(tmp_path: Path) -> None:
+    (tmp_path / "prompt.py").write_text(PROMPT)
+    file = tmp_path / "system.toml"
+    file.write_text(
+        'schema = 1\n[components.one]\ntype = "prompt.py:Prompt"\n'
+        '[contexts.main]\nkind = "periodic"\nrate = 4.0\nmembers = ["one"]\n'
+    )
+
+    async def main() -> tuple[list[int], list[int]]:
+        async with Kernel() as kernel:
+            await build(kernel, load(file))
+            one: Any = kernel.components["one"]
+            other = await kernel.add(type(one)("other"))
+            await kernel.start(PeriodicContext(rate=4.0), other, activate=True)
+            await kernel.sleep(0.6)
+            return one.at, other.at
+
+    assert simulate(main()) == ([250_000_000, 500_000_000], [0, 250_000_000, 500_000_000])

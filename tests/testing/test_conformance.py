@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -179,6 +180,19 @@ def test_wrong_component_is_refused_by_the_check_of_that_promise(what: str) -> N
     with pytest.raises(ConformanceError) as caught:
         check_component(make, deterministic=True, only=[name])
     assert caught.value.check == name
+
+
+def test_a_component_that_blocks_is_refused_at_the_first_cycle_that_takes_too_long() -> None:
+    executed: list[int] = []
+
+    class Sleeper(Component):
+        def on_execute(self) -> None:
+            executed.append(1)
+            time.sleep(0.05)
+
+    with pytest.raises(ConformanceError, match=r"Sleeper: check does_not_block_the_loop: .*on_execute: 0\.\d+ s"):
+        check_component(Sleeper, may_block=0.02)
+    assert len(executed) == 3  # an attempt each: a busy machine is not the component's fault
 
 
 def test_error_names_subject_check_expected_and_got() -> None:

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import anyio
 import anyio.to_thread
@@ -52,6 +52,30 @@ def test_coroutine_and_own_clock_are_accepted() -> None:
 
     simulate(main(), clock=clock)
     assert (clock.monotonic_ns(), clock.time_ns()) == (2 * S, 9 * S)
+
+
+async def _takes_nothing() -> None: ...
+
+
+async def _takes_two(clock: SimulatedClock, other: int) -> None: ...
+
+
+def _awaits_nothing(clock: SimulatedClock) -> int:
+    return 5
+
+
+@pytest.mark.parametrize(
+    ("main", "said"),
+    [
+        (_takes_nothing, r"_takes_nothing\(\) .*; write simulate\(_takes_nothing\(\)\), or .*_takes_nothing\(clock\)"),
+        (_takes_two, r"'other'.*; write simulate\(_takes_two\(\.\.\.\)\) with its arguments"),
+        (_awaits_nothing, r"_awaits_nothing returned 5, nothing to await; write async def"),
+        (None, r"expected a coroutine, or a function that takes the clock, got None"),
+    ],
+)
+def test_a_main_of_another_form_is_told_what_to_write(main: Any, said: str) -> None:
+    with pytest.raises(TypeError, match=said):
+        simulate(main)
 
 
 @pytest.mark.campaign

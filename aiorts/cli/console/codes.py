@@ -61,7 +61,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-CONNECT": Code(
         "Two ports cannot be connected, or not with these options.",
-        "Other types, units or shapes, two out-ports, a port that is not there, a policy that does not exist.",
+        "Other types, units or shapes, two out-ports, an unknown policy; in a program, a port that is not there.",
         "Compare the ports with aiorts inspect; aiorts check shows the FlexiFilter that would join them, if one can.",
     ),
     "E-CONVERT": Code(
@@ -186,7 +186,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "E-SYSTEM": Code(
         "A system file is wrong.",
-        "It is not valid TOML, has an unknown key, or a name that refers to nothing.",
+        "It is not valid TOML, has an unknown key, or names a component, port or member that is not there.",
         "Correct the place the line names; it suggests what may have been meant.",
     ),
     "E-THREAD": Code(

@@ -292,7 +292,13 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
                 "uniqueItems": True,
                 "description": "Components, in the order in which they run.",
             },
-            "activate": {"type": "boolean", "default": True, "description": "Whether its members are active at once."},
+            "activate": {
+                "type": "boolean",
+                "default": True,
+                "description": "Whether its members are activated once all contexts of the file run, each after those "
+                "it sends to. A context with a rate has had its first cycle by then, at t0: a member's first "
+                "on_execute is at t0 + 1/rate.",
+            },
         },
     }
     if cls is None:
