@@ -49,7 +49,7 @@ __all__ = (
 _E = TypeVar("_E", bound="AiortsError")
 
 SLOW_READER: Final = (
-    'take all (drain()), read oftener, send less (subscription = "new"), or full = "block": length helps bursts alone'
+    'take all (drain()), read oftener, send less (subscription = "new"), or full = "block": length helps only bursts'
 )
 """What to do about a reader that is slower than its writer: one text for whatever finds that samples are lost."""
 

@@ -144,7 +144,7 @@ class BindingReport:
     """The path of the interface that answers."""
     interface: str
     statistics: ServiceStatistics = field(default_factory=ServiceStatistics)
-    """Of the calls over this binding alone."""
+    """Of the calls over this binding only."""
     waiting: int = 0
     """Calls that wait or run."""
 

@@ -61,7 +61,7 @@ class FlexiConst(FlexiComponent):
         (), type=tuple[str, ...], doc="types of the out-ports: TYPE, or TYPE:LEN for a sequence of that length"
     )
     constants: tuple[str, ...] = Param(
-        (), type=tuple[str, ...], doc="one literal for each out-port, JSON or Python: data alone, or fields by name"
+        (), type=tuple[str, ...], doc="one literal for each out-port, JSON or Python: data only, or fields by name"
     )
     names: tuple[str, ...] = Param(
         (), type=tuple[str, ...], doc='names of the out-ports; "" or missing: output, or output0, output1, ...'

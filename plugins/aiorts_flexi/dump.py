@@ -34,7 +34,7 @@ class FlexiDump(FlexiComponent):
     names: tuple[str, ...] = Param(
         (), type=tuple[str, ...], doc='names of the in-ports; "" or missing: input0, input1, ...'
     )
-    format = Param("text", choices=FORMATS, doc="text: NAME TYPE TIME: DATA; json, csv; values: data alone")
+    format = Param("text", choices=FORMATS, doc="text: NAME TYPE TIME: DATA; json, csv; values: data only")
     rate_limit = Param(0.0, ge=0.0, unit="Hz", doc="lines in a second for each port at the most; 0 is all")
     rate_clock = Param("kernel", choices=("kernel", "tm"), doc="whose seconds: the kernel's, or those of the samples")
     fields: tuple[str, ...] = Param(

@@ -316,7 +316,7 @@ def test_order_and_ledgers_hold_through_every_mixture() -> None:
 
 @pytest.mark.row(39)
 @pytest.mark.campaign
-async def test_new_never_strands_the_newest_sample(anyio_backend: Any) -> None:
+async def test_new_never_leaves_the_newest_sample_unread(anyio_backend: Any) -> None:
     """In OpenRTM a value written while the one before is being delivered stays in the sender until the next write."""
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source()), await kernel.add(Sink())

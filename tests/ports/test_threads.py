@@ -119,7 +119,7 @@ async def test_between_two_threads_nothing_is_lost_with_block(anyio_backend: Any
 
 
 @pytest.mark.row(39)
-async def test_new_never_strands_the_newest_sample_across_threads(anyio_backend: Any) -> None:
+async def test_new_never_leaves_the_newest_sample_unread_across_threads(anyio_backend: Any) -> None:
     class Pairs(Component):
         """Writes two samples at once, then is silent until it is told to go on."""
 

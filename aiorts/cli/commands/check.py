@@ -47,7 +47,7 @@ def check_command(
     """Find everything wrong with system files that can be found without running them.
 
     Component files and plugins are imported, as running would; no hook runs and nothing is opened. Exit status: 0 when
-    nothing is wrong, 2 when there are errors; warnings change it with --strict alone, to 1.
+    nothing is wrong, 2 when there are errors; warnings change it to 1, only with --strict.
     """
     counts: Counter[str] = Counter()
     folders = catalogue_of(None, plugins).folders

@@ -44,7 +44,7 @@ def _topics(ctx: click.Context, param: click.Parameter, incomplete: str) -> list
 @click.option(
     "--save", metavar="FOLDER", type=click.Path(path_type=Path), help="Write the files of the page TOPIC there."
 )
-@click.option("--serve", is_flag=True, help="Show the guide in a browser, on this machine alone.")
+@click.option("--serve", is_flag=True, help="Show the guide in a browser, on this machine only.")
 @click.option(
     "--port",
     metavar="N",

@@ -62,7 +62,7 @@ def diff(
 ) -> int:
     """Compare two recordings: samples missing, extra or changed, and how their times differ.
 
-    Values alone, whatever the log times are, as of two runs of a system: --ignore log_time, or --by tm without a
+    Values only, whatever the log times are, as of two runs of a system: --ignore log_time, or --by tm without a
     --time-tolerance.
 
     Exit status 0 when they are equal, 1 when they are not.

@@ -47,7 +47,7 @@ def plot(
       aiorts log plot run.mcap pid0.command motor0.speed.data -o run.png
       aiorts log plot run.mcap --xy odometry.pose.data.position.x odometry.pose.data.position.y -o path.svg
 
-    A port alone is its data; each item of a sequence is a curve, the first 16 unless others are
+    A port without a field is its data; each item of a sequence is a curve, the first 16 unless others are
     named (scan.ranges[20]). An enumeration is its number. Long recordings are thinned so that no
     peak is lost. Needs matplotlib: pip install "aiorts[plot]".
     """
