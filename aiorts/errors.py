@@ -13,6 +13,7 @@ __all__ = (
     "SLOW_READER",
     "AiortsError",
     "BusyError",
+    "CallTimeout",
     "ClosedError",
     "ComponentError",
     "ConfigurationError",
@@ -236,6 +237,12 @@ class WriteTimeout(AiortsError, TimeoutError):
     """Readers with `full="block"` had no room in time; the others have the sample."""
 
     code = "E-WRITE-TIMEOUT"
+
+
+class CallTimeout(AiortsError, TimeoutError):
+    """A function that a thread called on the loop was not done in time."""
+
+    code = "E-CALL-TIMEOUT"
 
 
 class ServiceError(AiortsError, RuntimeError):

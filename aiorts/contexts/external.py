@@ -48,6 +48,23 @@ class ExternalContext(Context):
                 self.runner.driver.kick()
             await over
 
+    def tick_from_thread(self, count: int = 1, *, timeout: float | None = None) -> None:
+        """`tick` for another thread, such as a simulator's: blocks it until `count` cycles are over.
+
+        Args:
+            timeout: seconds of real time; None waits forever.
+
+        Raises:
+            CallTimeout: they were not over in time; those that had not begun are withdrawn.
+            ThreadError: called on the loop's own thread.
+            StateError: the context does not run.
+            ClosedError: the context stopped, or the kernel closes.
+        """
+        kernel = self._kernel
+        if kernel is None:
+            raise StateError(f"{self.name}: cannot tick_from_thread: the context does not run; kernel.start it")
+        kernel.call_from_thread(self.tick, count, timeout=timeout)
+
     def _next_cause(self) -> Wait | None:
         over, self._over = self._over, []
         for future in over:

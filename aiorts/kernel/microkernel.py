@@ -10,9 +10,9 @@ from __future__ import annotations
 import asyncio
 import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, TypeVarTuple, cast, overload
 
 from aiorts.clock import Clock, SystemClock, clock_of, to_ns
 from aiorts.errors import ClosedError, ConfigurationError, DeclarationError, StateError, ThreadError
@@ -22,6 +22,7 @@ from aiorts.kernel.connections import Connections
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.kernel.loop import calls
 from aiorts.kernel.loop.bus import Bus
 from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.loop.guarded import guarded
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 
 C = TypeVar("C", bound=Component)
 S = TypeVar("S", bound=KernelService)
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 X = TypeVar("X", bound=Context)
 
 
@@ -494,6 +497,33 @@ class Microkernel:
             callback()
         elif self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(callback)
+
+    @overload
+    def call_from_thread(
+        self, function: Callable[[*Ts], Awaitable[T]], *args: *Ts, timeout: float | None = None
+    ) -> T: ...
+
+    @overload
+    def call_from_thread(self, function: Callable[[*Ts], T], *args: *Ts, timeout: float | None = None) -> T: ...
+
+    def call_from_thread(self, function: Callable[[*Ts], Any], *args: *Ts, timeout: float | None = None) -> Any:
+        """Call a function on the loop, from another thread, which blocks; returns or raises what the function does.
+
+        What the function returns is awaited if it can be.
+
+        Args:
+            timeout: seconds of real time, from now on; None waits forever.
+
+        Raises:
+            CallTimeout: the function was not done in time. It is not called if it had not begun, else cancelled.
+            ThreadError: called on the loop's own thread, which would wait for itself.
+            ClosedError: the kernel is not open, or closes; a function that has begun is cancelled then.
+            ConfigurationError: `timeout` is no time above 0.
+        """
+        _checked("call_from_thread: timeout", timeout)
+        if self._loop is not None and self.on_loop_thread():
+            raise ThreadError(f"{self.name}: call_from_thread() would block the event loop; call the function itself")
+        return calls.call_from_thread(self, function, args, timeout)
 
     def _await_stop(self) -> None:
         """Whether the end was requested, or has begun."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
@@ -70,6 +70,26 @@ class ConnectorStatistics:
     def balanced(self) -> bool:
         """Whether the sum is right; it always is."""
         return self.written == self.delivered + sum(self.dropped.values()) + self.buffered
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadWriteStatistics:
+    """What became of `write_from_thread` at one out-port: accepted = written + waiting + sum(dropped.values())."""
+
+    accepted: int
+    """Samples that were taken."""
+    written: int
+    """Samples that the loop has passed on to the connectors, whose ledgers count them."""
+    waiting: int
+    """Samples that wait for the loop, or for room at a reader."""
+    dropped: Mapping[str, int]
+    """Samples that were lost, by reason: "timeout" (a reader with full = block had no room in time; others have the
+    sample), "closed" (the port or the kernel was closed first)."""
+    refused: int
+    """Samples that were not accepted, since 1,024 waited."""
+
+
+NO_THREAD_WRITES: Final = ThreadWriteStatistics(0, 0, 0, MappingProxyType({}), 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,11 @@ CODES: Final[dict[str, Code]] = {
         "Two tasks read the same in-port, or a system is run twice at once.",
         "Let one task read the port and pass the samples on.",
     ),
+    "E-CALL-TIMEOUT": Code(
+        "A function that a thread called on the loop was not done in time.",
+        "The function waits for long, or other code holds the event loop up.",
+        "Give it a longer timeout; look for code that blocks the event loop.",
+    ),
     "E-CLOSED": Code(
         "The kernel, connector or port was closed, or never bound.",
         "It was removed while in use, or super().__init__() was not called.",
@@ -192,7 +197,7 @@ CODES: Final[dict[str, Code]] = {
     "E-THREAD": Code(
         "A call came from a thread that may not make it.",
         "Code in a thread of its own uses the kernel directly.",
-        "Use loop.call_soon_threadsafe, or a ThreadContext's blocking reads and writes.",
+        "Use the port's write_from_thread(), kernel.call_from_thread(), or a ThreadContext's blocking calls.",
     ),
     "E-TOO-LARGE": Code(
         "A frame is larger than its limits allow.",

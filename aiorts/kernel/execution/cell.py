@@ -117,6 +117,9 @@ class KernelSide(PortKernelSide, Protocol):
     def call_on_loop(self, callback: Callable[[], object]) -> None:
         """Call on the loop: now if this is its thread, soon otherwise."""
 
+    def call_from_thread(self, function: Any, /, *args: Any, timeout: float | None = None) -> Any:
+        """Call on the loop and block this thread until it is done."""
+
     def pass_on_interrupt(self, error: BaseException) -> None:
         """A hook raised a KeyboardInterrupt. From any thread."""
 

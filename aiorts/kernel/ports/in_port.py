@@ -8,11 +8,12 @@ listener comes or goes.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from anyio import WouldBlock
 
-from aiorts.errors import ClosedError, ReadTimeout, StateError
+from aiorts.errors import ClosedError, ConfigurationError, ReadTimeout, StateError
 from aiorts.kernel.ports.port import NOTHING, OFF, UNSUSPENDED, Port, give_turn
 from aiorts.kernel.ports.receiver import Receiver
 
@@ -80,12 +81,17 @@ class InPort(Port[T]):
         sample = self._last = cast("T", self._receiver.read())
         return sample
 
-    async def read(self) -> T:
+    async def read(self, timeout: float | None = None) -> T:
         """The oldest unread sample, waiting for one. A cancelled read takes nothing.
 
+        Args:
+            timeout: seconds of the kernel's clock that it waits at the most; 0 takes what is there; None is forever.
+
         Raises:
+            ReadTimeout: no sample arrived in time.
             BusyError: another task waits on this port.
             ClosedError: the port was removed.
+            ConfigurationError: `timeout` is no number of seconds.
         """
         turns = self._turns
         if turns.left:
@@ -104,6 +110,8 @@ class InPort(Port[T]):
                     return sample
                 except WouldBlock:
                     continue  # gone in this moment, as may be where threads meet without a lock
+            if timeout is not None:
+                return await self._read_within(timeout)
             await receiver.wait()
 
     @property
@@ -177,6 +185,32 @@ class InPort(Port[T]):
 
     def __aiter__(self) -> AsyncIterator[T]:
         return _Samples(self)
+
+    async def _read_within(self, seconds: float) -> T:
+        """Wait for a sample; there was none."""
+        host = self._bound()
+        if not isinstance(seconds, int | float) or not 0 <= seconds < inf:
+            raise ConfigurationError(f"{self.path}: read: timeout = {seconds!r}: expected seconds from 0 on, or None")
+        if not host.on_loop_thread():
+            await self._receiver.wait()  # which says why not
+        is_over = False
+
+        def end() -> None:
+            nonlocal is_over
+            is_over = True
+            self._receiver.wake_waiter()
+
+        timer = host.call_later(seconds, end)
+        try:
+            while True:
+                await self._receiver.wait()
+                try:
+                    return self.read_nowait()
+                except WouldBlock:
+                    if is_over:
+                        raise ReadTimeout(f"{self.path}: no sample within {seconds:g} s") from None
+        finally:
+            timer.cancel()
 
     def _kept(self) -> T | None:
         return self._before if self._last is NOTHING else self._last

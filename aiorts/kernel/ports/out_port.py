@@ -9,12 +9,14 @@ way; nothing on these paths asks again.
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from anyio import WouldBlock
 
 from aiorts.errors import ClosedError, DeclarationError, PortTypeError, RecordError, StateError, WriteTimeout
 from aiorts.kernel.ports.port import OFF, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.ports.thread_writes import ThreadWrites, thread_writes_of
+from aiorts.model.profile import NO_THREAD_WRITES
 
 if TYPE_CHECKING:
     import asyncio
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector, LossListener, Transport, Waiting
     from aiorts.kernel.ports.host import PortHost
     from aiorts.kernel.ports.receiver import Receiver
+    from aiorts.model.profile import ThreadWriteStatistics
 
 T = TypeVar("T")
 
@@ -52,6 +55,7 @@ class OutPort(Port[T]):
         "_shapes",
         "_shared",
         "_stale",
+        "_thread_writes",
         "stamp",
     )
 
@@ -94,6 +98,8 @@ class OutPort(Port[T]):
         """The direct transports with full = block."""
         self._shapes: tuple[tuple[Port[Any], tuple[int, ...]], ...] = ()
         """Shapes that a sample must have, and which port says so: this one or a reader."""
+        self._thread_writes: ThreadWrites | None = None
+        """What foreign threads wrote; None before the first did."""
 
     def bind(self, host: PortHost, name: str) -> OutPort[T]:
         """A live port of `host` made after this declaration.
@@ -215,6 +221,39 @@ class OutPort(Port[T]):
         _raise_late(self.path, late)
         return done
 
+    def write_from_thread(self, sample: T, full: Literal["reject", "block"] = "reject") -> bool:
+        """Write from any thread, such as the callback thread of a device's SDK: the loop passes the sample on soon.
+
+        The sample is checked, copied and stamped in the calling thread. At most 1,024 samples wait for the loop, which
+        takes at most 256 in one turn. The samples of one thread stay in their order; a write on the loop overtakes
+        those that wait. While a reader with full = block has no room, the rest waits, each sample to the connector's
+        timeout. `thread_writes` has the counts.
+
+        Args:
+            full: with 1,024 waiting, "reject" refuses this sample, "block" blocks the thread until there is room.
+
+        Returns:
+            False when the sample was refused, else True.
+
+        Raises:
+            ThreadError: `full` is "block" on the loop's own thread, which would wait for itself.
+            ClosedError: the kernel is closing, or the component or port is being removed; also while it blocks.
+            PortTypeError: the sample is not of the port's type or shape; nothing was sent.
+            RecordError: a field of a dataclass is not what it says; nothing was sent.
+            ConfigurationError: `full` is another word.
+            StateError: the component runs in a `RealtimeContext`, whose thread alone writes there.
+        """
+        return thread_writes_of(self).write(sample, full)
+
+    @property
+    def thread_writes(self) -> ThreadWriteStatistics:
+        """The counts of `write_from_thread` at this moment.
+
+        Raises:
+            ThreadError: read in another thread than the loop's.
+        """
+        return NO_THREAD_WRITES if self._thread_writes is None else self._thread_writes.statistics()
+
     # -- the general path ------------------------------------------------------------------------------------------
 
     def _write_general(self, sample: T) -> bool:
@@ -322,7 +361,8 @@ class OutPort(Port[T]):
 
     async def _wait_for(self, entries: list[Waiting]) -> None:
         """Wait until each entry was moved or its time is over; whatever happens, no entry is abandoned."""
-        host = self._bound()
+        host = self._host
+        assert host is not None  # noqa: S101 - it was bound when the entries were made
         late: list[tuple[Connector, float | None]] = []
 
         def expire(entry: Waiting, limit: float) -> None:
@@ -362,19 +402,22 @@ class OutPort(Port[T]):
             raise ClosedError(f"{self.path}: its context stops")
         return in_time
 
-    def _checked(self, sample: T) -> T:
-        """The sample as it will travel: of the port's type and shape, stamped, immutable."""
+    def _checked(self, sample: T, host: PortHost | None = None) -> T:
+        """The sample as it will travel: of the port's type and shape, stamped, immutable.
+
+        Checked for `host` in a foreign thread, it relies on nothing that the loop changes.
+        """
         look = self._look
         try:
-            if look is not None and sample.__class__ is self.type:
+            if look is not None and host is None and sample.__class__ is self.type:
                 looked_at: T = look(sample)
                 return looked_at
-            return self._checked_in_full(sample)
+            return self._checked_in_full(sample, host)
         except RecordError as error:
             raise type(error)(f"{self.path}: {error}; nothing was sent") from None
 
-    def _checked_in_full(self, sample: T) -> T:
-        host = self._bound()
+    def _checked_in_full(self, sample: T, foreign: PortHost | None) -> T:
+        host = foreign or self._bound()
         self._raise_if_removed()
         port_type = self._type
         if not isinstance(sample, self.type):
@@ -384,7 +427,7 @@ class OutPort(Port[T]):
                 f"{self.path}: expected a {type_name(self.type)}, got {sample.__class__.__name__} ({_short(sample)}); "
                 "nothing was sent"
             )
-        for port, shape in self._shapes:
+        for port, shape in self._shapes if foreign is None else self._shapes_now():
             try:
                 port_type.check_shape(sample, shape)
             except RecordError as error:
@@ -427,8 +470,7 @@ class OutPort(Port[T]):
         self._merged = tuple(way for way in ways if way[3].tokens is not None)
         self._others = tuple(transport for transport in transports if transport not in direct)
         self._blocking = tuple(way for way in ways if way[4].blocks)
-        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in connectors))
-        self._shapes = tuple((port, port.shape) for port in ports if port.shape is not None)
+        self._shapes = self._shapes_now()
         if not connectors or self.stamp is not None or self._shapes or host.debug:
             return
         if self._type.look is not None:
@@ -437,6 +479,18 @@ class OutPort(Port[T]):
         self._class = self.type
         if len(connectors) == 1 and self._fan:
             self._fast, self._room, _, self._receiver = self._fan[0]
+
+    def _shapes_now(self) -> tuple[tuple[Port[Any], tuple[int, ...]], ...]:
+        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in self._connectors))
+        return tuple((port, port.shape) for port in ports if port.shape is not None)
+
+    def _vacate(self, leaving: bool = True) -> None:
+        if self._thread_writes is not None:
+            self._thread_writes.set_open(not leaving)
+
+    def _wake_waiter(self) -> None:
+        if self._thread_writes is not None and self._removed():
+            self._thread_writes.set_open(False)
 
 
 def _give_up(entry: Waiting) -> bool:

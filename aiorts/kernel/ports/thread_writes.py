@@ -1,0 +1,205 @@
+"""What foreign threads write at an out-port: a bounded queue that the loop empties, with counts of its own.
+
+Neither side takes a lock that the other may hold: a thread that is not scheduled would stop the loop. A deque's `pop`,
+`popleft` and `append` are atomic, so each right is an item that only one can take: of `_free` there is one for each
+sample that may still wait, in `_idle` the right to start the task that empties the queue.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from itertools import repeat
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import ClosedError, ConfigurationError, StateError, ThreadError, WriteTimeout
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.ports.port import give_turn
+from aiorts.model.profile import ThreadWriteStatistics
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.host import PortHost
+    from aiorts.kernel.ports.out_port import OutPort
+
+LIMIT: Final = 1024
+"""Samples that wait at one out-port at the most."""
+BATCH: Final = 256
+"""Samples that the loop takes in one turn at the most."""
+
+_MAKING: Final = threading.Lock()
+"""Held while an out-port gets its queue, which two threads may ask for at once."""
+
+
+class ThreadWrites:
+    """The samples that foreign threads wrote at one out-port and the loop has not passed on yet."""
+
+    def __init__(self, port: OutPort[Any]) -> None:
+        self._port = port
+        self._open = True
+        self._samples: deque[Any] = deque()
+        self._free = deque(repeat(None, LIMIT))
+        self._idle = deque((None,))
+        self._blocked: deque[threading.Lock] = deque()
+        """The threads that wait for room, each at a lock that whoever makes room releases."""
+        self._refusing = threading.Lock()
+        self._refused = 0
+        # What follows is the loop's alone.
+        self._held = 0
+        """Whether a sample is out of the queue and waits for room at a reader."""
+        self._written = 0
+        self._dropped = {"timeout": 0, "closed": 0}
+
+    def statistics(self) -> ThreadWriteStatistics:
+        """See `OutPort.thread_writes`."""
+        self._host().check_loop_thread(f"{self._port.path}: thread_writes")
+        waiting, dropped = len(self._samples) + self._held, {why: n for why, n in self._dropped.items() if n}
+        accepted = self._written + waiting + sum(dropped.values())
+        return ThreadWriteStatistics(accepted, self._written, waiting, MappingProxyType(dropped), self._refused)
+
+    # -- in any thread ---------------------------------------------------------------------------------------------
+
+    def write(self, sample: Any, full: str) -> bool:
+        """See `OutPort.write_from_thread`."""
+        host, path = self._host(), self._port.path
+        if full not in ("reject", "block"):
+            raise ConfigurationError(f'{path}: write_from_thread: full = {full!r}: expected "reject" or "block"')
+        if host.realtime:
+            raise StateError(
+                f"{path}: its real-time thread alone writes here; write_from_thread() at a component of another context"
+            )
+        if full == "block" and host.on_loop_thread():
+            raise ThreadError(f'{path}: write_from_thread(full="block") would block the event loop; await write() here')
+        self._raise_if_closed()
+        sample = self._port._checked(sample, host)
+        while not _took(self._free):
+            if full == "reject":
+                with self._refusing:
+                    self._refused += 1
+                return False
+            self._wait_for_room()
+            self._raise_if_closed()
+        self._samples.append(sample)
+        if _took(self._idle):
+            try:
+                host.loop.call_soon_threadsafe(self._begin)
+            except RuntimeError:
+                raise self._is_closed() from None
+        return True
+
+    def _wait_for_room(self) -> None:
+        gate = threading.Lock()
+        gate.acquire()
+        self._blocked.append(gate)
+        if not self._free and self._open:  # else who made room may not have seen this thread
+            gate.acquire()
+
+    def _raise_if_closed(self) -> None:
+        kernel = self._host().kernel
+        self._port._raise_if_removed()
+        if not self._open or kernel is None or kernel.closed:
+            raise self._is_closed()
+
+    def _is_closed(self) -> ClosedError:
+        return ClosedError(f"{self._port.path}: is closing; stop the thread that writes")
+
+    def _host(self) -> PortHost:
+        host = self._port._host
+        assert host is not None  # noqa: S101 - `thread_writes_of` has seen it
+        return host
+
+    # -- on the loop -----------------------------------------------------------------------------------------------
+
+    def set_open(self, is_open: bool) -> None:
+        """Accept samples, or drop what waits as closed and refuse what comes."""
+        self._open = is_open
+        if not is_open:
+            self._drop_all()
+
+    def _begin(self) -> None:
+        kernel_task(self._host().loop, self._pass_on(), f"aiorts writes of threads at {self._port.path}")
+
+    async def _pass_on(self) -> None:
+        """Write what waits, until nothing does."""
+        left = BATCH
+        try:
+            while self._samples and self._open:
+                if left:
+                    left -= 1
+                    await self._write(self._samples.popleft())
+                else:
+                    left = BATCH
+                    self._let_in()
+                    await give_turn()
+        except asyncio.CancelledError:  # by who ends all tasks of the loop: there is no other turn
+            self.set_open(False)
+            raise
+        finally:
+            if not self._open:
+                self._drop_all()
+            self._let_in()
+            self._idle.append(None)
+            if self._samples and _took(self._idle):  # written after the last look
+                self._begin()
+
+    async def _write(self, sample: Any) -> None:
+        port, host = self._port, self._host()
+        self._held = 1
+        reason = "closed"
+        try:
+            if host.threaded:  # whose thread may be writing, too: each connector decides under its lock
+                transports = [connector._transport for connector in port._connectors]
+                entries = [one.wait_for_room(sample, host.loop.create_future()) for one in transports]
+                await port._wait_for([entry for entry in entries if entry is not None])
+            else:
+                if port._stale:
+                    port._update_fast_path()
+                if (port._blocking or port._others) and port._without_room() is not None:
+                    self._let_in()
+                    await port._write_waiting(sample)
+                else:
+                    port._deliver(sample)
+            reason = ""
+        except WriteTimeout:
+            reason = "timeout"
+        finally:
+            self._held = 0
+            if reason:
+                self._dropped[reason] += 1
+            else:
+                self._written += 1
+            self._free.append(None)
+
+    def _drop_all(self) -> None:
+        while self._samples:
+            self._samples.popleft()
+            self._dropped["closed"] += 1
+            self._free.append(None)
+        self._let_in()
+
+    def _let_in(self) -> None:
+        """Have the threads that wait for room look again."""
+        for _ in range(len(self._blocked)):
+            self._blocked.popleft().release()
+
+
+def thread_writes_of(port: OutPort[Any]) -> ThreadWrites:
+    """What foreign threads write at this port; made at the first call. ClosedError: it belongs to no component."""
+    found = port._thread_writes
+    if found is None:
+        if port._host is None:
+            port._bound()
+        with _MAKING:
+            found = port._thread_writes
+            if found is None:
+                found = port._thread_writes = ThreadWrites(port)
+    return found
+
+
+def _took(rights: deque[None]) -> bool:
+    try:
+        rights.pop()
+    except IndexError:
+        return False
+    return True
