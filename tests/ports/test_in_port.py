@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, OutPort, SimulatedClock, WouldBlock
-from aiorts.errors import BusyError, ClosedError
+from aiorts.errors import BusyError, ClosedError, ConfigurationError, ReadTimeout
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
 from campaign import cases
@@ -328,3 +328,62 @@ def test_latency_and_age_follow_from_the_clock_and_the_sample() -> None:
             assert (ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped)) == (1, 1, 0, {})
 
     simulate(main)
+
+
+def test_a_read_with_a_time_out_waits_no_longer_on_the_kernels_clock() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            out, inp = await pair(kernel)
+            with pytest.raises(ReadTimeout, match=r"sink0\.inp: no sample within 2\.5 s"):
+                await inp.read(timeout=2.5)
+            assert clock.monotonic_ns() == 2_500_000_000
+            with pytest.raises(ReadTimeout):
+                await inp.read(timeout=0)
+            assert clock.monotonic_ns() == 2_500_000_000
+            out.write_nowait(long(1))
+            assert (await inp.read(timeout=0)).data == 1
+            reading = asyncio.ensure_future(inp.read(timeout=3600.0))
+            await asyncio.sleep(10.0)
+            out.write_nowait(long(2))
+            assert (await reading).data == 2
+            assert clock.monotonic_ns() == 12_500_000_000
+            out.write_nowait(long(3))
+            assert (await inp.read(1.0)).data == 3
+
+    simulate(main)
+
+
+def test_a_read_that_timed_out_or_was_cancelled_leaves_nobody_waiting() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            out, inp = await pair(kernel)
+            reading = asyncio.ensure_future(inp.read(timeout=5.0))
+            await asyncio.sleep(1.0)
+            with pytest.raises(BusyError):
+                await inp.read(timeout=5.0)
+            reading.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await reading
+            with pytest.raises(ReadTimeout):
+                await inp.read(timeout=1.0)
+            after = asyncio.ensure_future(inp.read())
+            await asyncio.sleep(100.0)  # no timer of a read that is over wakes this one
+            assert not after.done()
+            out.write_nowait(long(4))
+            assert (await after).data == 4
+
+    simulate(main)
+
+
+async def test_a_time_out_that_is_none_is_refused_and_a_removed_port_ends_the_wait() -> None:
+    async with Kernel() as kernel:
+        _, inp = await pair(kernel)
+        text: Any = "soon"
+        for timeout in (-1.0, float("nan"), float("inf"), text):
+            with pytest.raises(ConfigurationError, match=r"sink0\.inp: read: timeout = .*expected seconds from 0 on"):
+                await inp.read(timeout=timeout)
+        reading = asyncio.ensure_future(inp.read(timeout=60.0))
+        await asyncio.sleep(0)
+        await kernel.remove(kernel.components["sink0"])
+        with pytest.raises(ClosedError):
+            await reading

@@ -46,7 +46,7 @@ class _Call:
 
     def __init__(self, kernel: Called, function: Callable[..., Any], args: tuple[Any, ...]) -> None:
         self.kernel, self.function, self.args = kernel, function, args
-        self.what = f"{kernel.name}: call_from_thread({getattr(function, '__qualname__', function)!s:.60})"
+        self.what = f"{kernel.name}: call_from_thread({getattr(function, '__name__', function)!s:.60})"
         self.answer: Future[Any] = Future()
         self.withdrawn = False
         self.task: asyncio.Task[None] | None = None
