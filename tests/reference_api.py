@@ -301,7 +301,7 @@ _REPORTS: Final = {
     "Connectors": ("ConnectorStatistics", "ConnectorProfile", "PublisherTiming", "Spans"),
     "Execution contexts": ("ContextStatistics", "HookStatistics", "ContextProfile"),
     "The event loop": ("LoopStalls", "Blame", "GcPauses"),
-    "Components and ports": ("ComponentProfile", "PortProfile", "LogLine"),
+    "Components and ports": ("ComponentProfile", "PortProfile", "ThreadWriteStatistics", "LogLine"),
     "Configuration": ("ConfigurationProfile", "ParameterProfile"),
     "Services": (
         *("ServiceStatistics", "ServiceConnectorProfile", "InterfaceProfile", "MethodProfile"),

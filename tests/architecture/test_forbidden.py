@@ -91,6 +91,7 @@ BROAD_EXCEPT = {
     "aiorts/services/service_thread.py:_serve",
     # It goes on to the thread that blocks for it.
     "aiorts/services/service_thread.py:run",
+    "aiorts/kernel/loop/calls.py:run",
     # A restart: what the construction of a component, or its `on_initialize`, raises is its next failure.
     "aiorts/supervision/supervisor.py:_helped",
     "aiorts/contexts/thread.py:_call",

@@ -290,58 +290,19 @@ async def test_wrong_uses_are_refused_with_what_to_do() -> None:
             source.out.write_from_thread(long(1), full=word)
         with pytest.raises(ClosedError, match="was super"):
             Source.out.write_from_thread(long(1))
-        with pytest.raises(ClosedError, match="not added to a kernel yet"):
+        with pytest.raises(ClosedError, match="is in no kernel yet, or closing"):
             Source("alone").out.write_from_thread(long(1))
-        await kernel.start(RealtimeContext(100.0), fast)
-        with pytest.raises(StateError, match="real-time thread alone writes here"):
-            at_once(lambda: fast.out.write_from_thread(long(1)))
+        for context in (RealtimeContext(100.0), ThreadContext(100.0)):
+            await kernel.start(context, fast)
+            with pytest.raises(
+                StateError, match=r"fast\.out: .*in a thread, which alone writes here; add it to a context on"
+            ):
+                at_once(lambda: fast.out.write_from_thread(long(1)))
+            await kernel.stop(context)
         at_once(lambda: source.out.write_from_thread(long(1)))
         asked: list[BaseException] = await joined(lambda: source.out.thread_writes)
         assert [type(error) for error in asked] == [ThreadError]
         assert source.out.write_from_thread(long(2)) is True  # on the loop, it is one thread of many
-
-
-async def test_a_component_in_a_thread_of_its_own_writes_beside_foreign_threads() -> None:
-    count = 2000
-
-    class Worker(Component):
-        out = OutPort(TimedLong)
-        number = 0
-
-        def on_execute(self) -> None:
-            if self.number == count:
-                self.finish()
-                return
-            self.out.write_blocking(TimedLong(1, self.number), 20)
-            self.number += 1
-
-    async with Kernel() as kernel:
-        worker, sink = await kernel.add(Worker("worker")), await kernel.add(Sink("sink"))
-        connector = await kernel.connect(worker.out, sink.inp, length=4, full="block", timeout=20.0)
-        await kernel.start(ThreadContext(), worker, activate=True)
-
-        def write() -> None:
-            for number in range(count):
-                assert worker.out.write_from_thread(TimedLong(2, number), full="block")
-
-        with switching_often():
-            made, raised = threads(write)
-            seen: dict[int, list[int]] = {1: [], 2: []}
-            for _ in range(2 * count):
-                sample = await asyncio.wait_for(sink.inp.read(), 20)
-                seen[sample.tm].append(sample.data)
-            await asyncio.to_thread(made[0].join, 20)
-        assert raised == []
-        assert seen == {1: list(range(count)), 2: list(range(count))}
-        await turns(lambda: counts(worker.out) == (count, count, 0, {}, 0))
-        assert connector.statistics.written == connector.statistics.delivered == 2 * count
-
-
-class Neighbour(Component):
-    """Runs 100 times a second beside."""
-
-    def on_execute(self) -> None:
-        pass
 
 
 @pytest.mark.parametrize("full", ["reject", "block"])

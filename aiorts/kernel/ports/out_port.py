@@ -241,7 +241,7 @@ class OutPort(Port[T]):
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
             RecordError: a field of a dataclass is not what it says; nothing was sent.
             ConfigurationError: `full` is another word.
-            StateError: the component runs in a `RealtimeContext`, whose thread alone writes there.
+            StateError: the component runs in a `ThreadContext` or `RealtimeContext`, whose thread alone writes there.
         """
         return thread_writes_of(self).write(sample, full)
 
@@ -361,8 +361,7 @@ class OutPort(Port[T]):
 
     async def _wait_for(self, entries: list[Waiting]) -> None:
         """Wait until each entry was moved or its time is over; whatever happens, no entry is abandoned."""
-        host = self._host
-        assert host is not None  # noqa: S101 - it was bound when the entries were made
+        host = self._bound()
         late: list[tuple[Connector, float | None]] = []
 
         def expire(entry: Waiting, limit: float) -> None:

@@ -12,16 +12,11 @@ import threading
 from collections import deque
 from itertools import repeat
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from aiorts.errors import ClosedError, ConfigurationError, StateError, ThreadError, WriteTimeout
 from aiorts.kernel.loop.tasks import kernel_task
-from aiorts.kernel.ports.port import give_turn
 from aiorts.model.profile import ThreadWriteStatistics
-
-if TYPE_CHECKING:
-    from aiorts.kernel.ports.host import PortHost
-    from aiorts.kernel.ports.out_port import OutPort
 
 LIMIT: Final = 1024
 """Samples that wait at one out-port at the most."""
@@ -35,7 +30,7 @@ _MAKING: Final = threading.Lock()
 class ThreadWrites:
     """The samples that foreign threads wrote at one out-port and the loop has not passed on yet."""
 
-    def __init__(self, port: OutPort[Any]) -> None:
+    def __init__(self, port: Any) -> None:
         self._port = port
         self._open = True
         self._samples: deque[Any] = deque()
@@ -65,9 +60,9 @@ class ThreadWrites:
         host, path = self._host(), self._port.path
         if full not in ("reject", "block"):
             raise ConfigurationError(f'{path}: write_from_thread: full = {full!r}: expected "reject" or "block"')
-        if host.realtime:
+        if host.realtime or host.threaded:
             raise StateError(
-                f"{path}: its real-time thread alone writes here; write_from_thread() at a component of another context"
+                f"{path}: its component runs in a thread, which alone writes here; add it to a context on the loop"
             )
         if full == "block" and host.on_loop_thread():
             raise ThreadError(f'{path}: write_from_thread(full="block") would block the event loop; await write() here')
@@ -102,12 +97,10 @@ class ThreadWrites:
             raise self._is_closed()
 
     def _is_closed(self) -> ClosedError:
-        return ClosedError(f"{self._port.path}: is closing; stop the thread that writes")
+        return ClosedError(f"{self._port.path}: is in no kernel yet, or closing; the thread that writes has to end")
 
-    def _host(self) -> PortHost:
-        host = self._port._host
-        assert host is not None  # noqa: S101 - `thread_writes_of` has seen it
-        return host
+    def _host(self) -> Any:
+        return self._port._host
 
     # -- on the loop -----------------------------------------------------------------------------------------------
 
@@ -131,7 +124,7 @@ class ThreadWrites:
                 else:
                     left = BATCH
                     self._let_in()
-                    await give_turn()
+                    await asyncio.sleep(0)
         except asyncio.CancelledError:  # by who ends all tasks of the loop: there is no other turn
             self.set_open(False)
             raise
@@ -148,18 +141,15 @@ class ThreadWrites:
         self._held = 1
         reason = "closed"
         try:
-            if host.threaded:  # whose thread may be writing, too: each connector decides under its lock
-                transports = [connector._transport for connector in port._connectors]
-                entries = [one.wait_for_room(sample, host.loop.create_future()) for one in transports]
-                await port._wait_for([entry for entry in entries if entry is not None])
+            if host.threaded or host.realtime:  # since it was accepted
+                return
+            if port._stale:
+                port._update_fast_path()
+            if (port._blocking or port._others) and port._without_room() is not None:
+                self._let_in()
+                await port._write_waiting(sample)
             else:
-                if port._stale:
-                    port._update_fast_path()
-                if (port._blocking or port._others) and port._without_room() is not None:
-                    self._let_in()
-                    await port._write_waiting(sample)
-                else:
-                    port._deliver(sample)
+                port._deliver(sample)
             reason = ""
         except WriteTimeout:
             reason = "timeout"
@@ -184,9 +174,9 @@ class ThreadWrites:
             self._blocked.popleft().release()
 
 
-def thread_writes_of(port: OutPort[Any]) -> ThreadWrites:
-    """What foreign threads write at this port; made at the first call. ClosedError: it belongs to no component."""
-    found = port._thread_writes
+def thread_writes_of(port: Any) -> ThreadWrites:
+    """What foreign threads write at this out-port; made at the first call. ClosedError: it belongs to no component."""
+    found: ThreadWrites | None = port._thread_writes
     if found is None:
         if port._host is None:
             port._bound()
