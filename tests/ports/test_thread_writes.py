@@ -5,14 +5,17 @@ from __future__ import annotations
 import asyncio
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, InPort, Kernel, OutPort, RealtimeContext, ThreadContext
+from aiorts import Component, EventContext, InPort, Kernel, OutPort, PeriodicContext, RealtimeContext, ThreadContext
 from aiorts.errors import ClosedError, ConfigurationError, PortTypeError, StateError, ThreadError
 from aiorts.types import TimedDoubleSeq, TimedLong
 from campaign import CAMPAIGN, time_limit
@@ -352,3 +355,64 @@ async def _eight(full: Any, often: bool, writers: int, each: int) -> None:
         assert connector.statistics.delivered == total
         if full == "block":
             assert total == writers * each
+
+
+class Neighbour(Component):
+    """Notes when it ran."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ran: list[float] = []
+
+    def on_execute(self) -> None:
+        self.ran.append(time.perf_counter())
+
+
+class Taker(Component):
+    """Takes all that came."""
+
+    inp = InPort(TimedLong, length=4 * LIMIT)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen = [0] * 8
+
+    def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            assert sample.data == self.seen[sample.tm]
+            self.seen[sample.tm] += 1
+
+
+async def p99_beside(each: int, *, writes: bool) -> float:
+    """How far the 99th percentile of a 100 Hz neighbour's cycles is off its period, beside eight threads."""
+    async with Kernel() as kernel:
+        source, taker, neighbour = Source("source"), Taker(), Neighbour()
+        for one in (source, taker, neighbour):
+            await kernel.add(one)
+        await kernel.connect(source.out, taker.inp, full="block", timeout=None)
+        await kernel.start(PeriodicContext(100.0), neighbour, activate=True)
+        await kernel.start(EventContext(), taker, activate=True)
+
+        def work(writer: int) -> None:
+            for number in range(each):
+                sample = TimedLong(writer, number)
+                if writes:
+                    source.out.write_from_thread(sample, full="block")
+
+        assert await joined(*(partial(work, writer) for writer in range(8))) == []
+        total = 8 * each if writes else 0
+        while sum(taker.seen) < total:
+            await asyncio.sleep(0.01)
+        assert counts(source.out) == (total, total, 0, {}, 0)
+        off = sorted(abs(after - before - 0.01) for before, after in pairwise(neighbour.ran))
+        return off[len(off) * 99 // 100]
+
+
+@pytest.mark.timeout(time_limit(600))
+@pytest.mark.skipif(not CAMPAIGN, reason="a long one; AIORTS_CAMPAIGN=1")
+async def test_a_neighbour_keeps_its_times_beside_a_million_writes_as_beside_threads_that_only_compute() -> None:
+    # Threads that compute take the interpreter from the loop, whatever they do with the result.
+    computing = await p99_beside(3_000_000 // 8, writes=False)
+    writing = await p99_beside(1_000_000 // 8, writes=True)
+    print(f"p99 off the period: {writing * 1000:.1f} ms writing, {computing * 1000:.1f} ms computing")
+    assert writing <= 2 * computing
