@@ -174,14 +174,17 @@ async def test_stopping_the_context_ends_the_wait_of_a_thread_that_ticks() -> No
     class Slow(Component):
         async def on_execute(self) -> None:
             begun.set()
-            await asyncio.sleep(3600)
+            await gate.wait()
 
-    begun = asyncio.Event()
+    begun, gate = asyncio.Event(), asyncio.Event()
     async with Kernel() as kernel:
         slow = await kernel.add(Slow("slow"))
-        context = await kernel.start(ExternalContext(deadline=0.01), slow, activate=True)
-        first = asyncio.ensure_future(in_thread(lambda: context.tick_from_thread(2)))
+        context = await kernel.start(ExternalContext(), slow, activate=True)
+        ticking = asyncio.ensure_future(in_thread(lambda: context.tick_from_thread(2)))
         await asyncio.wait_for(begun.wait(), 20)
-        await context.stop()
+        stopping = asyncio.ensure_future(context.stop())
+        await asyncio.sleep(0)
+        gate.set()
+        await stopping
         with pytest.raises(ClosedError):
-            await first
+            await ticking

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import random
 import sys
 import threading
 import time
@@ -15,10 +17,21 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, EventContext, InPort, Kernel, OutPort, PeriodicContext, RealtimeContext, ThreadContext
-from aiorts.errors import ClosedError, ConfigurationError, PortTypeError, StateError, ThreadError
+from aiorts import (
+    Component,
+    EventContext,
+    InPort,
+    Kernel,
+    OutPort,
+    PeriodicContext,
+    RealtimeContext,
+    SimulatedClock,
+    ThreadContext,
+)
+from aiorts.errors import ClosedError, ConfigurationError, PortTypeError, ReadTimeout, StateError, ThreadError
+from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDoubleSeq, TimedLong
-from campaign import CAMPAIGN, time_limit
+from campaign import CAMPAIGN, cases, time_limit
 from ports.parts import Sink, Source, data, long
 
 pytestmark = pytest.mark.anyio
@@ -416,3 +429,56 @@ async def test_a_neighbour_keeps_its_times_beside_a_million_writes_as_beside_thr
     writing = await p99_beside(1_000_000 // 8, writes=True)
     print(f"p99 off the period: {writing * 1000:.1f} ms writing, {computing * 1000:.1f} ms computing")
     assert writing <= 2 * computing
+
+
+@pytest.mark.parametrize("full", ["overwrite", "block"])
+def test_whatever_happens_in_whatever_order_every_sample_is_read_or_counted_once(full: str) -> None:
+    for seed in range(cases(1000)):
+        simulate(partial(_anything, seed=seed, full=full), seed=seed)
+
+
+async def _anything(clock: SimulatedClock, *, seed: int, full: str) -> None:
+    choice = random.Random(seed)
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        options: dict[str, Any] = {"timeout": choice.choice([None, 1.0])} if full == "block" else {}
+        length = choice.choice([1, 3, 2000])
+        connector = await kernel.connect(source.out, sink.inp, length=length, full=full, **options)
+        number = accepted = refused = 0
+        read: list[int] = []
+        connectors = [connector]
+        for _ in range(choice.randrange(1, 30)):
+            match choice.randrange(6):
+                case 0 | 1:
+                    for _ in range(choice.choice([1, 5, 300, 1200])):
+                        if source.out.write_from_thread(long(number)):
+                            accepted += 1
+                        else:
+                            assert source.out.thread_writes.waiting == LIMIT
+                            refused += 1
+                        number += 1
+                case 2:
+                    await asyncio.sleep(choice.choice([0, 0, 0.4, 1.0, 10.0]))
+                case 3:
+                    read += data(sink.inp.drain())
+                case 4:
+                    with contextlib.suppress(ReadTimeout):
+                        read.append((await sink.inp.read(timeout=choice.choice([0, 0.3]))).data)
+                case 5:
+                    await kernel.disconnect(connectors[-1])
+                    connectors.append(await kernel.connect(source.out, sink.inp, length=length, full=full, **options))
+            now = source.out.thread_writes
+            assert (now.accepted, now.refused) == (accepted, refused)
+            assert now.accepted == now.written + now.waiting + sum(now.dropped.values())
+            assert now.waiting <= LIMIT
+    now = source.out.thread_writes
+    if now.waiting:
+        await asyncio.sleep(0)
+        now = source.out.thread_writes
+    assert (now.accepted, now.waiting) == (accepted, 0)
+    assert accepted == now.written + sum(now.dropped.values())
+    ledgers = [one.statistics for one in connectors]
+    assert all(one.balanced for one in ledgers)
+    assert sum(one.delivered for one in ledgers) == len(read)
+    assert sum(one.written for one in ledgers) == now.written + now.dropped.get("timeout", 0)
+    assert read == sorted(set(read))
