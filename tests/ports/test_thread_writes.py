@@ -239,6 +239,33 @@ async def test_what_waits_is_dropped_as_closed_and_a_thread_that_blocks_gets_a_c
         assert counts(out)[0] == LIMIT
 
 
+async def test_a_thread_that_blocks_goes_on_once_there_is_room_though_a_reader_holds_the_rest() -> None:
+    async with Kernel() as kernel:
+        source, slow = await kernel.add(Source("source")), await kernel.add(Sink("slow"))
+        await kernel.connect(source.out, slow.inp, length=2, full="block", timeout=None)
+        at_once(lambda: [source.out.write_from_thread(long(n)) for n in range(LIMIT)])
+        made, raised = threads(lambda: [source.out.write_from_thread(long(n), full="block") for n in range(2)])
+        await asyncio.to_thread(made[0].join, 20)
+        assert not made[0].is_alive()
+        assert raised == []
+        assert counts(source.out) == (LIMIT + 2, 2, LIMIT, {}, 0)
+        assert not source.out.write_from_thread(long(0))
+
+
+async def test_a_component_that_is_being_removed_accepts_nothing_more() -> None:
+    class Camera(Source):
+        async def on_finalize(self) -> None:
+            raised.extend(await joined(lambda: self.out.write_from_thread(long(2))))
+
+    raised: list[BaseException] = []
+    async with Kernel() as kernel:
+        camera = await kernel.add(Camera())
+        at_once(lambda: camera.out.write_from_thread(long(1)))
+        await kernel.remove(camera)
+        assert [type(error) for error in raised] == [ClosedError]
+        assert counts(camera.out) == (1, 0, 0, {"closed": 1}, 0)
+
+
 async def test_a_sample_that_waits_for_room_when_the_kernel_closes_is_in_one_ledger_as_in_the_other() -> None:
     async with Kernel() as kernel:
         source, slow = await kernel.add(Source("source")), await kernel.add(Sink("slow"))
