@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         OutPort,
         Param,
         setting,
+        wait_any,
     )
     from aiorts.kernel.configuring import Configuration
     from aiorts.kernel.extensions.catalogue import Catalogue, Extension
@@ -104,6 +105,7 @@ __all__ = (
     "profile_schema",
     "run",
     "setting",
+    "wait_any",
 )
 
 _late(
@@ -113,7 +115,9 @@ _late(
         "aiorts.clock": "Clock ScaledClock SimulatedClock SystemClock",
         "aiorts.contexts": "EventContext ExternalContext PeriodicContext ThreadContext",
         "aiorts.errors": "AiortsError",
-        "aiorts.kernel": "Bus Component Connector Context InPort KernelService Microkernel OutPort Param setting",
+        "aiorts.kernel": (
+            "Bus Component Connector Context InPort KernelService Microkernel OutPort Param setting wait_any"
+        ),
         "aiorts.kernel.extensions.catalogue": "Catalogue Extension",
         "aiorts.kernel.extensions.type_modules": "import_types",
         "aiorts.composites": "Composite",

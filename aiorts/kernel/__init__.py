@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.loop.bus import Bus
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.parameters import Param
-    from aiorts.kernel.ports import InPort, OutPort
+    from aiorts.kernel.ports import InPort, OutPort, wait_any
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.service import KernelService, setting
 
@@ -34,6 +34,7 @@ __all__ = (
     "Param",
     "Wait",
     "setting",
+    "wait_any",
 )
 
 _late(
@@ -44,7 +45,7 @@ _late(
         "aiorts.kernel.ports.connector": "Connector",
         "aiorts.kernel.execution.context": "Context",
         "aiorts.kernel.execution.cycle": "Wait",
-        "aiorts.kernel.ports": "InPort OutPort",
+        "aiorts.kernel.ports": "InPort OutPort wait_any",
         "aiorts.kernel.service": "KernelService setting",
         "aiorts.kernel.microkernel": "Microkernel",
         "aiorts.kernel.parameters": "Param",

@@ -324,8 +324,11 @@ class ListenedReceiver(Receiver):
             self._found_empty()
         return super().read_newest()
 
-    async def wait(self) -> None:
+    def stand_by(self, waiter: asyncio.Future[None]) -> bool:
         self._found_empty()
+        return super().stand_by(waiter)
+
+    async def wait(self) -> None:
         try:
             await super().wait()
         except asyncio.CancelledError:

@@ -9,5 +9,6 @@ from __future__ import annotations
 from aiorts.kernel.ports.in_port import InPort
 from aiorts.kernel.ports.out_port import OutPort
 from aiorts.kernel.ports.port import Port, PortDeclaration, Turns
+from aiorts.kernel.ports.waiting import wait_any
 
-__all__ = ("InPort", "OutPort", "Port", "PortDeclaration", "Turns")
+__all__ = ("InPort", "OutPort", "Port", "PortDeclaration", "Turns", "wait_any")

@@ -298,27 +298,40 @@ class Receiver:
             ClosedError: the port was removed.
             WouldBlock: its thread never waits.
         """
+        self.port._raise_if_over()
+        waiter = self.port._bound().loop.create_future()
+        try:
+            if not self.stand_by(waiter):
+                await waiter
+        finally:
+            self.port._receiver.stand_down(waiter)
+
+    def stand_by(self, waiter: asyncio.Future[None]) -> bool:
+        """Have `waiter` done when a sample comes or the port is removed; whether a sample is there already.
+
+        Who stands by calls `stand_down` in any case, of the receiver that is there then.
+
+        Raises:
+            BusyError: another task waits.
+            WouldBlock: its thread never waits.
+        """
         port = self.port
-        port._raise_if_over()
         host = port._bound()
         if host.realtime and not host.on_loop_thread():
             raise WouldBlock(f"{port.path}: no unread sample, and a hook of a real-time context cannot wait for one")
         if self.waiter is not None:
             raise BusyError(f"{port.path}: another task waits on this port; one at a time")
-        waiter = host.loop.create_future()
         with self.guard():
             # Enabled before looked at: what a writer in another thread writes in between wakes this up.
             self.waiter = waiter
             self.notify_enabled = True
-            there = self.unread()
-        try:
-            if not there:
-                await waiter
-        finally:
-            now = port._receiver
-            if now.waiter is waiter:
-                now.waiter = None
-                now.enable_notify()
+            return self.unread()
+
+    def stand_down(self, waiter: asyncio.Future[None]) -> None:
+        """`waiter` waits no more, if it ever did."""
+        if self.waiter is waiter:
+            self.waiter = None
+            self.enable_notify()
 
     def rest(self, wanted: Callable[[], bool], deadline_ns: int | None, *, for_data: bool) -> None:
         """Block this thread, which has one of its own, until the port is removed, its context stops or `wanted`.
