@@ -2,15 +2,19 @@
 
 Members with a cause are on a ready list and run in the order of addition, each at most once in a cycle. One is ready
 again when unread data remains and it read at least one sample; a component that leaves its data unread runs again only
-when more arrives.
+when more arrives. With `every`, a member that has had no cause for so long is triggered.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from operator import attrgetter
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, Final, cast
 
+from aiorts.clock import to_ns
+from aiorts.contexts.schedule import MAX_RATE
+from aiorts.errors import ConfigurationError
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.execution.cycle import Wait
 from aiorts.kernel.execution.member import Member
@@ -18,6 +22,7 @@ from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.notified_ports import NotifiedPorts
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.values import shown
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -25,6 +30,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
 
 _FOR_EVER = Wait(None)
+_SHORTEST: Final = 1.0 / MAX_RATE
 _order = attrgetter("order")
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _INACTIVE = LifecycleState.INACTIVE
@@ -58,18 +64,50 @@ class EventMember(Member):
             ready.append(self)
 
 
+class _RepeatedMember(EventMember):
+    """A member of a context with `every`."""
+
+    __slots__ = ()
+
+    def settle(self) -> None:
+        super().settle()
+        due = self.context._due
+        if not self.active or self.left:
+            due.pop(self, None)
+        elif self not in due:
+            due[self] = self.context._now_ns() + self.context._every_ns
+
+
 class EventContext(Context):
     """Runs a member when it has a cause: new data, `trigger()`, or a failure that it has to handle.
 
-    Args: see `Context`.
+    Args:
+        every: seconds of the kernel's clock, from 0.0001, after which an active member runs without another cause,
+            counted from the cycle it ran in last or its activation; None is never. A run that was missed is not caught
+            up. A member is no source for it: where the sources are done, the run ends.
+        name, deadline, timing: see `Context`.
+
+    Raises:
+        ConfigurationError: `every` is no such number.
     """
 
     kind: ClassVar[str] = "event"
     _member_class = EventMember
     _members: list[EventMember]  # type: ignore[assignment] # all that it makes are
 
-    def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
+    def __init__(
+        self, *, every: float | None = None, name: str = "", deadline: float | None = None, timing: bool = False
+    ) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
+        self.every = every
+        if every is not None:
+            self._every_ns = _checked_ns(every, name or self.kind)
+            self._due: dict[_RepeatedMember, int] = {}
+            """When each active member runs without another cause; the next one first."""
+            # In the place of what the class has: a context without `every` pays nothing for it.
+            self._member_class = _RepeatedMember  # type: ignore[misc]
+            self._next_cause = self._next_cause_or_due  # type: ignore[method-assign]
+            self._begin_cycle = self._begin_with_due  # type: ignore[method-assign]
         self._ready: list[EventMember] = []
         """Members marked ready. Empty while the context sleeps: the first entry wakes it."""
         self._everyone: Sequence[EventMember] = ()
@@ -128,6 +166,13 @@ class EventContext(Context):
             ready.pop()
         return _FOR_EVER
 
+    def _next_cause_or_due(self) -> Wait | None:
+        cause = type(self)._next_cause(self)
+        if cause is None or not self._due:
+            return cause
+        due_ns = next(iter(self._due.values()))
+        return Wait(due_ns) if due_ns > self._now_ns() else None
+
     def _alone(self) -> Member | None:
         # Written out: this stands between a sample and the hook it is for.
         ready = self._ready
@@ -162,6 +207,15 @@ class EventContext(Context):
             member.ready = member.triggered = False
         return members
 
+    def _begin_with_due(self) -> Sequence[EventMember]:
+        now_ns, due = self._now_ns(), self._due
+        self._mark([member for member, due_ns in due.items() if due_ns <= now_ns])
+        members = type(self)._begin_cycle(self)
+        for member in members:
+            if isinstance(member, _RepeatedMember) and due.pop(member, None) is not None:
+                due[member] = now_ns + self._every_ns
+        return members
+
     def _begin_for_all(self, everyone: Sequence[EventMember]) -> Sequence[EventMember]:
         """Begin a cycle triggered for all, when no member has another cause: no flag is set, no port was notified."""
         if not self._listening:
@@ -181,6 +235,12 @@ class EventContext(Context):
                 again.append(member)  # noqa: PERF401
         if again:
             self._make_ready(again)
+
+
+def _checked_ns(every: object, where: str) -> int:
+    if isinstance(every, bool) or not isinstance(every, int | float) or not _SHORTEST <= every < math.inf:
+        raise ConfigurationError(f"{where}: every = {shown(every)}: expected seconds from {_SHORTEST}, or None")
+    return to_ns(every)
 
 
 def _can_run(member: EventMember) -> bool:

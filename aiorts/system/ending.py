@@ -12,6 +12,7 @@ import asyncio
 from typing import Final
 
 from aiorts.assembly import Kernel
+from aiorts.contexts import EventContext
 from aiorts.kernel.component import Component
 from aiorts.kernel.execution.cell import as_group, cell
 from aiorts.kernel.execution.context import Context
@@ -179,18 +180,26 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
     longest = max((2.0 / context.rate for context in kernel.contexts.values() if context.rate), default=0.0)
     patience = _PATIENCE + longest / kernel.clock.speed
     seen, still = -1, 0.0
+    cycles: dict[Context, int] = {}
     while True:
         buffered = [c for c in kernel.connectors.values() if c.statistics.buffered]
         waiting = tuple(c for c in buffered if c.in_ is not None and not look.is_off(c.in_.path.partition(".")[0]))
-        busy = any(_is_busy(context) for context in kernel.contexts.values())
+        moved = sum(connector.statistics.delivered for connector in kernel.connectors.values())
+        if waiting or moved != seen:
+            cycles = {context: context.ticks for context in kernel.contexts.values() if _repeats(context)}
+        busy = any(_is_busy(one) and one.ticks <= cycles.get(one, one.ticks) for one in kernel.contexts.values())
         if not waiting and not busy:
             return ()
-        moved = sum(connector.statistics.delivered for connector in kernel.connectors.values())
         still = 0.0 if moved != seen or busy else still + _LOOK_AGAIN
         seen = moved
         if still > patience:
             return waiting
         await asyncio.sleep(_LOOK_AGAIN)
+
+
+def _repeats(context: Context) -> bool:
+    """Whether its members run with nothing to do, too: a cycle that began since the last sample is no work left."""
+    return isinstance(context, EventContext) and context.every is not None
 
 
 def _is_busy(context: Context) -> bool:

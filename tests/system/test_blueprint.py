@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from aiorts import Kernel, LifecycleState, PeriodicContext
+from aiorts import EventContext, Kernel, LifecycleState, PeriodicContext
 from aiorts.errors import ConfigurationError, PluginError, SystemFileError, WiringError
 from aiorts.system import SystemFile, build, is_source, load, prepare, wait_finished
 from aiorts.testing import simulate
@@ -117,6 +118,16 @@ async def test_it_makes_what_the_file_says_and_ends_when_all_was_taken(make: Cal
         assert all(not connector.statistics.dropped for connector in kernel.connectors.values())
 
 
+async def test_an_event_context_with_every_ends_with_its_data_too(make: Callable[..., SystemFile]) -> None:
+    async with Kernel() as kernel:
+        await build(kernel, make(CHAIN.replace('kind = "event"', 'kind = "event"\nevery = 0.001')))
+        context = kernel.contexts["b"]
+        assert isinstance(context, EventContext)
+        assert context.every == 0.001
+        assert await asyncio.wait_for(wait_finished(kernel), 30.0) == ()
+        assert kernel.components["sink"].taken == [0, 1, 2]  # type: ignore[attr-defined]
+
+
 async def test_who_reads_is_active_before_who_writes(make: Callable[..., SystemFile]) -> None:
     plan = prepare(make())
     async with Kernel() as kernel:
@@ -160,6 +171,12 @@ async def test_a_context_that_is_not_to_be_activated_stays_inactive(make: Callab
         ("rate = 100.0", "rate = 1e9", ConfigurationError, "rate = 1000000000.0"),
         ("rate = 100.0", 'overrun = "wait"', ConfigurationError, "expected skip or catch_up"),
         ("rate = 100.0", "rates = 5.0", SystemFileError, "did you mean 'rate'"),
+        (
+            'kind = "event"',
+            'kind = "event"\nevery = 0',
+            ConfigurationError,
+            r"contexts\.b\.every: event: every = 0: expected seconds from 0\.0001",
+        ),
         ('kind = "event"', 'kind = "evnet"', SystemFileError, "did you mean 'event'"),
         ('to = "sink.input"', 'to = "sink.inputs"', SystemFileError, "did you mean 'input'"),
         ('to = "sink.input"', 'to = "sink.input"\npush = "some"', WiringError, "all, fifo, skip, new"),

@@ -537,6 +537,11 @@ def test_each_option_of_a_context_that_is_wrong_is_marked(write: Write, options:
     assert [marked(one) for one in errors] == marks
 
 
+def test_a_wrong_every_of_an_event_context_is_marked(write: Write) -> None:
+    one = only(write(changed('kind = "event"', 'kind = "event"\nevery = -1.0')), "error")
+    assert (one.code, marked(one)) == ("E-CONFIG", "-1.0")
+
+
 def test_a_context_with_an_argument_that_it_needs_may_have_others(write: Write, tmp_path: Path) -> None:
     (tmp_path / "lines.py").write_text(
         "from aiorts import EventContext\n\n"
