@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from aiorts.services import Provided, Required, ServiceConnector, ServicePort
     from aiorts.statemachines import EventPort, MultiModeComponent, Participant, StateMachine, StateMachineComponent
     from aiorts.supervision import StartRule, Supervised, Supervision
+    from aiorts.sync import Synchronizer
 
 __version__ = "0.1.0"
 
@@ -95,6 +96,7 @@ __all__ = (
     "StateMachineComponent",
     "Supervised",
     "Supervision",
+    "Synchronizer",
     "SystemClock",
     "SystemProfile",
     "ThreadContext",
@@ -129,6 +131,7 @@ _late(
         "aiorts.services": "Provided Required ServiceConnector ServicePort",
         "aiorts.statemachines": "EventPort MultiModeComponent Participant StateMachine StateMachineComponent",
         "aiorts.supervision": "StartRule Supervised Supervision",
+        "aiorts.sync": "Synchronizer",
         "aiorts.kernel.configuring": "Configuration",
         "aiorts.model.blame": "Blame",
         "aiorts.model.lifecycle": "LifecycleState",

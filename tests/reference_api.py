@@ -299,6 +299,7 @@ def events() -> str:
 
 _REPORTS: Final = {
     "Connectors": ("ConnectorStatistics", "ConnectorProfile", "PublisherTiming", "Spans"),
+    "Synchronisers": ("SynchronizerStatistics",),
     "Execution contexts": ("ContextStatistics", "HookStatistics", "ContextProfile"),
     "The event loop": ("LoopStalls", "Blame", "GcPauses"),
     "Components and ports": ("ComponentProfile", "PortProfile", "ThreadWriteStatistics", "LogLine"),
@@ -317,6 +318,7 @@ _REPORTS: Final = {
 _HOMES: Final = (
     *("aiorts.model.configuration.configuration_profile", "aiorts.model.profile", "aiorts.model.timing"),
     *("aiorts.model.service_profile", "aiorts.model.blame", "aiorts.diagnostics.loop_monitor"),
+    "aiorts.sync.matching",
     *("aiorts.kernel.loop.observers", "aiorts.observe.profiles", "aiorts_log.recorder.options"),
 )
 

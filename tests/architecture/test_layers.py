@@ -32,7 +32,7 @@ aiorts/kernel/ports
 aiorts/kernel/execution
 aiorts/kernel
 aiorts/contexts
-aiorts/configuration aiorts/diagnostics aiorts/functions aiorts/realtime aiorts/services
+aiorts/configuration aiorts/diagnostics aiorts/functions aiorts/realtime aiorts/services aiorts/sync
 aiorts/observe
 aiorts/composites aiorts/statemachines
 aiorts/supervision
@@ -54,7 +54,7 @@ plugins/aiorts_log plugins/aiorts_bench/harness plugins/aiorts_flexi/common
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
     *("composites", "configuration", "diagnostics", "functions", "observe"),
-    *("realtime", "reload", "services", "statemachines", "supervision"),
+    *("realtime", "reload", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""
 LARGEST_ROOM = 21

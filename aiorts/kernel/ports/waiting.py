@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from aiorts.errors import ConfigurationError, ReadTimeout
 from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.kernel.ports.port import UNSUSPENDED, give_turn
 from aiorts.model.values import shown
+
+T = TypeVar("T")
 
 
 async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[InPort[Any], ...]:
@@ -26,10 +29,24 @@ async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[I
         ThreadError: called in another thread than that of the kernel's loop.
     """
     ports = _checked(ports)
-    limit = _limit(timeout)
-    host = ports[0]._bound()
+
+    def ready() -> tuple[InPort[Any], ...] | None:
+        return tuple(port for port in ports if port.is_new) or None
+
+    return await wait_until(ports, ready, "wait_any", "no sample", timeout)
+
+
+async def wait_until(
+    ports: tuple[InPort[Any], ...], look: Callable[[], T | None], where: str, missing: str, timeout: float | None
+) -> T:
+    """What `look` finds, which is called at once and whenever a sample came to one of the ports, until it finds any.
+
+    `where` and `missing` are for messages. For the rest see `wait_any`.
+    """
+    limit = _limit(where, timeout)
     for port in ports:
-        port._bound().check_loop_thread(f"{port.path}: wait_any")
+        port._bound().check_loop_thread(f"{port.path}: {where}")
+    host = ports[0]._bound()
     turns = ports[0]._turns
     if turns.left:
         turns.left -= 1
@@ -47,19 +64,19 @@ async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[I
 
     timer = None if over or limit is None else host.call_later(limit, expire)
     try:
-        while not (ready := tuple(port for port in ports if port.is_new)):
+        while (found := look()) is None:
             for port in ports:
                 port._raise_if_over()
             if over:
                 _gave_up(ports)
                 names = ", ".join(port.path for port in ports)
-                raise ReadTimeout(f"{names}: no sample within {timeout} s")
+                raise ReadTimeout(f"{names}: {missing} within {timeout} s")
             waiter = host.loop.create_future()
             await _first(ports, waiter)
     finally:
         if timer is not None:
             timer.cancel()
-    return ready
+    return found
 
 
 async def _first(ports: tuple[InPort[Any], ...], waiter: asyncio.Future[None]) -> None:
@@ -95,9 +112,9 @@ def _checked(ports: tuple[object, ...]) -> tuple[InPort[Any], ...]:
     return tuple(found)
 
 
-def _limit(timeout: object) -> float | None:
+def _limit(where: str, timeout: object) -> float | None:
     if timeout is None:
         return None
     if isinstance(timeout, bool) or not isinstance(timeout, int | float) or not timeout >= 0:
-        raise ConfigurationError(f"wait_any: timeout = {shown(timeout)}: expected seconds, 0 or more, or None")
+        raise ConfigurationError(f"{where}: timeout = {shown(timeout)}: expected seconds, 0 or more, or None")
     return None if timeout == math.inf else timeout
