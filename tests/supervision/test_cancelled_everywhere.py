@@ -148,6 +148,7 @@ ELSEWHERE = {
     "Kernel.reload": "reload/test_cancelled.py",
     "KernelService.closing": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "KernelService.ending": "the kernel's own, while it closes; nobody who is cancelled awaits it",
+    "Synchronizer.match": "sync/test_synchronizer.py",
     "Required.wait_bound": "services/test_cancelled_anywhere.py",
     "ServicePort.wait_bound": "services/test_cancelled_anywhere.py",
 }
