@@ -148,7 +148,7 @@ class Matching:
 
 def _exact(lanes: tuple[Lane, ...], _tolerance_ns: int | None) -> tuple[Any, ...] | None:
     """Samples with one and the same stamp."""
-    dropped = True
+    dropped, first = True, 0
     while dropped:
         first = max((floor for lane in lanes if (floor := lane.floor) is not None), default=0)
         dropped = False
