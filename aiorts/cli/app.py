@@ -34,7 +34,7 @@ _COMMANDS: Final = {
     "types": ("aiorts.cli.commands.record_types:types", "List the record types that ports can have."),
     "doctor": ("aiorts.cli.commands.doctor:doctor", "Look at this machine, and say what to do."),
     "completion": ("aiorts.cli.console.completion:completion", "Print the script that completes words in your shell."),
-    "help": ("aiorts.cli.commands.helping:help_", "Help for a command; help errors lists all error codes."),
+    "help": ("aiorts.cli.commands.helping:help_", "The guide; help for a command or an error code."),
 }
 
 
