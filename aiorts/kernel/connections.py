@@ -11,8 +11,10 @@ from aiorts.kernel.loop.bus import Connected, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.ports import PortDeclaration, wiring
 from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.features import offer
 from aiorts.kernel.ports.losses import Losses
 from aiorts.kernel.ports.tap import make_tap, resize
+from aiorts.kernel.quality import FEATURES
 from aiorts.kernel.service import notify, report_fault
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import (
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.service import KernelService
 
 _LOG = KernelLog()
+offer(*FEATURES)
 
 
 class Connections:
@@ -158,6 +161,7 @@ class Connections:
             return self._renew_other(profile)
         out, in_ = (self._kernel.registry.find(path) for path in profile.ports[:2])
         ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
+        wiring.check_features(writer, reader, profile)
         name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
         connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name))
         self.connectors[name] = connector

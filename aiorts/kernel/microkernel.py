@@ -422,6 +422,7 @@ class Microkernel:
             length: samples the reader's buffer holds, 1 to 1,000,000. out_length: the backlog of a periodic connector.
             full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None forever.
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
+            lifespan: seconds after which a sample that was not read is dropped.
             measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type

@@ -24,6 +24,9 @@ from aiorts.model.profile import ConnectorProfile
 DEFAULT_LENGTH: Final = 8
 MAX_LENGTH: Final = 1_000_000
 MAX_RATE: Final = 1_000_000.0
+SHORTEST_TIME: Final = 1e-6
+LONGEST_TIME: Final = 1e9
+"""Seconds."""
 MEASURED_SENDS: Final = 1000
 """Sends over which OpenRTM's keys time a publisher where they do not say how many."""
 
@@ -94,6 +97,7 @@ OWN_KEYS: Final = (
     "timeout",
     "stamp",
     "measure",
+    "lifespan",
     "name",
     *PORT_KEYS,
 )
@@ -133,6 +137,7 @@ def connector_profile(
         timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
         stamp=get.choice("stamp", Stamp, None),
         measure=_measured(where, own, get),
+        lifespan=get.number("lifespan", SHORTEST_TIME, LONGEST_TIME, None, may_be_none=True),
         extra=MappingProxyType(extra) if extra else _NO_EXTRA,
     )
     limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}

@@ -49,6 +49,8 @@ class ConnectorProfile:
     """When the connector stamps samples; None leaves the writer's stamp."""
     measure: int = 0
     """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
+    lifespan: float | None = None
+    """Seconds after which a sample that was not read is dropped; None keeps it."""
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """Options that aiorts keeps and reports but does not act on."""
 

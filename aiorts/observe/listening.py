@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import StateError
 from aiorts.kernel.loop.bus import Event, Observer
-from aiorts.kernel.ports.connector import Connector, Transport, TransportKind, transport_of
+from aiorts.kernel.ports.connector import Connector, Transport, transport_of
+from aiorts.kernel.ports.features import PLAIN, TransportKind
 from aiorts.kernel.ports.in_port import receiver_of
-from aiorts.kernel.ports.periodic_transport import PLAIN, PeriodicTransport
+from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 from aiorts.kernel.ports.port import host_of
 from aiorts.kernel.ports.receiver import Receiver
 from aiorts.late import dataclass
@@ -34,7 +35,7 @@ _MOST_NOTES: Final = 10_000
 
 
 class ConnectorEventKind(StrEnum):
-    """What happens at a connector; the names are OpenRTM's without ON_, but for SKIPPED and SUPERSEDED."""
+    """What happens at a connector; the names are OpenRTM's without ON_, but for SKIPPED, SUPERSEDED and EXPIRED."""
 
     BUFFER_WRITE = "buffer_write"
     """A sample is in the reader's buffer, or in the backlog of a periodic connector."""
@@ -48,6 +49,8 @@ class ConnectorEventKind(StrEnum):
     """The push policy leaves this sample out."""
     SUPERSEDED = "superseded"
     """A newer sample was sent, or read, in the place of this one."""
+    EXPIRED = "expired"
+    """This sample was not read within the connector's lifespan."""
     BUFFER_READ = "buffer_read"
     """The reader took this sample."""
     SEND = "send"
@@ -73,7 +76,11 @@ class ConnectorEventKind(StrEnum):
     DISCONNECT = "disconnect"
 
 
-_LEFT_OUT: Final = {"skipped": ConnectorEventKind.SKIPPED, "superseded": ConnectorEventKind.SUPERSEDED}
+_LEFT_OUT: Final = {
+    "skipped": ConnectorEventKind.SKIPPED,
+    "superseded": ConnectorEventKind.SUPERSEDED,
+    "expired": ConnectorEventKind.EXPIRED,
+}
 """Of the reasons for which a sample is dropped those that are reported where it is counted."""
 
 
@@ -177,7 +184,7 @@ class Listening:
         notes: _Notes = transport.listeners
         if not isinstance(transport, ListenedTransport):
             with receiver.guard():
-                if type(receiver) is Receiver:
+                if not isinstance(receiver, ListenedReceiver):
                     receiver = receiver.replace(LISTENED, all_transports=False)
                 transport.replace(LISTENED, receiver)
                 receiver.refresh_all()

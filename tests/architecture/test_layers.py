@@ -29,6 +29,7 @@ aiorts/types/ros aiorts/wire
 aiorts/kernel/loop
 aiorts/kernel/extensions
 aiorts/kernel/ports
+aiorts/kernel/quality
 aiorts/kernel/execution
 aiorts/kernel
 aiorts/contexts

@@ -207,6 +207,13 @@ async def test_each_kind_of_connector_listeners_fires(
         await connected(in_vain, length=1, full="block", timeout=0.1)
         await connected(asks)
         await connected(asks, dataflow="pull")
+
+        async def too_late() -> None:
+            writer.out.write_nowait(sample)
+            await asyncio.sleep(0.2)
+            await asks()
+
+        await connected(too_late, lifespan=0.1)
         wire = await kernel.connect(writer.out, reader.into)
         await context.deactivate(reader)
         writer.out.write_nowait(sample)
@@ -219,4 +226,4 @@ async def test_each_kind_of_connector_listeners_fires(
         await kernel.disconnect(wire)
         await asyncio.sleep(0)
         assert {event.kind for event in heard} == set(ConnectorEventKind)
-        assert len(ConnectorEventKind) == 17 + 2  # OpenRTM's, and our own for what the push policy leaves out
+        assert len(ConnectorEventKind) == 17 + 3  # OpenRTM's, and our own for what is left out or too old

@@ -30,6 +30,7 @@ from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 from aiorts.model.timing import SendTimes
 
 if TYPE_CHECKING:
+    from aiorts.kernel.ports.features import TransportKind
     from aiorts.kernel.ports.host import KernelSide
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
@@ -106,7 +107,9 @@ class Connector:
     @property
     def unread(self) -> int:
         """Samples of this connector that the reader can read now."""
-        return len(self._transport.queue)
+        transport = self._transport
+        transport.settle()
+        return len(transport.queue)
 
     @property
     def blocks(self) -> bool:
@@ -140,24 +143,6 @@ def transport_of(connector: Connector) -> Transport:
     return connector._transport
 
 
-class TransportKind:
-    """A row of the table of transports: the classes that carry samples in one way.
-
-    Args:
-        receiver: of the in-port.
-        at_once: of a connector whose samples can be read as soon as they are written.
-        periodic: of one whose samples move at each period of its `push_rate`.
-    """
-
-    def __init__(self, receiver: type[Receiver], at_once: type[Transport], periodic: type[Transport]) -> None:
-        self.receiver, self.at_once, self.periodic = receiver, at_once, periodic
-
-    def of(self, profile: ConnectorProfile) -> type[Transport]:
-        """The class for connectors with these options."""
-        periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
-        return self.periodic if periodic else self.at_once
-
-
 class LossListener(Protocol):
     """Who hears of the first sample that a transport loses."""
 
@@ -180,7 +165,7 @@ class Waiting:
 class Transport:
     """Carries the samples of one connector: a bounded queue, in which a sample is as soon as it is written.
 
-    The classes of a `TransportKind` derive from it. `replace` puts one of another kind in its place.
+    The classes of a `TransportKind` (`features.py`) derive from it. `replace` puts one of another kind in its place.
     """
 
     __slots__ = (
@@ -230,7 +215,7 @@ class Transport:
         self.losses: LossListener | Literal[False] | None = None
         """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
         self.extra: Any = None
-        """What another kind of transport keeps besides."""
+        """What another kind of transport, or a feature, keeps besides."""
         self.listeners: Any = None
         """Who listens (`observe/listening.py`), even while a real-time thread is there and they cannot hear."""
         self.written = 0
@@ -276,6 +261,7 @@ class Transport:
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.statistics()
+            self.settle()
             delivered = self.delivered()
             return ConnectorStatistics(self.total(), delivered, self.buffered, MappingProxyType(dict(self.dropped)))
 
@@ -316,6 +302,9 @@ class Transport:
             reason = "superseded" if self.push is _NEW else _DISPLACED[self.connector.profile.full]
             self.displaced = 0
             self._note_drop(reason, displaced)
+
+    def settle(self) -> None:
+        """Have what is queued be what may still be read: somebody looks."""
 
     def drop(self, reason: str, count: int = 1) -> None:
         """Count so many samples as dropped."""
@@ -450,13 +439,14 @@ class Transport:
             if self.closed:
                 return
             self.closed = True
-            self._end_all("disconnected")
+            self.end_all("disconnected")
 
     def suspend(self) -> None:
         """The reader takes nothing any more: drop what is queued or waits; the caller holds the lock."""
-        self._end_all("inactive")
+        self.end_all("inactive")
 
-    def _end_all(self, reason: str) -> None:
+    def end_all(self, reason: str) -> None:
+        """Drop what is queued or waits; the caller holds the lock."""
         self.discard_all(reason)
         waiting, self.waiting = self.waiting, None
         for entry in waiting or ():

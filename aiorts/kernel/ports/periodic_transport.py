@@ -13,7 +13,7 @@ from functools import partial
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any
 
-from aiorts.kernel.ports.connector import Connector, Transport, TransportKind
+from aiorts.kernel.ports.connector import Connector, Transport
 from aiorts.kernel.ports.receiver import Receiver
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Choice, Push, choose
@@ -89,16 +89,20 @@ class PeriodicTransport(Transport):
                 if self.connector.profile.full is FullPolicy.REJECT:
                     self.drop("rejected")
                     return False
-                self._leave("overwritten")
+                self.leave("overwritten")
             if not self.backlog:
                 self.first = self.written
-            self.backlog.append(sample)
+            self.lay_by(sample)
             asked, self.timer_requested = self.timer_requested, True
         if self.timer is None and not asked:
             self.on_loop(methodcaller("set_timer"))
         return True
 
-    def _leave(self, reason: str | None = None) -> Any:
+    def lay_by(self, sample: Any) -> None:
+        """Take a sample into the backlog, which has room; the caller holds the lock."""
+        self.backlog.append(sample)
+
+    def leave(self, reason: str | None = None) -> Any:
         """Take the oldest sample out of the backlog, dropping it if there is a reason."""
         self.first += 1
         sample = self.backlog.popleft()
@@ -135,11 +139,11 @@ class PeriodicTransport(Transport):
                 return
             for choice in choose(self.push, self.connector.profile.skip, self.first, len(self.backlog)):
                 if choice is not Choice.SEND:
-                    self._leave(choice.value)
+                    self.leave(choice.value)
                 elif self.connector.profile.full is FullPolicy.BLOCK and len(self.queue) >= self.length:
                     break
                 else:
-                    self.store_bounded(self._leave())
+                    self.store_bounded(self.leave())
             more = self.timer_requested = bool(self.backlog)
         if more:
             self.set_timer()
@@ -174,7 +178,3 @@ class PeriodicTransport(Transport):
         if self.timer is not None:
             self.timer.cancel()
             self.timer = None
-
-
-PLAIN = TransportKind(Receiver, Transport, PeriodicTransport)
-"""What carries samples where no real-time thread and no listener is."""

@@ -23,7 +23,8 @@ from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
 from aiorts.model.policy import Dataflow
 
 if TYPE_CHECKING:
-    from aiorts.kernel.ports.connector import Connector, Transport, TransportKind
+    from aiorts.kernel.ports.connector import Connector, Transport
+    from aiorts.kernel.ports.features import TransportKind
     from aiorts.kernel.ports.in_port import InPort
 
 
@@ -60,6 +61,8 @@ class Receiver:
         "waiter",
     )
 
+    kind: ClassVar[TransportKind]
+    """The row of the table of transports that names this class."""
     has_fast_path: ClassVar[bool] = True
     """Whether a port of this kind may read straight from a queue."""
 
@@ -96,7 +99,8 @@ class Receiver:
         On the loop; the caller holds the lock, and calls `refresh_all` afterwards.
         """
         self.hand_over()
-        new = kind.receiver.__new__(kind.receiver)
+        new_class = kind.receiver_of(self.port._connectors)
+        new = new_class.__new__(new_class)
         new.take_over(self)
         for transport in self.transports:
             if all_transports:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from aiorts.errors import WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.connector import Connector
-from aiorts.kernel.ports.periodic_transport import PLAIN
+from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settles
+from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.policy import Stamp
 from aiorts.model.profile import ConnectorProfile
@@ -62,6 +63,8 @@ def plan(
             )
         seen.add((out, in_))
     _check_stamp(base, pairs)
+    for out, in_ in pairs:
+        check_features(out, in_, base)
     for port, count in Counter(port for pair in pairs for port in pair).items():
         _check_limit(port, count, limits)
     profiles: dict[int | None, ConnectorProfile] = {None: base}
@@ -88,6 +91,8 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     with receiver.guard():
         in_._connectors += (connector,)
         receiver.read_stamps += profile.stamp is Stamp.READ
+        if settles(profile):
+            receiver = fit_receiver(in_)
         receiver.refresh()
     shown = out.connectors  # without taps, which come last
     out._connectors = (*shown, connector, *out._connectors[len(shown) :])
@@ -108,6 +113,8 @@ def unwire(connector: Connector) -> None:
         receiver.read_stamps -= connector.profile.stamp is Stamp.READ
         if several and unread:
             receiver.settle_tokens()
+        if settles(connector.profile):
+            receiver = fit_receiver(in_)
         receiver.refresh()
     _refresh_writers(out, receiver, several)
     receiver.connector_ended()
@@ -191,6 +198,30 @@ def _check_stamp(profile: ConnectorProfile, pairs: Sequence[tuple[OutPort[Any], 
                 f"{out.path} -> {in_.path}: stamp = {Stamp(profile.stamp)}: "
                 f"{out.type.__name__} has no field tm to put it in"
             )
+
+
+def check_features(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> None:
+    """Raise WiringError when a real-time thread would be at an in-port with a connector that has features."""
+    found = features_of(profile)
+    reached = [in_._host, *(connector.out._host for connector in in_._connectors)] if found else [in_._host]
+    threads = [host.name for host in (out._host, *reached) if host is not None and host.prepare is not None]
+    if threads and (fault := _featured(in_, profile)):
+        raise WiringError(
+            f"{out.path} -> {in_.path}: {fault}, and {threads[0]} runs in a real-time thread, which has no such "
+            f"connector at its ports; leave that option out, or run {threads[0]} in another kind of context"
+        )
+
+
+def realtime_fault(port: Port[Any]) -> str:
+    """Why no real-time thread can have this port; empty where one can."""
+    return next(filter(None, (_featured(in_) for in_ in in_ports_at(port))), "")
+
+
+def _featured(in_: InPort[Any], *more: ConnectorProfile) -> str:
+    for profile in (*more, *(connector.profile for connector in in_._connectors)):
+        for feature in features_of(profile):
+            return f"{profile.name or in_.path} has {feature.key}"
+    return ""
 
 
 def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:

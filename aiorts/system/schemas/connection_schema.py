@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
-from aiorts.model.options import DEFAULT_LENGTH, MAX_LENGTH
+from aiorts.model.options import DEFAULT_LENGTH, LONGEST_TIME, MAX_LENGTH, SHORTEST_TIME
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 _TEXT: Final = {"type": "string", "pattern": r"^\s*[+-]?[0-9._]+([eE][+-]?[0-9]+)?\s*$"}
@@ -77,6 +77,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         "description": "When the connector stamps samples; by default tm is what the writer said.",
     },
     "measure": {**_whole(0, MAX_LENGTH), "default": 0, "description": "Sends over which the publisher is timed."},
+    "lifespan": {
+        **_number(SHORTEST_TIME, LONGEST_TIME),
+        "description": "Seconds after which a sample that was not read is dropped; by default never.",
+    },
     "name": {"type": "string", "description": "The connector's name."},
     "fan_in": {**_whole(1, MAX_LENGTH), "description": "Connectors that the in-port takes at the most."},
     "fan_out": {**_whole(1, MAX_LENGTH), "description": "Connectors that the out-port takes at the most."},

@@ -1,0 +1,172 @@
+"""What carries samples: the table of transports, and the features that options of a connector add to them.
+
+A feature is a mixin of `Transport` and a row that says which connectors have it. Every other connector and port runs
+the code it ran before: nothing there asks for features. The rows are in a room above (`kernel/quality/`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from aiorts.kernel.ports.connector import Connector, Transport
+from aiorts.kernel.ports.periodic_transport import PeriodicTransport
+from aiorts.kernel.ports.receiver import Receiver
+from aiorts.late import dataclass
+from aiorts.model.policy import Dataflow, Subscription
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.host import KernelSide
+    from aiorts.kernel.ports.in_port import InPort
+    from aiorts.model.profile import ConnectorProfile
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """A row of the table of features: which connectors have it, and what their transports do besides."""
+
+    key: str
+    """The option that asks for it, for messages: no real-time thread has features at its ports."""
+    wanted: Callable[[ConnectorProfile], bool]
+    """Whether a connector with these options has it."""
+    mixins: Callable[[], tuple[type[FeaturedTransport], type[FeaturedTransport]]]
+    """The classes for connectors that carry samples at once, and at each period; asked for where it is wanted first."""
+    settles: bool = False
+    """Whether the reader's queue is settled (`Transport.settle`) before anybody looks at it."""
+
+
+_FEATURES: Final[list[Feature]] = []
+
+
+def offer(*features: Feature) -> None:
+    """From now on there are these features; of several at one connector the first is the outermost."""
+    _FEATURES.extend(feature for feature in features if feature not in _FEATURES)
+
+
+def features_of(profile: ConnectorProfile) -> list[Feature]:
+    """Those that a connector with these options has."""
+    return [feature for feature in _FEATURES if feature.wanted(profile)]
+
+
+class TransportKind:
+    """A row of the table of transports: the classes that carry samples in one way.
+
+    An option that changes how samples are carried has no class here: `of` puts the mixins of its `Feature` before the
+    class. A mixin derives from `FeaturedTransport`, has empty `__slots__`, keeps its state in `extra` under its key,
+    and calls `super()` in whatever it overrides, so that it goes with listeners, periods and other features.
+
+    Args:
+        receiver: of the in-port.
+        at_once: of a connector whose samples can be read as soon as they are written.
+        periodic: of one whose samples move at each period of its `push_rate`.
+    """
+
+    def __init__(self, receiver: type[Receiver], at_once: type[Transport], periodic: type[Transport]) -> None:
+        self.receiver, self.at_once, self.periodic = receiver, at_once, periodic
+        receiver.kind = self
+
+    def of(self, profile: ConnectorProfile) -> type[Transport]:
+        """The class for connectors with these options."""
+        periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
+        plain = self.periodic if periodic else self.at_once
+        return _composed(plain, tuple(feature.mixins()[periodic] for feature in features_of(profile)))
+
+    def receiver_of(self, connectors: Iterable[Connector]) -> type[Receiver]:
+        """The class for an in-port with these connectors."""
+        return _composed(self.receiver, _receiver_mixins(connectors))
+
+
+class FeaturedTransport(Transport):
+    """A transport with a feature: a write asks it first, and never goes straight into the queue. See `Transport`."""
+
+    __slots__ = ()
+    admits_plainly = False
+    extra: dict[str, Any]
+
+    def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
+        super().__init__(connector, receiver, kernel)
+        self.extra = {}
+
+    def take_over(self, old: Transport, receiver: Receiver) -> None:
+        super().take_over(old, receiver)
+        self.extra = old.extra
+
+    @property
+    def direct(self) -> bool:
+        return False
+
+    def must_wait(self) -> bool:
+        self.settle()
+        return super().must_wait()
+
+    def offer(self, sample: Any) -> bool:
+        self.settle()
+        return super().offer(sample)
+
+
+class SettlingReceiver(Receiver):
+    """The receiver of an in-port where a queue is settled before anybody looks at it. See `Receiver`."""
+
+    __slots__ = ()
+    has_fast_path = False
+
+    def unread(self) -> bool:
+        with self.guard():
+            return self.next() is not None
+
+    def next(self) -> Transport | None:
+        if self.tokens is None:
+            if self.sole is not None:
+                self.sole.settle()
+            return super().next()
+        # Of several connectors the one whose sample is the oldest, again while settling took that away.
+        while (found := super().next()) is not None:
+            found.settle()
+            if found is super().next():
+                return found
+        return None
+
+    def newest(self) -> Transport | None:
+        for transport in self.transports:
+            transport.settle()
+        return super().newest()
+
+
+def fit_receiver(port: InPort[Any]) -> Receiver:
+    """Have the in-port's queues settled while one of its connectors needs it; the caller holds the lock, refreshes."""
+    receiver = port._receiver
+    kind = type(receiver).kind
+    if type(receiver) is not kind.receiver_of(port._connectors):
+        receiver.settle_tokens()
+        receiver = receiver.replace(kind, all_transports=False)
+        receiver.refresh_writers()
+    return receiver
+
+
+def _receiver_mixins(connectors: Iterable[Connector]) -> tuple[type[Receiver], ...]:
+    return (SettlingReceiver,) if any(settles(connector.profile) for connector in connectors) else ()
+
+
+def settles(profile: ConnectorProfile) -> bool:
+    """Whether the reader of such a connector has its queue settled first."""
+    return any(feature.settles for feature in features_of(profile))
+
+
+_COMPOSED: Final[dict[tuple[type[Any], ...], Any]] = {}
+
+
+def _composed(plain: type[T], mixins: tuple[type[Any], ...]) -> type[T]:
+    """The class with these mixins before it; one for each choice."""
+    bases = (*mixins, plain)
+    if not mixins:
+        return plain
+    made: type[T] | None = _COMPOSED.get(bases)
+    if made is None:
+        made = _COMPOSED[bases] = type("".join(base.__name__ for base in bases), bases, {"__slots__": ()})
+    return made
+
+
+PLAIN = TransportKind(Receiver, Transport, PeriodicTransport)
+"""What carries samples where no real-time thread and no listener is."""
