@@ -5,6 +5,6 @@ A component with a chart is an `aiorts.StateMachineComponent`.
 
 from __future__ import annotations
 
-from aiorts.statemachines import After, Always, Chart, ChartWarning, End, History, On, Parallel, State
+from aiorts.statemachines import After, Always, Chart, ChartWarning, End, History, In, On, Parallel, State
 
-__all__ = ("After", "Always", "Chart", "ChartWarning", "End", "History", "On", "Parallel", "State")
+__all__ = ("After", "Always", "Chart", "ChartWarning", "End", "History", "In", "On", "Parallel", "State")

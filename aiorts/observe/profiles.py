@@ -69,6 +69,8 @@ class MachineReport:
     """When each that runs is due, on the kernel's monotonic clock, in nanoseconds."""
     ignored: int = 0
     """Events that led to nothing."""
+    deferred: tuple[str, ...] = ()
+    """Events that active states keep for later, in the order of arrival."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,18 +11,22 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.statemachines.charting import Chart, ChartWarning
+    from aiorts.statemachines.coverage import ChartCoverage, chart_coverage
     from aiorts.statemachines.machine import EventPort, StateMachine, StateMachineComponent
     from aiorts.statemachines.machine_events import MachineAfter, MachineBefore, MachineChanged, MachineEnded
     from aiorts.statemachines.modes import ModeChanged, MultiModeComponent, Participant
-    from aiorts.statemachines.statechart import After, Always, End, History, On, Parallel, State
+    from aiorts.statemachines.paths import ChartPath, ChartPaths, Move, chart_paths
+    from aiorts.statemachines.statechart import After, Always, End, History, In, On, Parallel, State
 
 _late(
     globals(),
     {
+        "aiorts.statemachines.coverage": "ChartCoverage chart_coverage",
+        "aiorts.statemachines.paths": "ChartPath ChartPaths Move chart_paths",
         "aiorts.statemachines.charting": "Chart ChartWarning",
         "aiorts.statemachines.machine": "EventPort StateMachine StateMachineComponent",
         "aiorts.statemachines.machine_events": "MachineAfter MachineBefore MachineChanged MachineEnded",
         "aiorts.statemachines.modes": "ModeChanged MultiModeComponent Participant",
-        "aiorts.statemachines.statechart": "After Always End History On Parallel State",
+        "aiorts.statemachines.statechart": "After Always End History In On Parallel State",
     },
 )

@@ -38,12 +38,12 @@ def check_acts(cls: type[Any], chart: Chart, events: Mapping[str, str]) -> bool:
         awaits |= inspect.iscoroutinefunction(function)
         _check_type(cls, where, function, event, events)
     for arc in chart.arcs:
-        if arc.guard is not None:
+        for guard in arc.asks:
             where = f"{chart.describe(arc)}, guard"
-            function = _function(cls, where, arc.guard)
+            function = _function(cls, where, guard)
             if inspect.iscoroutinefunction(function):
                 raise DeclarationError(
-                    f"{cls.__qualname__}.chart: {where}: {_name(arc.guard)} is async; a guard only looks"
+                    f"{cls.__qualname__}.chart: {where}: {_name(guard)} is async; a guard only looks"
                 )
             _check_type(cls, where, function, arc.event, events)
         if isinstance(arc.delay, str) and not hasattr(cls, arc.delay):

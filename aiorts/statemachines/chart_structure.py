@@ -6,7 +6,7 @@ from typing import Any
 
 from aiorts.late import dataclass
 from aiorts.statemachines.charting import ALWAYS, ROOT, Arc, Chart, Node
-from aiorts.statemachines.statechart import Act
+from aiorts.statemachines.statechart import Act, Guard, In
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,7 @@ class TransitionStructure:
     target: str | None
     """None when only the actions run."""
     guard: str | None
+    """Its guards as SCXML writes a condition, such as "In('open') && is_near"."""
     actions: tuple[str, ...]
     local: bool
     delay: float | str | None
@@ -37,6 +38,7 @@ class StateStructure:
     init: tuple[str, ...]
     exit: tuple[str, ...]
     do: tuple[str, ...]
+    defer: tuple[str, ...]
     transitions: tuple[TransitionStructure, ...]
     states: tuple[StateStructure, ...]
 
@@ -61,6 +63,7 @@ def _state(chart: Chart, node: Node) -> StateStructure:
         _names(node.init),
         _names(node.exit),
         _names(node.do),
+        node.defer,
         tuple(_transition(chart, arc) for arc in node.arcs),
         tuple(_state(chart, nodes[index]) for index in sorted([*node.children, *node.histories])),
     )
@@ -70,11 +73,16 @@ def _transition(chart: Chart, arc: Arc) -> TransitionStructure:
     return TransitionStructure(
         arc.event or ALWAYS,
         None if arc.target is None else chart.nodes[arc.target].name,
-        None if arc.guard is None else _name(arc.guard),
+        condition_of(arc.guards),
         _names(arc.acts),
         arc.local,
         arc.delay,
     )
+
+
+def condition_of(guards: tuple[Guard, ...]) -> str | None:
+    """Guards as SCXML writes a condition; None for none."""
+    return " && ".join(str(guard) if isinstance(guard, In) else _name(guard) for guard in guards) or None
 
 
 def _names(acts: tuple[Act, ...]) -> tuple[str, ...]:

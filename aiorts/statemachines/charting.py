@@ -16,10 +16,26 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import DeclarationError
 from aiorts.late import dataclass
-from aiorts.statemachines.statechart import Act, Acts, After, Always, History, On, State, Way, acts_of
+from aiorts.statemachines.statechart import (
+    Act,
+    Acts,
+    After,
+    Always,
+    Guard,
+    History,
+    In,
+    On,
+    State,
+    Way,
+    acts_of,
+    guards_of,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from aiorts.statemachines.chart_structure import StateStructure
+    from aiorts.statemachines.microstep import Plan
 
 ROOT: Final = 0
 ALWAYS: Final = ""
@@ -40,7 +56,14 @@ class Arc:
     event: str
     """The event that triggers it; `ALWAYS` for none, "after.<state>.<n>" for a timer."""
     target: int | None
-    guard: Act | None
+    guards: tuple[Guard, ...]
+    """As written, those that look at states first."""
+    asks: tuple[Act, ...]
+    """The guards that are methods or functions of the owner."""
+    wants: int
+    """States that must be active, as bits."""
+    bars: int
+    """States that must not be."""
     acts: tuple[Act, ...]
     local: bool
     delay: float | str | None = None
@@ -68,6 +91,8 @@ class Node:
     inside: int = 0
     """All states inside, as bits."""
     arcs: list[Arc] = field(default_factory=list)
+    defer: tuple[str, ...] = ()
+    """Events that are kept while it is active."""
 
     @property
     def bit(self) -> int:
@@ -117,6 +142,10 @@ class Chart:
         self.histories: tuple[int, ...] = tuple(node.index for node in self.nodes if node.kind in _HISTORIES)
         self.doing: int = sum(node.bit for node in self.nodes if node.do)
         """The states that have something to do in each cycle."""
+        self.deferring: int = sum(node.bit for node in self.nodes if node.defer)
+        """The states that keep events."""
+        self.watchers: tuple[Callable[[Plan], object], ...] = ()
+        """Called with each microstep of every machine on this chart, before it is carried out."""
         self.restless: bool = any(arc.event == ALWAYS for arc in self.arcs)
         """Whether there are transitions that need no event."""
         self.events: frozenset[str] = frozenset(arc.event for arc in self.arcs if arc.delay is None) - {ALWAYS, "*"}
@@ -193,6 +222,7 @@ class Chart:
         index = len(self.nodes)
         entry, init, leave, do = map(acts_of, (state.entry, state.init, state.exit, state.do))
         node = Node(index, self._named(state.name, index), state.kind, parent, entry, init, leave, do)
+        node.defer = state.defer
         self.nodes.append(node)
         chosen = []
         for part in state.parts:
@@ -254,6 +284,9 @@ class Chart:
                 node.initial = parent.initial if parent.compound else parent.index
                 if not parent.children:
                     raise DeclarationError(f"history {node.name!r}: {parent.name!r} has no state inside to remember")
+        for node, _ in self._written:
+            for event in node.defer:
+                _check_event(f"{node.name!r}: defer", event)
         for node, ways in sorted(self._written, key=lambda pair: pair[0].index):
             timers = 0
             for way in ways:
@@ -271,13 +304,7 @@ class Chart:
             delay, event = _delay(node.name, way.seconds), f"after.{node.name}.{timers}"
         elif isinstance(way, On):
             event = way.event
-            if not isinstance(event, str) or not event or means("after", event) or re.search(r"\s", event):
-                raise DeclarationError(f"{node.name!r}: {way!r}: expected an event's name, got {event!r}")
-            if event.endswith((".", ".*")):
-                whole = event.rstrip(".*")
-                raise DeclarationError(
-                    f"{node.name!r}: {way!r}: {whole!r} takes all that begins with it and a dot; write On({whole!r})"
-                )
+            _check_event(f"{node.name!r}: {way!r}", event)
             if event.startswith("done.state."):
                 self.number(event.removeprefix("done.state."))
         where = f"{node.name!r}: {way!r}"
@@ -287,11 +314,30 @@ class Chart:
         if node.index == ROOT and target is not None and not way.local:
             way_to = f"On({event!r}, to={way.to!r}, local=True)"
             raise DeclarationError(f"{where}: the chart itself is never left and entered; write {way_to}")
-        if isinstance(way, Always) and way.guard is None and target is None:
-            raise DeclarationError(f"{where}: would happen without end; it needs a target or a guard")
-        arc = Arc(len(self.arcs), node.index, event, target, way.guard, acts_of(way.action), way.local, delay)
+        guards = guards_of(way.guard)
+        asks = tuple(guard for guard in guards if not isinstance(guard, In))
+        if isinstance(way, Always) and not asks and target is None:
+            what = "a target or a guard" if not guards else "a target, or a guard that is no state alone"
+            raise DeclarationError(f"{where}: would happen without end; it needs {what}")
+        wants = self._looked_at(where, guards, active=True)
+        bars = self._looked_at(where, guards, active=False)
+        if wants & bars:
+            raise DeclarationError(f"{where}: its guards are never true together")
+        acts = acts_of(way.action)
+        arc = Arc(len(self.arcs), node.index, event, target, guards, asks, wants, bars, acts, way.local, delay)
         self.arcs.append(arc)
         node.arcs.append(arc)
+
+    def _looked_at(self, where: str, guards: tuple[Guard, ...], *, active: bool) -> int:
+        """The states that must be active, or must not be, for these guards to be true."""
+        states = 0
+        for guard in guards:
+            if isinstance(guard, In) and guard.active is active:
+                index = self._target(where, guard.state)
+                if self.nodes[index].kind in _HISTORIES:
+                    raise DeclarationError(f"{where}: {guard.state!r} is a history, which is never active")
+                states |= self.nodes[index].bit
+        return states
 
     def _target(self, where: str, name: str) -> int:
         found = self._numbers.get(name)
@@ -344,7 +390,7 @@ def _check_twins(node: Node) -> None:
     for number, arc in enumerate(node.arcs):
         for other in node.arcs[:number]:
             same = means(other.event, arc.event) or (arc.delay is not None and other.delay == arc.delay)
-            if same and (other.guard is None or other.guard == arc.guard):
+            if same and set(other.guards) <= set(arc.guards):
                 what = (
                     "at once" if arc.event == ALWAYS else f"after {arc.delay} s" if arc.delay else f"on {arc.event!r}"
                 )
@@ -352,6 +398,15 @@ def _check_twins(node: Node) -> None:
                     f"{node.name!r}: two transitions {what} cannot be told apart: the first is always taken; "
                     f"{'write it after the other' if other.event != arc.event else 'give it a guard of its own'}"
                 )
+
+
+def _check_event(where: str, event: Any) -> None:
+    """Refuse what is no name of an event from outside."""
+    if not isinstance(event, str) or not event or means("after", event) or re.search(r"\s", event):
+        raise DeclarationError(f"{where}: expected an event's name, got {event!r}")
+    if event.endswith((".", ".*")):
+        whole = event.rstrip(".*")
+        raise DeclarationError(f"{where}: {whole!r} takes all that begins with it and a dot; write {whole!r}")
 
 
 def means(name: str, event: str) -> bool:

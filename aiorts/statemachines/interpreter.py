@@ -17,12 +17,14 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from aiorts.errors import StateError
 from aiorts.statemachines.charting import ALWAYS, Arc, Chart
-from aiorts.statemachines.microstep import DO, ENTRY, EXIT, Plan, Step, beginning, chosen, ending
+from aiorts.statemachines.microstep import DO, ENTRY, EXIT, Plan, Step, beginning, chosen, defers, ending
 from aiorts.statemachines.statechart import Act
 
 Steps: TypeAlias = Generator[Step, None, None]
 ENDLESS: Final = 1000
 """Microsteps that one event may take; more is taken for an endless loop."""
+DEFERRED: Final = 8192
+"""Events that a machine keeps for later."""
 
 
 class MachineEvent(NamedTuple):
@@ -51,6 +53,7 @@ class Machine:
         "_says_yes",
         "_timed",
         "chart",
+        "deferred",
         "ended",
         "event",
         "every",
@@ -79,6 +82,8 @@ class Machine:
         """Whether a final state at the top was entered."""
         self.ignored = 0
         """Events from outside, and timers, that led to nothing."""
+        self.deferred: deque[MachineEvent] = deque()
+        """Events that are kept until no active state defers them."""
         self.timers: dict[int, tuple[int, int]] = {}
         """Transition -> when it is due, and the number of its making: those due together go in that order."""
         self._timed = 0
@@ -103,6 +108,7 @@ class Machine:
     def start(self) -> Steps:
         """Enter the initial configuration, with what follows from it."""
         self._internal.clear()
+        self.deferred.clear()
         self.timers.clear()
         self.states, self.ended, self.event = 0, False, None
         if not self.chart.keep_history:
@@ -118,10 +124,18 @@ class Machine:
             yield from self._carry_out(plan)
             yield from self._settle()
         else:
-            self.ignored += 1
+            self.ignored += not self._defer(event)
             if self.chart.restless:
                 yield from self._settle()
         self.event = None
+
+    def recalled(self) -> MachineEvent | None:
+        """Take the oldest event that was deferred and is not deferred any more; `handle` it before any newer one."""
+        for place, event in enumerate(self.deferred):
+            if not self.ended and not defers(self.chart, self.states, event.name):
+                del self.deferred[place]
+                return event
+        return None
 
     def look(self) -> Steps:
         """Take transitions without event whose guards have become true."""
@@ -139,6 +153,8 @@ class Machine:
     def stop(self) -> Steps:
         """Leave all states, from the inside out."""
         self._internal.clear()
+        self.ignored += len(self.deferred)
+        self.deferred.clear()
         self.timers.clear()
         for step in ending(self.chart, self.states):
             try:
@@ -165,8 +181,16 @@ class Machine:
     # -- one microstep after the other -----------------------------------------------------------------------------
 
     def _guard(self, arc: Arc) -> bool:
-        assert arc.guard is not None  # noqa: S101 - called only where there is one
-        return self._says_yes(arc.guard, self.event)
+        return all(self._says_yes(guard, self.event) for guard in arc.asks)
+
+    def _defer(self, event: MachineEvent) -> bool:
+        """Keep an event that no transition takes, where an active state defers it."""
+        if event.is_own or not self.chart.deferring & self.states or not defers(self.chart, self.states, event.name):
+            return False
+        if len(self.deferred) >= DEFERRED:
+            raise StateError(f"{event.name}: {DEFERRED} events are deferred; none more is kept")
+        self.deferred.append(event)
+        return True
 
     def _settle(self) -> Steps:
         """Carry out what follows without an event from outside."""
@@ -180,8 +204,10 @@ class Machine:
             if plan is None:
                 if not internal:
                     return
-                self.event = internal.popleft()
-                plan = chosen(chart, self.states, self.history, self.event.name, self._guard, not self.event.is_own)
+                event = self.event = internal.popleft()
+                plan = chosen(chart, self.states, self.history, event.name, self._guard, not event.is_own)
+                if plan is None:
+                    self._defer(event)
             if plan is not None:
                 yield from self._carry_out(plan)
         raise StateError(
@@ -189,6 +215,8 @@ class Machine:
         )
 
     def _carry_out(self, plan: Plan) -> Steps:
+        for watch in self.chart.watchers:
+            watch(plan)
         self.history = plan.history
         for step in plan.steps:
             what = step.what

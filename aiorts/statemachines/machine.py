@@ -60,7 +60,12 @@ class MachineKind(Kind):
             if states
         }
         report = MachineReport(
-            chart.name, core.configuration, MappingProxyType(history), MappingProxyType(machine.timers), core.ignored
+            chart.name,
+            core.configuration,
+            MappingProxyType(history),
+            MappingProxyType(machine.timers),
+            core.ignored,
+            machine.deferred,
         )
         return {"machine": report}
 

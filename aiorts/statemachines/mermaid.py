@@ -86,6 +86,8 @@ class _Drawing:
             acts = getattr(state, word)
             if acts:
                 yield f"{own} : {word} / {', '.join(acts)}"
+        if state.defer:
+            yield f"{own} : defer {', '.join(state.defer)}"
         yield from (f"{own} : {_label(way)}" for way in state.transitions if way.target is None)
         if state.kind == "final":
             yield f"{own} --> [*]"

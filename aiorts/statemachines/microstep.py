@@ -53,7 +53,7 @@ def chosen(
     known = chart.plans.get(key, chart)
     if known is chart:
         ways = _candidates(chart, states, event, listed)
-        plain = all(arcs[0].guard is None for arcs in ways)
+        plain = all(not arcs[0].asks for arcs in ways)
         known = _planned(chart, states, history, tuple(arcs[0] for arcs in ways)) if plain else ways
         _remember(chart, key, known)
     if not isinstance(known, list):
@@ -61,10 +61,15 @@ def chosen(
     taken = []
     for arcs in known:
         for arc in arcs:
-            if arc.guard is None or says_yes(arc):
+            if not arc.asks or says_yes(arc):
                 taken.append(arc)
                 break
     return _planned(chart, states, history, tuple(taken))
+
+
+def defers(chart: Chart, states: int, event: str) -> bool:
+    """Whether an active state keeps an event that no transition takes."""
+    return any(_keeps(chart.nodes[index], event) for index in bits(chart.deferring & states))
 
 
 def beginning(chart: Chart, history: tuple[int, ...]) -> Plan:
@@ -78,6 +83,10 @@ def beginning(chart: Chart, history: tuple[int, ...]) -> Plan:
 def ending(chart: Chart, states: int) -> tuple[Step, ...]:
     """The microstep that leaves all states, from the inside out."""
     return tuple(Step(EXIT, node.index, node.exit) for node in _backwards(chart, states))
+
+
+def _keeps(node: Node, event: str) -> bool:
+    return any(means(name, event) or name == "*" for name in node.defer)
 
 
 def _remember(chart: Chart, key: object, value: object) -> None:
@@ -95,8 +104,14 @@ def _candidates(chart: Chart, states: int, event: str, listed: bool) -> list[tup
             continue
         ways: list[Arc] = []
         while True:
-            ways += [arc for arc in node.arcs if means(arc.event, event) or (listed and arc.event == "*")]
-            if node.index == ROOT:
+            ways += [
+                arc
+                for arc in node.arcs
+                if (means(arc.event, event) or (listed and arc.event == "*"))
+                and not (arc.wants & ~states or arc.bars & states)
+            ]
+            # A state that keeps the event hides the transitions of those around it.
+            if node.index == ROOT or (listed and node.defer and _keeps(node, event)):
                 break
             node = chart.nodes[node.parent]
         if ways:

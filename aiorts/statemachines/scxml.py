@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 from aiorts.errors import DeclarationError
 from aiorts.statemachines.chart_structure import StateStructure, TransitionStructure, structure_of
 from aiorts.statemachines.charting import Chart, means
-from aiorts.statemachines.statechart import After, Always, End, History, On, Parallel, State, Way
+from aiorts.statemachines.statechart import After, Always, End, Guard, History, In, On, Parallel, State, Way
 
 W3C: Final = "http://www.w3.org/2005/07/scxml"
 OURS: Final = "urn:aiorts:statechart"
@@ -112,6 +112,8 @@ def _write_state(parent: Any, state: StateStructure) -> None:
         _element(history, "transition", {"target": " ".join(state.initial)})
         return
     element = _element(parent, state.kind, {"id": state.name})
+    if state.defer:
+        element.set(f"{{{OURS}}}defer", " ".join(state.defer))
     if state.init:
         _calls(_element(_element(element, "initial"), "transition", {"target": state.initial[0]}), state.init)
     elif state.initial:
@@ -279,14 +281,13 @@ class _Reader:
                 raise DeclarationError(f"SCXML: final {name} has something inside")
             return End(name, initial=is_initial, entry=words["entry"], exit=words["exit"])
         kind = Parallel if _tag(child) == "parallel" else State
-        return kind(name, *parts, initial=is_initial, **words)
+        defer = child.get(f"{{{OURS}}}defer", "").split()
+        return kind(name, *parts, initial=is_initial, defer=defer, **words)
 
     def _ways(self, name: str, element: Any, timers: dict[str, float | str]) -> Iterator[Way]:
         """One transition, or one for each event it names."""
         to = None if element.get("target") is None else _one(name, element.get("target").split())
-        guard = element.get("cond")
-        if guard is not None and not guard.isidentifier():
-            raise DeclarationError(f"SCXML: {name}: cond={guard!r}: expected the name of a method")
+        guard = _guards(name, element.get("cond"))
         acts = tuple(self._call(name, act) for act in element)
         action = acts[0] if len(acts) == 1 else acts or None
         local = element.get("type") == "internal" and to is not None
@@ -315,6 +316,24 @@ class _Reader:
         if found is None or not plain:
             raise DeclarationError(f"SCXML: {name}: send is supported as a timer: event, id=event, delay='5s'")
         return float(Decimal(found[1]) / (1000 if found[2] == "ms" else 1))
+
+
+def _guards(name: str, condition: str | None) -> Guard | tuple[Guard, ...] | None:
+    """The guards of a condition: names of methods and In('state'), joined by &&, with ! before In."""
+    if condition is None:
+        return None
+    guards: list[Guard] = []
+    for part in condition.split("&&"):
+        text = part.strip()
+        if found := re.fullmatch(r"(!?)\s*In\(\s*(['\"])([\w-]+)\2\s*\)", text):
+            guards.append(In(found[3], not found[1]))
+        elif text.isidentifier():
+            guards.append(text)
+        else:
+            raise DeclarationError(
+                f"SCXML: {name}: cond={condition!r}: expected names of methods and In('state'), joined by &&"
+            )
+    return guards[0] if len(guards) == 1 else tuple(guards)
 
 
 def _tag(element: Any) -> str:

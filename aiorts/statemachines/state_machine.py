@@ -111,6 +111,11 @@ class StateMachine:
         return self._core.ignored
 
     @property
+    def deferred(self) -> tuple[str, ...]:
+        """The names of the events that active states defer, in the order of arrival."""
+        return tuple(event.name for event in tuple(self._core.deferred))
+
+    @property
     def timers(self) -> Mapping[str, int]:
         """Each running timer, as "after.<state>.<n>", and when it is due on the clock's `monotonic_ns`."""
         return {self.chart.arcs[index].event: when for index, (when, _) in dict(self._core.timers).items()}
@@ -225,15 +230,26 @@ class StateMachine:
         self._observed = self._update_observed()
         if core.chart.restless:
             yield from self._perform(core.look(), "")
+            yield from self._recall()
         now_ns = self._now_ns() if core.timers else 0
         while (event := core.due(now_ns)) is not None and not core.ended:
             yield from self._perform(core.handle(event), event.name)
+            yield from self._recall()
         for event in self._taken():
             yield from self._perform(core.handle(event), event.name)
+            if core.deferred:
+                yield from self._recall()
             if core.ended:
                 break
         if core.chart.doing & core.states and not core.ended:
             yield from self._perform(core.do(), "")
+            yield from self._recall()
+
+    def _recall(self) -> Calls:
+        """Carry out the events that are deferred no more, before any newer one."""
+        core = self._core
+        while (event := core.recalled()) is not None:
+            yield from self._perform(core.handle(event), event.name)
 
     def _taken(self) -> Iterator[MachineEvent]:
         """The events that had arrived when the cycle began, in order; later ones are for the next: every cycle ends."""

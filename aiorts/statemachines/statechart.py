@@ -6,7 +6,8 @@
     )
 
 `charting.py` checks and compiles a table, `interpreter.py` runs it. Actions, guards and delays are names of the owner's
-methods and parameters, or plain functions that get the owner as first argument.
+methods and parameters, or plain functions that get the owner as first argument. `In("open")` as a guard is true while
+that state is active.
 """
 
 from __future__ import annotations
@@ -23,6 +24,25 @@ Acts: TypeAlias = "Act | Sequence[Act] | None"
 
 
 @dataclass(frozen=True, slots=True)
+class In:
+    """A guard: whether a state of the chart is active; `~In("open")` is whether it is not."""
+
+    state: str
+    active: bool = True
+
+    def __invert__(self) -> In:
+        return In(self.state, not self.active)
+
+    def __str__(self) -> str:
+        return f"{'' if self.active else '!'}In('{self.state}')"
+
+
+Guard: TypeAlias = "Act | In"
+Guards: TypeAlias = "Guard | Sequence[Guard] | None"
+"""No guard, one, or several that must all be true; those that only look at states come first."""
+
+
+@dataclass(frozen=True, slots=True)
 class On:
     """A transition for an event.
 
@@ -35,8 +55,8 @@ class On:
     """The event's name, which also matches each that begins with it and a dot ("door" matches "door.open", as in
     SCXML). "*" matches any that comes through a port or `send`."""
     to: str | None = None
-    guard: Act | None = None
-    """A predicate without side effects, never `async`."""
+    guard: Guards = None
+    """A predicate without side effects, never `async`; `In` looks at another state."""
     action: Acts = None
     local: bool = False
 
@@ -51,7 +71,7 @@ class After:
     seconds: float | str
     """More than 0, or the name of a parameter of the owner, read when the state is entered."""
     to: str | None = None
-    guard: Act | None = None
+    guard: Guards = None
     action: Acts = None
     local: bool = False
 
@@ -64,7 +84,7 @@ class Always:
     """
 
     to: str | None = None
-    guard: Act | None = None
+    guard: Guards = None
     action: Acts = None
     local: bool = False
 
@@ -82,9 +102,11 @@ class State:
         initial: whether it is entered when the state around it is; exactly one of several siblings is.
         entry: run when it is entered. init: then, when it enters its initial state by default. exit: when it is left.
         do: run once in each cycle of the execution context while it is active.
+        defer: events that are kept while it is active, unless a transition of this state or of one inside it takes
+            them; they are carried out, in the order of arrival, as soon as no active state defers them.
     """
 
-    __slots__ = ("do", "entry", "exit", "init", "initial", "name", "parts")
+    __slots__ = ("defer", "do", "entry", "exit", "init", "initial", "name", "parts")
 
     kind = "state"
 
@@ -97,6 +119,7 @@ class State:
         init: Acts = None,
         exit: Acts = None,  # noqa: A002 - the word users expect
         do: Acts = None,
+        defer: str | Sequence[str] = (),
     ) -> None:
         self.name = name
         self.parts = parts
@@ -105,6 +128,7 @@ class State:
         self.init = init
         self.exit = exit
         self.do = do
+        self.defer = (defer,) if isinstance(defer, str) else tuple(defer)
 
     def _values(self) -> tuple[object, ...]:
         return (self.kind, *(getattr(self, name) for name in State.__slots__))
@@ -119,7 +143,7 @@ class State:
         words = [repr(self.name), *map(repr, self.parts)]
         words += [
             f"{name}={getattr(self, name)!r}"
-            for name in ("initial", "entry", "init", "exit", "do")
+            for name in ("initial", "entry", "init", "exit", "do", "defer")
             if getattr(self, name)
         ]
         return f"{type(self).__name__}({', '.join(words)})"
@@ -168,3 +192,11 @@ def acts_of(acts: Acts) -> tuple[Act, ...]:
     if acts is None:
         return ()
     return (acts,) if isinstance(acts, str) or callable(acts) else tuple(acts)
+
+
+def guards_of(guards: Guards) -> tuple[Guard, ...]:
+    """One guard, several or none, as a tuple: those that look at states first."""
+    if guards is None:
+        return ()
+    those = (guards,) if isinstance(guards, str | In) or callable(guards) else tuple(guards)
+    return tuple(sorted(those, key=lambda guard: not isinstance(guard, In)))

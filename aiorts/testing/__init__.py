@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.statemachines import ChartCoverage, ChartPath, ChartPaths, Move, chart_coverage, chart_paths
     from aiorts.testing import faults
     from aiorts.testing.codec_checks import CODEC_CHECKS, check_codec
     from aiorts.testing.component_checks import COMPONENT_CHECKS, check_component
@@ -27,9 +28,15 @@ __all__ = (
     "CONTEXT_CHECKS",
     "SERVICE_CHECKS",
     "Caught",
+    "ChartCoverage",
+    "ChartPath",
+    "ChartPaths",
     "ConformanceError",
+    "Move",
     "Rig",
     "SimulatedLoop",
+    "chart_coverage",
+    "chart_paths",
     "check_codec",
     "check_component",
     "check_context",
@@ -44,6 +51,7 @@ __all__ = (
 _late(
     globals(),
     {
+        "aiorts.statemachines": "ChartCoverage ChartPath ChartPaths Move chart_coverage chart_paths",
         "aiorts.testing.codec_checks": "CODEC_CHECKS check_codec",
         "aiorts.testing.component_checks": "COMPONENT_CHECKS check_component",
         "aiorts.testing.conformance": "ConformanceError",

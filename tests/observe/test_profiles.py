@@ -171,7 +171,7 @@ def test_a_profile_tells_what_a_machine_does_and_remembers_and_the_mode(kind: An
             door, gear = await kernel.add(Door("door")), await kernel.add(Gear("gear"))
             told = checked(kernel)["components"]
             assert told["door"]["machine"] == {
-                "chart": "Door", "states": [], "history": {}, "timers": {}, "ignored": 0
+                "chart": "Door", "states": [], "history": {}, "timers": {}, "ignored": 0, "deferred": []
             }  # fmt: skip
             assert told["door"]["modes"] is told["door"]["composite"] is told["gear"]["machine"] is None
             await kernel.start(kind(), door, activate=True)

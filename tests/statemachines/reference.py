@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from aiorts.statechart import After, Always, History, On, Parallel, State
+from aiorts.statechart import After, Always, History, In, On, Parallel, State
 
 
 class Ref:
@@ -49,6 +49,7 @@ class Reference:
         self.configuration: set[Ref] = set()
         self.history: dict[Ref, set[Ref]] = {}
         self.internal: deque[str] = deque()
+        self.deferred: list[str] = []
         self.log: list[tuple[str, str]] = []
         self.running = True
         self.endless = False
@@ -65,13 +66,34 @@ class Reference:
     def handle(self, event: str, own: bool = False) -> None:
         if not self.running:
             return
+        self._handle(event, own)
+        self._recall()
+
+    def _handle(self, event: str, own: bool) -> None:
         taken = self._select(event, own)
         if taken:
             self._microstep(taken)
+        elif not own and self._kept_by_any(event):
+            self.deferred.append(event)
         self._settle()
+
+    def _kept_by_any(self, event: str) -> bool:
+        return any(self._keeps(state, event) for state in self.configuration)
+
+    def _keeps(self, state: Ref, event: str) -> bool:
+        return not state.history and any(f"{event}.".startswith(f"{name}.") for name in state.part.defer)
+
+    def _recall(self) -> None:
+        while self.running:
+            free = [event for event in self.deferred if not self._kept_by_any(event)]
+            if not free:
+                return
+            self.deferred.remove(free[0])
+            self._handle(free[0], False)
 
     def cycle(self) -> None:
         self._settle()
+        self._recall()
 
     def pass_time(self, until: int) -> None:
         while self.running and self.timers:
@@ -107,6 +129,8 @@ class Reference:
                     if not any(w is way for _, w in enabled):
                         enabled.append((source, way))
                     break
+                if event is not None and not own and self._keeps(source, event):
+                    break
         kept: list[tuple[Ref, Any]] = []
         for one in enabled:
             preempted, removed = False, []
@@ -129,7 +153,13 @@ class Reference:
             named = event == self._timer(source, way)
         else:
             named = event is not None and (f"{event}.".startswith(f"{way.event}.") or (way.event == "*" and not own))
-        return named and (way.guard is None or self.guards[way.guard])
+        guards = way.guard if isinstance(way.guard, tuple) else () if way.guard is None else (way.guard,)
+        return named and all(map(self._true, guards))
+
+    def _true(self, guard: Any) -> bool:
+        if isinstance(guard, In):
+            return (self.by_name[guard.state] in self.configuration) is guard.active
+        return self.guards[guard]
 
     def _timer(self, source: Ref, way: After) -> str:
         afters = [w for w in source.ways if isinstance(w, After)]

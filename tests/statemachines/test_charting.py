@@ -44,7 +44,7 @@ A = State("closed", On("button", to="open"), initial=True)
         (lambda: Chart(A, State("open", On("after.open.1"))), "expected an event's name"),
         (lambda: Chart(A, State("open", On("after"))), "expected an event's name"),
         (lambda: Chart(A, State("open", On("x"), On("x.y", to="closed"))), "is always taken; write it after the other"),
-        (lambda: Chart(A, State("open", On("x.*"))), "'x' takes all that begins with it and a dot; write On"),
+        (lambda: Chart(A, State("open", On("x.*"))), "'x' takes all that begins with it and a dot; write 'x'"),
         (lambda: Chart(A, State("open", 3)), "expected states and transitions, got 3"),  # type: ignore[arg-type]
         (lambda: Chart(A, State("open"), On("x", to="closed")), "local=True"),
     ],

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from aiorts.errors import DeclarationError, StateError
-from aiorts.statechart import After, Always, Chart, End, History, On, Parallel, State
+from aiorts.statechart import After, Always, Chart, End, History, In, On, Parallel, State
 from aiorts.statemachines.interpreter import Machine, MachineEvent
 from statemachines.reference import Reference
 
@@ -61,16 +61,22 @@ def charts(draw: st.DrawFn) -> tuple[Any, ...]:
 
     for top in tops:
         note(top)
+    looks = [In(n["name"], active) for n in shape for active in (True, False)]
     composite = [n["name"] for n in shape if n["children"]]
     done = ["done.state", *(f"done.state.{name}" for name in composite)]
 
     def way(source: str) -> Any:
         to = draw(st.none() | st.sampled_from(names))
-        guard = draw(st.none() | st.sampled_from(GUARDS))
+        guard = draw(
+            st.none()
+            | st.sampled_from(GUARDS)
+            | st.sampled_from(looks)
+            | st.tuples(st.sampled_from(looks), st.sampled_from(GUARDS))
+        )
         action = draw(st.none() | st.just("act"))
         local = to is not None and to in within[source] and draw(st.booleans())
         kind = draw(st.integers(0, 9))
-        if kind in (0, 3) and guard is not None and to is not None:
+        if kind in (0, 3) and guard is not None and not isinstance(guard, In) and to is not None:
             return Always(to, guard, action, local)
         if kind in (1, 2):
             return After(draw(st.sampled_from([0.5, 1.0, 1.5])), to, guard, action, local)
@@ -85,7 +91,8 @@ def charts(draw: st.DrawFn) -> tuple[Any, ...]:
         children = [build(child, compound and n == chosen) for n, child in enumerate(node["children"])]
         histories = [History(name, None, deep) for name, deep in node["history"]]
         kind = Parallel if node["kind"] == "parallel" else State
-        return kind(node["name"], *ways, *histories, *children, initial=initial)
+        defer = draw(st.just(()) | st.lists(st.sampled_from(EVENTS), max_size=2))
+        return kind(node["name"], *ways, *histories, *children, initial=initial, defer=defer)
 
     first = draw(st.integers(0, len(tops) - 1))
     return tuple(build(top, n == first) for n, top in enumerate(tops))
@@ -130,6 +137,8 @@ def test_every_chart_does_what_the_text_says(states: tuple[Any, ...], played: li
         nonlocal endless
         try:
             log_of(steps, log, chart)
+            while (event := machine.recalled()) is not None:
+                log_of(machine.handle(event), log, chart)
         except StateError:
             endless = True
 
@@ -163,6 +172,7 @@ def test_every_chart_does_what_the_text_says(states: tuple[Any, ...], played: li
         assert machine.configuration == reference.names
         assert log == [entry for entry in reference.log if entry[1] != "root"]
         assert machine.ended is not reference.running
+        assert machine.ended or [event.name for event in machine.deferred] == reference.deferred
         legal(chart, machine.states)
 
 

@@ -143,7 +143,7 @@ def test_the_chart_of_another_program_is_read_where_it_means_the_same() -> None:
     ("old", "new", "says"),
     [
         ('<state id="a">', '<state id="a"><invoke/>', "invoke is not supported"),
-        ('cond="ready"', 'cond="x > 1"', "expected the name of a method"),
+        ('cond="ready"', 'cond="x > 1"', "expected names of methods and In"),
         ('<state id="a">', '<state id="a"><onexit><send event="u" delay="1s"/></onexit>', "send is not supported"),
         ('<state id="a">', '<state id="a"><onentry><cancel sendid="t"/></onentry>', "cancel is not supported"),
         ('delay="250ms"', 'delay="250ms" target="#_parent"', "send is supported as a timer"),
