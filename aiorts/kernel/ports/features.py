@@ -162,9 +162,9 @@ def _composed(plain: type[T], mixins: tuple[type[Any], ...]) -> type[T]:
     bases = (*mixins, plain)
     if not mixins:
         return plain
-    made: type[T] | None = _COMPOSED.get(bases)
-    if made is None:
-        made = _COMPOSED[bases] = type("".join(base.__name__ for base in bases), bases, {"__slots__": ()})
+    if bases not in _COMPOSED:
+        _COMPOSED[bases] = type("".join(base.__name__ for base in bases), bases, {"__slots__": ()})
+    made: type[T] = _COMPOSED[bases]
     return made
 
 
