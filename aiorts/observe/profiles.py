@@ -16,7 +16,14 @@ from typing import Any, Final
 from aiorts.late import dataclass
 from aiorts.model.blame import GcPauses
 from aiorts.model.plain import plain
-from aiorts.model.profile import ConnectorProfile, ConnectorStatistics, ContextStatistics, LogLine, PortProfile
+from aiorts.model.profile import (
+    ConnectorProfile,
+    ConnectorStatistics,
+    ContextStatistics,
+    LogLine,
+    PortProfile,
+    ThreadWriteStatistics,
+)
 from aiorts.model.service_profile import ServiceStatistics
 
 PROFILE_VERSION: Final = 1
@@ -124,6 +131,8 @@ class ComponentReport:
     machine: MachineReport | None = None
     modes: ModeReport | None = None
     composite: CompositeReport | None = None
+    thread_writes: Mapping[str, ThreadWriteStatistics] = field(default_factory=lambda: _NOTHING)
+    """The counts of `write_from_thread` of each out-port where a thread wrote."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +252,7 @@ def _lasting(one: ComponentReport) -> ComponentReport:
         machine = MachineReport(machine.chart, machine.states)
     if modes is not None:
         modes = replace(modes, pending=None)
-    return replace(one, log=(), calls=_NOTHING, machine=machine, modes=modes)
+    return replace(one, log=(), calls=_NOTHING, machine=machine, modes=modes, thread_writes=_NOTHING)
 
 
 def _unused(one: ServiceConnectorReport) -> ServiceConnectorReport:

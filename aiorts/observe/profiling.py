@@ -122,6 +122,7 @@ def component_report(component: Component) -> ComponentReport:
         None if error is None else format_error(error),
         () if here.log is None else here.log.last_lines,
         special_reports.calls(ports),
+        thread_writes=special_reports.thread_writes(ports),
         **{field: report for one in kinds_of(component) for field, report in one.reports(component).items()},
     )
 

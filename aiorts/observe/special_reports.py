@@ -1,4 +1,4 @@
-"""What a profile says of the services of a component, and under which names a group shows its members' ports."""
+"""What a profile says of services and of what foreign threads wrote, and under which names a group shows its members' ports."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.kernel.ports import OutPort
+from aiorts.model.profile import NO_THREAD_WRITES, ThreadWriteStatistics
 from aiorts.observe.profiles import BindingReport, ServiceConnectorReport
 from aiorts.services import ServicePort
 
@@ -32,6 +34,12 @@ def calls(ports: Mapping[str, Port[Any]]) -> Mapping[str, ServiceStatistics]:
             for end in port.interfaces
         }
     )
+
+
+def thread_writes(ports: Mapping[str, Port[Any]]) -> Mapping[str, ThreadWriteStatistics]:
+    """The counts of each out-port at which a foreign thread wrote."""
+    found = {name: port.thread_writes for name, port in ports.items() if isinstance(port, OutPort)}
+    return MappingProxyType({name: counts for name, counts in found.items() if counts is not NO_THREAD_WRITES})
 
 
 def service_connector(connector: ServiceConnector) -> ServiceConnectorReport:

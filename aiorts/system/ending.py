@@ -188,7 +188,7 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
         if waiting or moved != seen:
             cycles = {context: context.ticks for context in kernel.contexts.values() if _repeats(context)}
         busy = any(_is_busy(one) and one.ticks <= cycles.get(one, one.ticks) for one in kernel.contexts.values())
-        if not waiting and not busy:
+        if not waiting and not busy and not _threads_wait(kernel):
             return ()
         still = 0.0 if moved != seen or busy else still + _LOOK_AGAIN
         seen = moved
@@ -200,6 +200,12 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
 def _repeats(context: Context) -> bool:
     """Whether its members run with nothing to do, too: a cycle that began since the last sample is no work left."""
     return isinstance(context, EventContext) and context.every is not None
+
+
+def _threads_wait(kernel: Kernel) -> bool:
+    """Whether samples that foreign threads wrote wait to be passed on."""
+    ports = (port for component in kernel.components.values() for port in component.ports.values())
+    return any(port.thread_writes.waiting for port in ports if isinstance(port, OutPort))
 
 
 def _is_busy(context: Context) -> bool:

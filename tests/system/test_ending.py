@@ -69,6 +69,21 @@ async def test_a_source_that_finished_before_anybody_looked_has_finished() -> No
 
 
 @simulated
+async def test_samples_of_foreign_threads_that_wait_are_still_on_their_way() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.create(Brief), await kernel.create(Sink)
+        connector = await kernel.connect(source.out, sink.inp, length=1000)
+        await kernel.start(EventContext(), source, sink, activate=True)
+        for number in range(600):
+            assert source.out.write_from_thread(TimedLong(0, number))
+        counts = kernel.profile().components["brief0"].thread_writes["out"]
+        assert (counts.waiting, counts) == (600, source.out.thread_writes)
+        assert "out" not in kernel.profile().structure().components["brief0"].thread_writes
+        assert await wait_finished(kernel) == ()
+        assert (connector.statistics.written, connector.statistics.delivered) == (600, 600)
+
+
+@simulated
 async def test_a_source_that_was_deactivated_by_others_has_not_finished() -> None:
     class Endless(Brief):
         def on_activated(self) -> None:
