@@ -1,4 +1,4 @@
-"""What a profile says of services, of writes of foreign threads, and of the ports that a group shows for its members."""
+"""What a profile says of services and writes of foreign threads, and of ports that a group shows for its members."""
 
 from __future__ import annotations
 
