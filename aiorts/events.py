@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         StateChanged,
         ThreadsExhausted,
     )
+    from aiorts.kernel.quality import WriterBack, WriterSilent
     from aiorts.observe import Change, ComponentBeat, ConnectorEvent, ConnectorEventKind, ContextBeat, ProfileSnapshot
     from aiorts.reload import ComponentReloaded
     from aiorts.statemachines import MachineAfter, MachineBefore, MachineChanged, MachineEnded, ModeChanged
@@ -96,6 +97,8 @@ __all__ = (
     "ServiceCalled",
     "StateChanged",
     "ThreadsExhausted",
+    "WriterBack",
+    "WriterSilent",
 )
 
 _late(
@@ -106,6 +109,7 @@ _late(
             "Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun ParametersChanged PortAdded "
             "PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
         ),
+        "aiorts.kernel.quality": "WriterBack WriterSilent",
         "aiorts.composites": "CompositeChanged",
         "aiorts.diagnostics": "LoopStall",
         "aiorts.observe": "Change ComponentBeat ConnectorEvent ConnectorEventKind ContextBeat ProfileSnapshot",

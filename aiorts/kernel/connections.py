@@ -14,7 +14,7 @@ from aiorts.kernel.ports.connector import Connector
 from aiorts.kernel.ports.features import offer
 from aiorts.kernel.ports.losses import Losses
 from aiorts.kernel.ports.tap import make_tap, resize
-from aiorts.kernel.quality import FEATURES
+from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import (
@@ -46,6 +46,7 @@ class Connections:
         self.service_connectors: dict[str, Any] = {}
         """Those that are none of data ports."""
         self.losses = Losses(kernel)
+        self.gaps = Gaps(kernel)
         self._numbering = Numbering(self._taken)
         self._idle: set[str] = set()
         """Warnings of options that choose nothing, each given once."""
@@ -117,6 +118,7 @@ class Connections:
 
     def _notify_made(self, connector: Connector) -> None:
         self._kernel.bus.publish(Connected(connector.profile))
+        self.gaps.add(connector)
         notify(self._kernel.services, "connector_made", connector)
 
     def _report_idle(
@@ -198,6 +200,7 @@ class Connections:
             if connector.in_.is_tap:
                 return
             self.losses.end(connector)
+            self.gaps.end(connector)
         else:
             connector.ports[0].connecting.end(connector)
         self._those(connector).pop(connector.name, None)

@@ -423,6 +423,8 @@ class Microkernel:
             full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None forever.
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
             lifespan: seconds after which a sample that was not read is dropped.
+            max_gap: seconds between two writes at the most; after a longer gap there are `WriterSilent` and, at the
+                next write, `WriterBack` on the bus.
             measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type

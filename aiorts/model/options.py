@@ -25,6 +25,7 @@ DEFAULT_LENGTH: Final = 8
 MAX_LENGTH: Final = 1_000_000
 MAX_RATE: Final = 1_000_000.0
 SHORTEST_TIME: Final = 1e-6
+SHORTEST_GAP: Final = 0.001
 LONGEST_TIME: Final = 1e9
 """Seconds."""
 MEASURED_SENDS: Final = 1000
@@ -98,6 +99,7 @@ OWN_KEYS: Final = (
     "stamp",
     "measure",
     "lifespan",
+    "max_gap",
     "name",
     *PORT_KEYS,
 )
@@ -138,6 +140,7 @@ def connector_profile(
         stamp=get.choice("stamp", Stamp, None),
         measure=_measured(where, own, get),
         lifespan=get.number("lifespan", SHORTEST_TIME, LONGEST_TIME, None, may_be_none=True),
+        max_gap=get.number("max_gap", SHORTEST_GAP, LONGEST_TIME, None, may_be_none=True),
         extra=MappingProxyType(extra) if extra else _NO_EXTRA,
     )
     limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}

@@ -51,6 +51,8 @@ class ConnectorProfile:
     """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
     lifespan: float | None = None
     """Seconds after which a sample that was not read is dropped; None keeps it."""
+    max_gap: float | None = None
+    """Seconds without a write after which the writer counts as silent, while both ends are active; None never."""
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """Options that aiorts keeps and reports but does not act on."""
 
@@ -67,6 +69,10 @@ class ConnectorStatistics:
     """Samples that wait to be read."""
     dropped: Mapping[str, int]
     """Samples that were lost, by reason."""
+    missed_gaps: int = 0
+    """How often the writer was silent for longer than `max_gap`."""
+    silent: bool = False
+    """Whether it is."""
 
     @property
     def balanced(self) -> bool:

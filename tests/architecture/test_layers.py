@@ -29,8 +29,8 @@ aiorts/types/ros aiorts/wire
 aiorts/kernel/loop
 aiorts/kernel/extensions
 aiorts/kernel/ports
-aiorts/kernel/quality
 aiorts/kernel/execution
+aiorts/kernel/quality
 aiorts/kernel
 aiorts/contexts
 aiorts/configuration aiorts/diagnostics aiorts/functions aiorts/realtime aiorts/services aiorts/sync

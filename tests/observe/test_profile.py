@@ -106,6 +106,8 @@ def test_one_document_has_the_whole_system() -> None:
                 "delivered": 0,
                 "buffered": 0,
                 "dropped": {"inactive": 1},
+                "missed_gaps": 0,
+                "silent": False,
             }, wire.statistics
             assert told["contexts"]["loop"]["members"] == ["sensor0", "arm0"]
             assert told["contexts"]["loop"]["statistics"]["cycles"] == 1

@@ -87,7 +87,9 @@ class Connector:
         Raises:
             ThreadError: read in another thread than the loop's, where neither end belongs to a ThreadContext.
         """
-        return self._transport.statistics()
+        found = self._transport.statistics()
+        kernel = None if self.profile.max_gap is None or self.out._host is None else self.out._host.kernel
+        return found if kernel is None else kernel.connections.gaps.added(found, self)
 
     @property
     def delivered(self) -> int:

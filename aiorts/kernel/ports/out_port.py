@@ -203,6 +203,8 @@ class OutPort(Port[T]):
             raise StateError(f"{self.path}: write_blocking would block the event loop; await write() here")
         if not host.threaded:
             raise StateError(f"{self.path}: write_blocking is for components of a ThreadContext")
+        if self._stale:
+            self._update_fast_path()
         done, entries = self._offer(self._checked(sample), None)
         waits = []
         for entry in entries:
@@ -454,6 +456,8 @@ class OutPort(Port[T]):
         host, connectors = self._host, self._connectors
         if host is None:
             return
+        if host.kernel is not None:
+            host.kernel.connections.gaps.writes(self)
         transports = tuple(connector._transport for connector in connectors)
         direct = frozenset(() if host.debug else (transport for transport in transports if transport.direct))
         # Two connectors to one reader keep their order: both go the direct way or none does.

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from aiorts.kernel.ports.features import Feature
+from aiorts.kernel.quality.gaps import Gaps, WriterBack, WriterSilent
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.features import FeaturedTransport
 
-__all__ = ("FEATURES",)
+__all__ = ("FEATURES", "Gaps", "WriterBack", "WriterSilent")
 
 
 def _expiring() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
-from aiorts.model.options import DEFAULT_LENGTH, LONGEST_TIME, MAX_LENGTH, SHORTEST_TIME
+from aiorts.model.options import DEFAULT_LENGTH, LONGEST_TIME, MAX_LENGTH, SHORTEST_GAP, SHORTEST_TIME
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 _TEXT: Final = {"type": "string", "pattern": r"^\s*[+-]?[0-9._]+([eE][+-]?[0-9]+)?\s*$"}
@@ -80,6 +80,10 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "lifespan": {
         **_number(SHORTEST_TIME, LONGEST_TIME),
         "description": "Seconds after which a sample that was not read is dropped; by default never.",
+    },
+    "max_gap": {
+        **_number(SHORTEST_GAP, LONGEST_TIME),
+        "description": "Seconds between two writes at the most; a longer gap is an event and a line in the log.",
     },
     "name": {"type": "string", "description": "The connector's name."},
     "fan_in": {**_whole(1, MAX_LENGTH), "description": "Connectors that the in-port takes at the most."},
