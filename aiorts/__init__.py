@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from aiorts.realtime import RealtimeContext
     from aiorts.reload import Dropped, Reloaded
     from aiorts.running import run
-    from aiorts.services import Provided, Required, ServiceConnector, ServicePort
+    from aiorts.services import Goal, Provided, Required, ServiceConnector, ServicePort
     from aiorts.statemachines import EventPort, MultiModeComponent, Participant, StateMachine, StateMachineComponent
     from aiorts.supervision import StartRule, Supervised, Supervision
     from aiorts.sync import Synchronizer
@@ -71,6 +71,7 @@ __all__ = (
     "EventPort",
     "Extension",
     "ExternalContext",
+    "Goal",
     "InPort",
     "Kernel",
     "KernelService",
@@ -128,7 +129,7 @@ _late(
         "aiorts.observe": "Declaration SystemProfile declaration_of profile_schema",
         "aiorts.realtime": "RealtimeContext",
         "aiorts.reload": "Dropped Reloaded",
-        "aiorts.services": "Provided Required ServiceConnector ServicePort",
+        "aiorts.services": "Goal Provided Required ServiceConnector ServicePort",
         "aiorts.statemachines": "EventPort MultiModeComponent Participant StateMachine StateMachineComponent",
         "aiorts.supervision": "StartRule Supervised Supervision",
         "aiorts.sync": "Synchronizer",

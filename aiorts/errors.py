@@ -19,6 +19,8 @@ __all__ = (
     "ConfigurationError",
     "ConversionError",
     "DeclarationError",
+    "GoalCancelled",
+    "GoalFailed",
     "HookAbandoned",
     "HookTimeout",
     "InterfaceMismatch",
@@ -273,6 +275,23 @@ class ServiceCycle(ServiceError):
     """The call would wait for itself: the component called waits for the one that calls."""
 
     code = "E-SERVICE-CYCLE"
+
+
+class GoalFailed(ServiceError):
+    """A goal has ended without a result: its provider failed it, was deactivated, went, or did not cancel it in time.
+
+    Attributes:
+        reason: what `GoalStatistics.failed` counts it under.
+    """
+
+    code = "E-GOAL-FAILED"
+    reason: str = ""
+
+
+class GoalCancelled(ServiceError):
+    """A goal has ended without a result, since its client asked its provider to cancel it."""
+
+    code = "E-GOAL-CANCELLED"
 
 
 class InterfaceMismatch(ServiceError, WiringError, TypeError):

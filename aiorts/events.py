@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.quality import WriterBack, WriterSilent
     from aiorts.observe import Change, ComponentBeat, ConnectorEvent, ConnectorEventKind, ContextBeat, ProfileSnapshot
     from aiorts.reload import ComponentReloaded
+    from aiorts.services import GoalAccepted, GoalEnded
     from aiorts.statemachines import MachineAfter, MachineBefore, MachineChanged, MachineEnded, ModeChanged
     from aiorts.supervision import ComponentRecovered, RestartLimitReached
 
@@ -75,6 +76,8 @@ __all__ = (
     "ConnectorEventKind",
     "RestartLimitReached",
     "ComponentRecovered",
+    "GoalAccepted",
+    "GoalEnded",
     "HookAfter",
     "HookBefore",
     "HookFailed",
@@ -114,6 +117,7 @@ _late(
         "aiorts.diagnostics": "LoopStall",
         "aiorts.observe": "Change ComponentBeat ConnectorEvent ConnectorEventKind ContextBeat ProfileSnapshot",
         "aiorts.reload": "ComponentReloaded",
+        "aiorts.services": "GoalAccepted GoalEnded",
         "aiorts.statemachines": "MachineAfter MachineBefore MachineChanged MachineEnded ModeChanged",
         "aiorts.supervision": "ComponentRecovered RestartLimitReached",
         "aiorts.kernel.configuration_events": (

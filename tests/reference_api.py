@@ -305,7 +305,7 @@ _REPORTS: Final = {
     "Components and ports": ("ComponentProfile", "PortProfile", "ThreadWriteStatistics", "LogLine"),
     "Configuration": ("ConfigurationProfile", "ParameterProfile"),
     "Services": (
-        *("ServiceStatistics", "ServiceConnectorProfile", "InterfaceProfile", "MethodProfile"),
+        *("ServiceStatistics", "GoalStatistics", "ServiceConnectorProfile", "InterfaceProfile", "MethodProfile"),
         "aiorts.model.profile.ParameterProfile",
     ),
     "Observers, recordings": ("ObserverStatistics", "RecordingStatistics"),

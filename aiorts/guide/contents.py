@@ -18,7 +18,8 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
         (
             *("choose-policy", "records", "slow-reader", "quality-of-service", "synchronize", "camera"),
             *("real-time", "supervise", "deploy", "ros-bag"),
-            *("missed-deadline", "functions", "services", "state-machines", "composites", "dynamic-ports"),
+            *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
+            "dynamic-ports",
             *("reload", "observe", "filters", "notebook"),
             *("write-context", "write-codec", "write-service", "write-bench"),
         ),

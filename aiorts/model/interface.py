@@ -148,7 +148,16 @@ def spelled(hint: Any) -> str:
         return hint
     if isinstance(hint, type) and not typing.get_args(hint):
         return hint.__name__
+    if _generic(hint) is not None:
+        return f"{_generic(hint).__name__}[{', '.join(map(spelled, typing.get_args(hint)))}]"
     return str(hint).replace("typing.", "")
+
+
+def _generic(hint: Any) -> Any:
+    """The class of a type such as `Goal[float, str]`, which is generic and not built in; None for all others."""
+    origin = typing.get_origin(hint)
+    parameters = getattr(origin, "__parameters__", None)
+    return origin if isinstance(parameters, tuple) and parameters else None
 
 
 # -- comparing ---------------------------------------------------------------------------------------------------------
@@ -226,6 +235,8 @@ def fits(one: Any, other: Any) -> bool:
         if getattr(other, "_is_protocol", False):
             return True  # structural: not to be known from the class alone
         return issubclass(one, other) or (other is float and issubclass(one, int))
+    if (_generic(one) or one) is (_generic(other) or other):
+        return all(map(fits, typing.get_args(one), typing.get_args(other)))
     return spelled(one) == spelled(other)
 
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Any, Final
+
 from aiorts.late import dataclass
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,6 +22,38 @@ class ServiceConnectorProfile:
     """Each required interface with the provided one that answers it, as paths."""
     strict: bool = True
     """Whether every required interface has to be bound."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoalStatistics:
+    """The goals of one interface: offered = refused + accepted, accepted = succeeded + failed + cancelled + running."""
+
+    offered: int = 0
+    """Calls of its methods that answer with a goal, as far as they have ended."""
+    refused: int = 0
+    """Of these: without a goal. The method raised, was not reached, or did not answer in time."""
+    accepted: int = 0
+    """Of these: with a goal."""
+    succeeded: int = 0
+    """Goals that ended with a result."""
+    failed: Mapping[str, int] = field(default_factory=lambda: _NOTHING)
+    """Goals that ended without one, by reason: "provider" (it failed it), "cancel_timeout" (it was asked to cancel it
+    and did not end it in time), "deactivated", "error", "reloaded", "removed", "closed" (what became of the provider,
+    or of its kernel), "mismatch" (a result or feedback of a wrong type that came before the goal was accepted)."""
+    cancelled: int = 0
+    """Goals that the provider cancelled as it was asked to."""
+    running: int = 0
+    """Goals that have not ended."""
+    feedback: int = 0
+    """Feedback that providers gave."""
+    dropped: int = 0
+    """Of this: what the client did not read before eight newer ones had come."""
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the sums are right; they always are."""
+        ended = self.succeeded + sum(self.failed.values()) + self.cancelled
+        return self.offered == self.refused + self.accepted and self.accepted == ended + self.running
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +74,8 @@ class ServiceStatistics:
     """All calls together."""
     max_ns: int = 0
     """The longest call."""
+    goals: GoalStatistics | None = None
+    """What became of its goals; None where no method answers with one, or nothing was connected yet."""
 
     @property
     def mean_ns(self) -> float:

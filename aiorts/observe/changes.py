@@ -37,7 +37,9 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.observe.profiles import SystemProfile
 
-_COUNTS: Final = frozenset({"CallFailed", "MachineAfter", "MachineBefore", "Overrun", "ThreadsExhausted"})
+_COUNTS: Final = frozenset(
+    {"CallFailed", "GoalAccepted", "GoalEnded", "MachineAfter", "MachineBefore", "Overrun", "ThreadsExhausted"}
+)
 """Kinds of events after which nothing but counters is different, or that are followed by one of what is."""
 
 _ONE: Final = ("component", "composite")

@@ -10,6 +10,8 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.services.goal_keeper import GoalAccepted, GoalEnded
+    from aiorts.services.goals import Goal
     from aiorts.services.service_ends import Provided, Required
     from aiorts.services.service_heritage import ServiceHeritage
     from aiorts.services.service_port import Made, Service, ServiceConnector, ServiceEnd, ServicePort
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 _late(
     globals(),
     {
+        "aiorts.services.goal_keeper": "GoalAccepted GoalEnded",
+        "aiorts.services.goals": "Goal",
         "aiorts.services.service_ends": "Provided Required",
         "aiorts.services.service_heritage": "ServiceHeritage",
         "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort",

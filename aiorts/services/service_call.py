@@ -18,7 +18,8 @@ from aiorts.kernel.execution.member import Visit
 from aiorts.kernel.loop.deadlines import CANCELLATIONS, GRACE
 from aiorts.kernel.loop.tasks import abandon_task, current_task, kernel_task
 from aiorts.services.activities import Activity, activity_of, holder_of
-from aiorts.services.service_proxy import Outcome, failed, inside, refusal, run_in_step, settle, wrong_argument
+from aiorts.services.goal_keeper import forsake
+from aiorts.services.service_proxy import Outcome, failed, inside, run_in_step, settle, wrong_argument
 from aiorts.services.service_thread import serve_in_thread
 
 if TYPE_CHECKING:
@@ -99,6 +100,8 @@ class ServiceCall(Visit):
             value, error = await reply
         except asyncio.CancelledError as cancelled:
             error = cancelled
+            if reply.done() and not reply.cancelled():
+                forsake(reply.result()[0])
             self.give_up()
         finally:
             self._timer.cancel()
@@ -110,7 +113,7 @@ class ServiceCall(Visit):
     async def _begin(self) -> None:
         """Have the provider's method begin, or `reply` say why not."""
         link = self.link
-        reason = refusal(link.provided)
+        reason = link.provided._refusal
         if reason:
             self.conclude(None, ServiceUnavailable(f"{link.named(self.answer.name)}: {reason}"))
             return
@@ -141,7 +144,7 @@ class ServiceCall(Visit):
                 self._turn = None
             if not granted:
                 return False
-            reason = refusal(self.link.provided)
+            reason = self.link.provided._refusal
             if reason or self.reply_done:
                 lock.pass_on()
                 self.conclude(None, ServiceUnavailable(f"{self.link.named(self.answer.name)}: {reason}"))
@@ -203,6 +206,8 @@ class ServiceCall(Visit):
         self.over = True
         if self._grace is not None:
             self._grace.cancel()
+        if self.reply_done:
+            forsake(value)
         failure = None if self.reply_done else failed(self.link, self.answer, self.args, self.kwargs, error)
         self._leave()
         self.conclude(value, failure)

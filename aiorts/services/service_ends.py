@@ -38,6 +38,8 @@ class Provided(ServiceEnd[I], Generic[I]):
             context at all.
         failure: "reply": the caller gets what a method raises; "error": moreover the component goes to error, as if a
             hook had raised.
+        cancel_timeout: seconds of the kernel's clock from the moment a goal is asked to cancel; one that has not ended
+            by then has failed.
         port, instance: the port it belongs to and its name in it, where they are not the attribute's.
         max_connectors: connectors the port takes at the most; None is unlimited.
 
@@ -45,7 +47,7 @@ class Provided(ServiceEnd[I], Generic[I]):
         DeclarationError: the interface is not one, or the provider does not have what it asks for.
     """
 
-    __slots__ = ("_answers", "always", "concurrent", "failure", "provider")
+    __slots__ = ("_answers", "always", "cancel_timeout", "concurrent", "failure", "provider")
 
     polarity: ClassVar[str] = "provided"
 
@@ -56,6 +58,7 @@ class Provided(ServiceEnd[I], Generic[I]):
         concurrent: bool = False,
         always: bool = False,
         failure: str = "reply",
+        cancel_timeout: float = _TIMEOUT,
         port: str = "",
         instance: str = "",
         doc: str = "",
@@ -68,6 +71,7 @@ class Provided(ServiceEnd[I], Generic[I]):
         self.concurrent = concurrent
         self.always = always
         self.failure = failure
+        self.cancel_timeout = checked_seconds(f"Provided[{self.spec.name}]", cancel_timeout, "cancel_timeout")
         self._answers: dict[str, Callable[..., Any]] | None = None
         if provider is not None and not isinstance(provider, str):
             self._check(provider, f"Provided[{self.spec.name}]({provider!r:.60})")
@@ -100,6 +104,27 @@ class Provided(ServiceEnd[I], Generic[I]):
 
     def _bound_to(self) -> tuple[str, ...]:
         return tuple(link.required.path for link in self._links)
+
+    @property
+    def _refusal(self) -> str:
+        """Why its component serves no calls now; "" when it does."""
+        here = self.port._cell
+        if here.abandoned is not None:
+            return "a hook or method of it was abandoned and it never runs again"
+        if self._vacant:
+            return "it is being removed"
+        if self.always:
+            return ""
+        members = here.members
+        for member in members:
+            if member.active:
+                return ""
+        if not members:
+            kernel = here.kernel
+            return "its kernel closes" if kernel is None or kernel.closed else ""
+        states = ", ".join(f"{member.state} in {member.context.name}" for member in members)
+        advice = "reset and activate" if any(member.failure is not None for member in members) else "activate"
+        return f"it is {states}; {advice} it, or declare it always=True"
 
     def _check(self, provider: object, where: str) -> dict[str, Callable[..., Any]]:
         """The provider's methods; DeclarationError unless they answer the interface."""
@@ -230,9 +255,9 @@ class Required(ServiceEnd[I], Generic[I]):
         return links[0] if links else None
 
 
-def checked_seconds(where: str, seconds: float) -> float:
+def checked_seconds(where: str, seconds: float, what: str = "timeout") -> float:
     """Raise DeclarationError unless it is a finite time above 0: every call has a deadline."""
     good = isinstance(seconds, int | float) and not isinstance(seconds, bool) and math.isfinite(seconds) and seconds > 0
     if not good:
-        raise DeclarationError(f"{where}: timeout = {seconds!r}: expected seconds above 0; every call has a deadline")
+        raise DeclarationError(f"{where}: {what} = {seconds!r}: expected seconds above 0; every call has a deadline")
     return float(seconds)

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports import Port
     from aiorts.services.service_wiring import Link
 
-_WORDS: Final = ("provider", "concurrent", "always", "failure", "timeout", "many", "doc", "max_connectors")
+_WORDS: Final = (
+    *("provider", "concurrent", "always", "failure", "cancel_timeout"),
+    *("timeout", "many", "doc", "max_connectors"),
+)
 Ends = dict[str, ServiceEnd[Any]]
 
 
@@ -132,5 +135,5 @@ def _rebind(link: Link, component: Component) -> None:
         answer.plain = not inspect.iscoroutinefunction(functions[name])
         answer.visit.component = component
     for call in link.calls:
-        if not call.runs:
+        if not (call.runs or call.over):
             call.component = component

@@ -9,13 +9,14 @@ import asyncio
 import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from aiorts.errors import ClosedError, DeclarationError, WiringError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.ports.port import Connecting, Port, PortDeclaration
 from aiorts.model.names import check_name
 from aiorts.model.profile import InterfaceProfile, PortProfile
+from aiorts.services.tallies import Tally
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -29,48 +30,14 @@ I = TypeVar("I")  # noqa: E741 - an interface
 E = TypeVar("E", bound="ServiceEnd[Any]")
 
 
-class Tally:
-    """What an interface counts of its calls."""
+class Keeper(Protocol):
+    """Who keeps the goals that run."""
 
-    __slots__ = ("calls", "cancelled", "failures", "max_ns", "refused", "timeouts", "total_ns")
+    def leaves(self, end: ServiceEnd[Any]) -> None:
+        """The component of this interface is about to go."""
 
-    def __init__(self) -> None:
-        self.calls = self.failures = self.timeouts = self.refused = self.cancelled = self.total_ns = self.max_ns = 0
-
-    def add(self, elapsed_ns: int, outcome: str = "") -> None:
-        """One more call has ended; `outcome` names the count it goes to, "" where all was well."""
-        self.calls += 1
-        self.total_ns += elapsed_ns
-        if elapsed_ns > self.max_ns:
-            self.max_ns = elapsed_ns
-        if outcome:
-            setattr(self, outcome, getattr(self, outcome) + 1)
-
-    @property
-    def statistics(self) -> ServiceStatistics:
-        """The counts at this moment."""
-        from aiorts.model.service_profile import ServiceStatistics
-
-        return ServiceStatistics(*self.counts)
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """As `ServiceStatistics` has them."""
-        return (
-            *(self.calls, self.failures, self.timeouts, self.refused, self.cancelled),
-            *(self.total_ns, self.max_ns),
-        )
-
-    def take_over(self, other: Tally) -> None:
-        """Count the calls of another, too."""
-        calls, failures, timeouts, refused, cancelled, total_ns, max_ns = other.counts
-        self.calls += calls
-        self.failures += failures
-        self.timeouts += timeouts
-        self.refused += refused
-        self.cancelled += cancelled
-        self.total_ns += total_ns
-        self.max_ns = max(self.max_ns, max_ns)
+    def disconnected(self, link: Link) -> None:
+        """A connection has ended."""
 
 
 class ServicePort(Port[Any]):
@@ -152,6 +119,8 @@ class ServicePort(Port[Any]):
             end._vacant = leaving
             for link in end._links if leaving and end.polarity == "provided" else ():
                 link.end_calls("its component is being removed")
+            if leaving and end._goals is not None:
+                end._goals.leaves(end)
 
     def _give_up_blocking(self) -> None:
         from aiorts.services.service_thread import give_up_waiting  # late: few threads call services
@@ -175,6 +144,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
     __slots__ = (
         "_attribute",
         "_blocked",
+        "_goals",
         "_interface",
         "_links",
         "_port",
@@ -212,6 +182,8 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         """Of calls over links that have ended, and of those that had none to go over."""
         self._blocked: set[Any] = set()
         """The calls that threads of its component block for."""
+        self._goals: Keeper | None = None
+        """Who keeps its goals, once it was connected and a method answers with one."""
         self._vacant = False
         """Whether its component is about to go."""
 
@@ -321,7 +293,7 @@ class ServiceEnd(PortDeclaration, Generic[I]):
         """Another of the same declaration, bound to nothing yet."""
         again = copy.copy(self)
         again._port, again._links, again._tally = None, (), Tally()
-        again._blocked, again._vacant = set(), False
+        again._blocked, again._vacant, again._goals = set(), False, None
         return again
 
 
@@ -382,6 +354,8 @@ class ServiceConnector:
             link.required._links = tuple(other for other in link.required._links if other is not link)
             link.provided._links = tuple(other for other in link.provided._links if other is not link)
             link.end_calls("was disconnected")
+            if link.provided._goals is not None:
+                link.provided._goals.disconnected(link)
         for port in self.ports:
             port._services = tuple(other for other in port._services if other is not self)
 

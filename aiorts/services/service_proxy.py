@@ -26,10 +26,12 @@ from aiorts.kernel.loop.tasks import current_task
 from aiorts.model.interface import misfit
 from aiorts.model.values import shown
 from aiorts.services.activities import holder_of
+from aiorts.services.goal_keeper import answer_offer, goal_types
+from aiorts.services.tallies import count_in
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
-    from aiorts.services.service_ends import Provided, Required
+    from aiorts.services.service_ends import Required
     from aiorts.services.service_wiring import Answer, Link
 
 Outcome: TypeAlias = tuple[Any, BaseException | None]
@@ -104,28 +106,9 @@ def _plain(required: Required[Any], only: Link | None, name: str, seconds: float
 def not_bound(required: Required[Any], name: str) -> ServiceUnavailable:
     """The error of a call that has no provider."""
     required._tally.add(0, "refused")
+    if goal_types(required.spec.methods[name].returns) is not None:
+        count_in((required._tally,), "offered")
     return ServiceUnavailable(f"{required.path}.{name}: is not connected; connect it, or await wait_bound()")
-
-
-def refusal(provided: Provided[Any]) -> str:
-    """Why a component serves no calls now; "" when it does."""
-    here = provided.port._cell
-    if here.abandoned is not None:
-        return "a hook or method of it was abandoned and it never runs again"
-    if provided._vacant:
-        return "it is being removed"
-    if provided.always:
-        return ""
-    members = here.members
-    for member in members:
-        if member.active:
-            return ""
-    if not members:
-        kernel = here.kernel
-        return "its kernel closes" if kernel is None or kernel.closed else ""
-    states = ", ".join(f"{member.state} in {member.context.name}" for member in members)
-    advice = "reset and activate" if any(member.failure is not None for member in members) else "activate"
-    return f"it is {states}; {advice} it, or declare it always=True"
 
 
 def inside(component: Component) -> str:
@@ -140,7 +123,7 @@ def run_plain(link: Link, answer: Answer, args: tuple[Any, ...], kwargs: dict[st
     """Call a provider's plain method, in the caller's own step."""
     now_ns = link.now_ns
     begun_ns = now_ns()
-    reason = refusal(link.provided)
+    reason = link.provided._refusal
     if reason:
         unavailable = ServiceUnavailable(f"{link.named(answer.name)}: {reason}")
         settle(link, answer, begun_ns, None, unavailable)
@@ -204,6 +187,8 @@ def settle(link: Link, answer: Answer, begun_ns: int, value: Any, error: BaseExc
         check = answer.check
         if (check is not None and not check(value)) or value.__class__ is CoroutineType:
             error = _mismatch(link, answer, value)
+    if answer.goal is not None:
+        error = answer_offer(link, answer.name, answer.goal, value, error)
     elapsed_ns = link.now_ns() - begun_ns
     bus = link.kernel.bus
     if error is None:

@@ -52,11 +52,9 @@ def serve_in_thread(call: ServiceCall) -> None:
 
 def _steps(call: ServiceCall, member: Member) -> Steps:
     """In the thread, as one of its hooks."""
-    from aiorts.services.service_proxy import refusal
-
     if call.reply_done:
         return
-    reason = refusal(call.link.provided)
+    reason = call.link.provided._refusal
     outcome: list[tuple[Any, BaseException | None]] = []
     if not reason:
         member.hooks[call.hook] = HookKind.PLAIN, _serve

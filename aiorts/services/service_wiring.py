@@ -20,10 +20,12 @@ from aiorts.model.interface import Method, check_of, differences, spelled
 from aiorts.model.options import SERVICE_KEYS, is_yes
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.services.activities import CallGraph
+from aiorts.services.goal_keeper import GoalKeeper, goal_types, is_goal
 from aiorts.services.service_arguments import look_of
 from aiorts.services.service_ends import Provided, Required
-from aiorts.services.service_port import ServiceConnector, ServiceEnd, ServicePort, Tally, is_service
+from aiorts.services.service_port import ServiceConnector, ServiceEnd, ServicePort, is_service
 from aiorts.services.service_proxy import make_proxy
+from aiorts.services.tallies import GoalTally, Tally
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -36,14 +38,16 @@ _NOBODY: Final = ("", "nil", "null", None)
 class Answer:
     """How one method of an interface is answered."""
 
-    __slots__ = ("_method", "check", "function", "look", "name", "plain", "visit")
+    __slots__ = ("_method", "check", "function", "goal", "look", "name", "plain", "visit")
 
     def __init__(self, method: Method, function: Any, visit: Visit) -> None:
         self._method = method
         self.name = method.name
         self.function = function
         self.plain = not inspect.iscoroutinefunction(function)
-        self.check = check_of(method.returns)
+        self.goal = goal_types(method.returns)
+        """Whether, and of which types, it answers with goals."""
+        self.check = check_of(method.returns) if self.goal is None else is_goal
         self.look = look_of(method)
         self.visit = visit
         """What stands in the entry lock while it runs at once."""
@@ -107,6 +111,9 @@ class Link:
             for name, method in required.spec.methods.items()
         }
         self._proxy: Any = None
+        if any(answer.goal is not None for answer in self.answers.values()):
+            self.tally.goals = GoalTally()
+            required._goals = provided._goals = self.kernel.service(GoalKeeper)
 
     @property
     def proxy(self) -> Any:

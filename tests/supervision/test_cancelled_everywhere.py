@@ -148,6 +148,8 @@ ELSEWHERE = {
     "Kernel.reload": "reload/test_cancelled.py",
     "KernelService.closing": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "KernelService.ending": "the kernel's own, while it closes; nobody who is cancelled awaits it",
+    "Goal.__anext__": "services/test_goals.py",
+    "Goal.result": "services/test_goals.py",
     "Synchronizer.match": "sync/test_synchronizer.py",
     "Required.wait_bound": "services/test_cancelled_anywhere.py",
     "ServicePort.wait_bound": "services/test_cancelled_anywhere.py",

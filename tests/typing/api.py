@@ -9,6 +9,7 @@ from aiorts import (
     Component,
     Configuration,
     Connector,
+    Goal,
     InPort,
     Kernel,
     LifecycleState,
@@ -77,6 +78,41 @@ class BrakeRtc(Component):
     def on_execute(self) -> None:
         assert_type(self.add_port("more", Required[Brake]()), Required[Brake])
         assert_type(self.add_port("mine", Provided[Brake](self)), Provided[Brake])
+
+
+class Moving(Protocol):
+    async def move(self, metres: float) -> Goal[float, str]: ...
+
+
+class Axis(Component):
+    service = Provided[Moving](cancel_timeout=0.5)
+    goal: Goal[float, str] | None = None
+
+    def move(self, metres: float) -> Goal[float, str]:
+        self.goal = Goal()
+        return self.goal
+
+    def on_execute(self) -> None:
+        if self.goal is not None and not self.goal.cancel_requested:
+            assert_type(self.goal.feedback(1.0), bool)
+            self.goal.feedback("far")  # error: not the type of feedback
+            self.goal.succeed(1.0)  # error: not the type of the result
+            self.goal.fail(OSError())
+            self.goal.fail("no power")
+            self.goal.cancelled()
+
+
+class Mover(Component):
+    axis = Required[Moving]()
+
+    async def on_execute(self) -> None:
+        goal = await self.axis.proxy.move(1.0)
+        assert_type(goal, Goal[float, str])
+        async for feedback in goal:
+            assert_type(feedback, float)
+        assert_type(await goal.result(timeout=1.0), str)
+        assert_type(goal.state == "running", bool)
+        goal.cancel()
 
 
 def blocking(arm: Arm) -> None:

@@ -99,6 +99,16 @@ CODES: Final[dict[str, Code]] = {
         "The writer uses another codec, or what it wrote was cut.",
         "Give both filters the same --codec.",
     ),
+    "E-GOAL-CANCELLED": Code(
+        "A goal ended without a result, as its client asked.",
+        "The client called cancel(), waited too long, or was deactivated, removed or disconnected.",
+        "Catch GoalCancelled where the result is awaited.",
+    ),
+    "E-GOAL-FAILED": Code(
+        "A goal ended without a result.",
+        "The provider failed it, was deactivated, removed or reloaded, or did not cancel it within cancel_timeout.",
+        "The line and the attribute reason say which; aiorts help goals says what a provider has to do.",
+    ),
     "E-HOOK-TIMEOUT": Code(
         "A hook did not return within its deadline.",
         "It waits for something that does not come, blocks its thread, or takes longer than its context allows.",

@@ -1,0 +1,277 @@
+"""What an accepted goal has to do with the rest of a kernel: who made it and for whom, its counts, who ends it.
+
+A goal outlives the call that it was accepted in. When its client goes, its provider is asked to cancel it; when its
+provider goes, it has failed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import typing
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+
+from aiorts.errors import InterfaceMismatch
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.bus import Event, StateChanged
+from aiorts.kernel.loop.tasks import current_task
+from aiorts.kernel.service import KernelService
+from aiorts.late import dataclass
+from aiorts.model.interface import check_of, misfit, spelled
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.values import shown
+from aiorts.services.goals import Goal, Outcome
+from aiorts.services.tallies import count_in
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.loop.timers import Cancellable
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.services.tallies import Tally
+
+_FORSAKEN: Final = "its client was gone before it was accepted"
+
+
+@dataclass(frozen=True, slots=True)
+class GoalAccepted(Event):
+    """A provider has accepted a goal."""
+
+    caller: str
+    """The path of the required interface."""
+    provider: str
+    """The path of the provided interface."""
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class GoalEnded(Event):
+    """A goal has ended."""
+
+    caller: str
+    provider: str
+    method: str
+    state: str
+    """ "succeeded", "failed" or "cancelled"."""
+    reason: str
+    """Of one that has failed, what `GoalStatistics.failed` counts it under; else ""."""
+    elapsed_ns: int
+    """Since it was accepted."""
+
+
+class Link(Protocol):
+    """What is known here of a required interface that is bound to a provided one."""
+
+    kernel: Microkernel
+    component: Component
+    required: Any
+    provided: Any
+    closed: bool
+    tally: Tally
+    now_ns: Callable[[], int]
+
+    def named(self, method: str) -> str:
+        """A call over it, for messages."""
+        ...
+
+
+class GoalTypes(NamedTuple):
+    """The types of feedback and result that an interface says of a method; and what looks at values."""
+
+    feedback: Any = Any
+    result: Any = Any
+
+    def misfit(self, what: str, value: object) -> str:
+        """How a value is not of the type; "" where it is, or that is not to be known."""
+        hint = getattr(self, what)
+        check = check_of(hint)
+        if check is None or check(value):
+            return ""
+        place, inner = misfit(hint, value)
+        return f"{what}{place} = {type(inner).__name__} {shown(inner)}, the interface says {spelled(hint)}"
+
+
+def goal_types(returns: Any) -> GoalTypes | None:
+    """What is said of goals where a method returns one; None where it does not."""
+    if returns is Goal:
+        return GoalTypes()
+    return GoalTypes(*typing.get_args(returns)) if typing.get_origin(returns) is Goal else None
+
+
+class Acceptance:
+    """A goal that was accepted: between whom, since when."""
+
+    __slots__ = ("_begun_ns", "_keeper", "_method", "_task", "_timer", "_types", "kernel", "link")
+
+    def __init__(self, link: Link, method: str, types: GoalTypes, keeper: GoalKeeper) -> None:
+        self.link = link
+        self.kernel = link.kernel
+        self._method = method
+        self._types = types
+        self._keeper = keeper
+        self._begun_ns = link.now_ns()
+        self._task: tuple[asyncio.Task[Any], Any] | None = None
+        self._timer: Cancellable | None = None
+
+    @property
+    def name(self) -> str:
+        """Between whom, for messages."""
+        return self.link.named(self._method)
+
+    @property
+    def provider(self) -> str:
+        """The name of its component."""
+        name: str = self.link.provided.port._component.name
+        return name
+
+    @property
+    def client(self) -> str:
+        """The name of the component that it was accepted for."""
+        name: str = self.link.required.port._component.name
+        return name
+
+    def misfit(self, what: str, value: object) -> InterfaceMismatch | None:
+        """The error where a value is not of the type that the interface says of feedback or result."""
+        wrong = self._types.misfit(what, value)
+        return InterfaceMismatch(f"{self.name}: {wrong}") if wrong else None
+
+    def count(self, what: str, reason: str = "") -> None:
+        """Count it for the connector and, once that has ended, for both ends."""
+        count_in(tallies(self.link), what, reason)
+
+    def begin(self, goal: Goal[Any, Any]) -> None:
+        """It is accepted, in the task of its client, whose cancellation is the client's end."""
+        self._keeper.running[goal] = self
+        task = current_task()
+        if task is not None:
+            self._task = task, partial(_client_task_ended, goal)
+            task.add_done_callback(self._task[1])
+
+    def requested(self, goal: Goal[Any, Any]) -> None:
+        """It is to be cancelled: its provider runs, and has `cancel_timeout` seconds."""
+        seconds = self.link.provided.cancel_timeout
+        text = f"was asked to cancel ({goal._requested}) and did not end within {seconds} s"
+        self._timer = self.kernel.call_later(seconds, lambda: goal._end_from_outside("cancel_timeout", text))
+        self.wake()
+
+    def ended(self, goal: Goal[Any, Any], outcome: Outcome) -> None:
+        """It has its end."""
+        self._keeper.running.pop(goal, None)
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._task is not None:
+            self._task[0].remove_done_callback(self._task[1])
+        self.count(outcome.state, outcome.reason)
+        link, elapsed_ns = self.link, self.link.now_ns() - self._begun_ns
+        if not outcome.own:
+            self.wake()
+        self.kernel.bus.publish(
+            GoalEnded(
+                *(link.required.path, link.provided.path, self._method),
+                *(outcome.state, outcome.reason, elapsed_ns),
+            )
+        )
+
+    def wake(self) -> None:
+        """Have the event contexts of the provider execute it."""
+        from aiorts.contexts import EventContext  # late: one who calls has it, one who is called need not
+
+        for member in cell(self.link.component).members:
+            if isinstance(member.context, EventContext) and member.context.running:
+                member.context.trigger(self.link.component)
+
+
+def _client_task_ended(goal: Goal[Any, Any], task: asyncio.Task[Any]) -> None:
+    if task.cancelled():
+        goal._request("its client was cancelled")
+
+
+def tallies(link: Link) -> tuple[Tally, ...]:
+    """Where it is counted: the ends took over what their link had counted when it ended."""
+    return (link.tally, link.required._tally, link.provided._tally) if link.closed else (link.tally,)
+
+
+def forsake(value: object) -> None:
+    """What a method has answered when nobody waited for it any more: its provider need not go on."""
+    if isinstance(value, Goal) and value._acceptance is None:
+        value._end_from_outside("refused", _FORSAKEN)
+
+
+def answer_offer(
+    link: Link, method: str, types: GoalTypes, value: Any, error: BaseException | None
+) -> BaseException | None:
+    """A call that offers a goal is over: the goal runs from now on, or was refused; returns the caller's error."""
+    count_in(tallies(link), "offered")
+    if error is not None:
+        return error
+    if value._acceptance is not None or value.state == "failed":
+        return InterfaceMismatch(
+            f"{link.named(method)}: {link.provided.path} answered with a goal that it has returned before; "
+            "make a Goal() in each call"
+        )
+    count_in(tallies(link), "accepted")
+    acceptance = Acceptance(link, method, types, link.kernel.service(GoalKeeper))
+    acceptance.begin(value)
+    link.kernel.bus.publish(GoalAccepted(link.required.path, link.provided.path, method))
+    value._accept(acceptance)
+    if reason := link.provided._refusal:
+        value._end_from_outside("deactivated", reason)
+    elif link.closed:
+        value._request("it was disconnected")
+    else:
+        acceptance.wake()
+    return None
+
+
+class GoalKeeper(KernelService):
+    """The goals of a kernel that run."""
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self.running: dict[Goal[Any, Any], Acceptance] = {}
+        kernel.bus.subscribe(StateChanged, self._state_changed)
+
+    def _state_changed(self, event: StateChanged) -> None:
+        if event.new is LifecycleState.ACTIVE or not self.running:
+            return
+        name, text = event.component, f"{event.component} went to {event.new} in {event.context}"
+        for goal, acceptance in tuple(self.running.items()):
+            link = acceptance.link
+            if acceptance.provider == name and link.provided._refusal:
+                error = event.new is LifecycleState.ERROR
+                cause = cell(link.component).last_error if error else None
+                goal._end_from_outside("error" if error else "deactivated", text, cause)
+            elif acceptance.client == name and not any(m.active for m in cell(link.required.port._component).members):
+                goal._request(text)
+
+    def components_replaced(self, pairs: Mapping[Component, Component]) -> None:
+        names = {component.name for component in pairs}
+        for goal, acceptance in tuple(self.running.items()):
+            if acceptance.provider in names:
+                goal._end_from_outside("reloaded", f"{acceptance.provider} was replaced by another instance")
+            elif acceptance.client in names:
+                goal._request(f"{acceptance.client} was replaced by another instance")
+
+    def leaves(self, end: Any) -> None:
+        """The component of this interface is about to go."""
+        reason, text = ("closed", "its kernel closes") if self.kernel.closed else ("removed", "it is being removed")
+        for goal, acceptance in tuple(self.running.items()):
+            if acceptance.link.provided is end:
+                goal._end_from_outside(reason, f"{acceptance.provider}: {text}")
+            elif acceptance.link.required is end:
+                goal._request(f"{acceptance.client}: {text}")
+
+    def disconnected(self, link: Link) -> None:
+        """A connection has ended: there is no client any more."""
+        for goal, acceptance in tuple(self.running.items()):
+            if acceptance.link is link:
+                goal._request("it was disconnected")
+
+    def stopped(self) -> None:
+        for goal in tuple(self.running):
+            goal._end_from_outside("closed", "its kernel has closed")
+
+
+def is_goal(value: object) -> bool:
+    """What looks at the answers of such a method."""
+    return isinstance(value, Goal)
