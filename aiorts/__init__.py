@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.extensions.catalogue import Catalogue, Extension
     from aiorts.kernel.extensions.type_modules import import_types
     from aiorts.model.blame import Blame
+    from aiorts.model.connect_options import ConnectOptions
     from aiorts.model.lifecycle import LifecycleState
     from aiorts.model.naming import NamePolicy
     from aiorts.observe import Declaration, SystemProfile, declaration_of, profile_schema
@@ -63,6 +64,7 @@ __all__ = (
     "Component",
     "Composite",
     "Configuration",
+    "ConnectOptions",
     "Connector",
     "Context",
     "Declaration",
@@ -135,6 +137,7 @@ _late(
         "aiorts.sync": "Synchronizer",
         "aiorts.kernel.configuring": "Configuration",
         "aiorts.model.blame": "Blame",
+        "aiorts.model.connect_options": "ConnectOptions",
         "aiorts.model.lifecycle": "LifecycleState",
         "aiorts.model.naming": "NamePolicy",
         "aiorts.running": "run",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.microkernel import Microkernel
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.blame import GcPauses
     from aiorts.model.configuration.sets import Difference
+    from aiorts.model.connect_options import ConnectOptions
     from aiorts.observe import Changes, ConnectorEvent, Introspection, Listening, Monitor, SystemProfile
     from aiorts.reload import Reloaded
     from aiorts.services import Made, Service, ServiceConnector
@@ -61,27 +62,29 @@ class Kernel(Microkernel):
     start.__doc__ = Microkernel.start.__doc__
 
     # First what is more special, though the overridden method has it last: a service port is a port.
-    @overload  # type: ignore[override]
-    async def connect(self, one: Service, two: Service, /, **options: Any) -> ServiceConnector: ...
+    @overload  # type: ignore[override, overload-overlap]
+    async def connect(self, one: Service, two: Service, /, **options: Unpack[ConnectOptions]) -> ServiceConnector: ...
+
+    @overload  # type: ignore[overload-overlap]
+    async def connect(
+        self, one: Service, two: Service, three: Service, /, *more: Service, **options: Unpack[ConnectOptions]
+    ) -> Made: ...
 
     @overload
-    async def connect(self, one: Service, two: Service, three: Service, /, *more: Service, **options: Any) -> Made: ...
-
-    @overload
-    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...
+    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Unpack[ConnectOptions]) -> Connector: ...
 
     @overload
     async def connect(
-        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Any
+        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Unpack[ConnectOptions]
     ) -> tuple[Connector, ...]: ...
 
     @overload
     async def connect(
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Any
+        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
     ) -> Any: ...
 
     async def connect(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Any
+        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
     ) -> Any:
         return await super().connect(one, two, *more, **options)
 

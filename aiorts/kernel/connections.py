@@ -23,6 +23,7 @@ from aiorts.model.options import (
     loses_unasked,
     says_what_is_lost,
     transport_notice,
+    with_openrtm,
     without_effect,
 )
 from aiorts.model.profile import ConnectorProfile
@@ -59,6 +60,7 @@ class Connections:
         Raises:
             WiringError: says which ports or options do not go together; nothing was connected.
         """
+        options = with_openrtm(options)
         for port in ports:
             connecting = port.connecting if isinstance(port, PortDeclaration) else None
             if connecting is not None:

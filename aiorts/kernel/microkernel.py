@@ -12,7 +12,7 @@ import math
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from types import MappingProxyType, TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, TypeVarTuple, cast, overload
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar, TypeVarTuple, Unpack, cast, overload
 
 from aiorts.clock import Clock, SystemClock, clock_of, to_ns
 from aiorts.errors import ClosedError, ConfigurationError, DeclarationError, StateError, ThreadError
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.deadline_timer import DeadlineTimer
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.connect_options import ConnectOptions
 
 C = TypeVar("C", bound=Component)
 S = TypeVar("S", bound=KernelService)
@@ -397,25 +398,25 @@ class Microkernel:
     # -- connecting ------------------------------------------------------------------------------------------------
 
     @overload
-    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Any) -> Connector: ...
+    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Unpack[ConnectOptions]) -> Connector: ...
 
     @overload
     async def connect(
-        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Any
+        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Unpack[ConnectOptions]
     ) -> tuple[Connector, ...]: ...
 
     @overload
     async def connect(
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Any
+        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
     ) -> Any: ...
 
     async def connect(
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Any
+        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
     ) -> Any:
         """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
 
-        Returns the connector, or a tuple of them when more than two ports were given. Options (the same keys in system
-        files and profiles; OpenRTM's keys are aliases):
+        Returns the connector, or a tuple of them when more than two ports were given. Options (`aiorts.ConnectOptions`
+        has their types; the same keys in system files and profiles; OpenRTM's keys are aliases):
             dataflow: "push", or "pull": the reader asks, the writer's latest unread sample is taken.
             subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
             push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
@@ -427,6 +428,7 @@ class Microkernel:
                 next write, `WriterBack` on the bus.
             measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
+            openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
             does not tell. strict: False leaves unbound what no provider answers. name: the connector's.
 

@@ -85,6 +85,9 @@ PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate")
 SERVICE_KEYS: Final = ("mapping", "strict")
 """Options of service ports; for data ports they mean nothing, and connecting those reports it."""
 
+OPENRTM: Final = "openrtm"
+"""The keyword of `connect` whose value is a mapping of OpenRTM's keys: with their dots they are no keywords."""
+
 OWN_KEYS: Final = (
     "dataflow",
     "subscription",
@@ -103,6 +106,25 @@ OWN_KEYS: Final = (
     "name",
     *PORT_KEYS,
 )
+
+
+def with_openrtm(options: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The options and, in their place, those that travel in `openrtm`.
+
+    Raises:
+        WiringError: it is no mapping of texts, or a key is given beside it with another value.
+    """
+    if OPENRTM not in options:
+        return options
+    merged = dict(options)
+    given = merged.pop(OPENRTM)
+    if not (isinstance(given, Mapping) and all(isinstance(key, str) for key in given)):
+        raise WiringError(f"{OPENRTM} = {given!r:.80}: expected a mapping, such as {{'dataport.push_policy': 'new'}}")
+    for key, value in given.items():
+        if key in merged and _folded(str(merged[key])) != _folded(str(value)):
+            raise WiringError(f"{key} stands in {OPENRTM} and beside it with two values; take one of them away")
+        merged[key] = value
+    return merged
 
 
 def connector_profile(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
 from inspect import iscoroutine
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from aiorts.assembly import Kernel
 from aiorts.clock import SimulatedClock, current_clock, to_ns
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from aiorts.kernel import Connector, Context
     from aiorts.kernel.ports import Port
+    from aiorts.model.connect_options import ConnectOptions
     from aiorts.services import ServiceEnd
 
 
@@ -199,7 +200,7 @@ class Rig:
 
     # -- ports -----------------------------------------------------------------------------------------------------
 
-    def connect(self, out: str | OutPort[Any], in_: str | InPort[Any], **options: Any) -> Connector:
+    def connect(self, out: str | OutPort[Any], in_: str | InPort[Any], **options: Unpack[ConnectOptions]) -> Connector:
         """Connect two ports; options as in `Kernel.connect`, WiringError as there."""
         first, second = self.port(out), self.port(in_)
         for port in (first, second):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import pytest
 from hypothesis import assume, given
@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from aiorts.errors import WiringError
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
-from aiorts.model.options import _VALUES, connector_profile, idle, without_effect
+from aiorts.model.connect_options import ConnectOptions
+from aiorts.model.options import (
+    _VALUES,
+    OWN_KEYS,
+    SERVICE_KEYS,
+    connector_profile,
+    idle,
+    with_openrtm,
+    without_effect,
+)
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 from aiorts.model.profile import ConnectorProfile
 
@@ -311,3 +320,31 @@ def test_one_option_in_two_spellings_with_two_values_is_refused() -> None:
         connector_profile("a.out -> b.in", {one: 4, other: "4"}, "", ("a.out", "b.in"))
     kept = connector_profile("", {"buffer.length": 4, "out_length": 5}, "", ("a.out", "b.in"))[0]
     assert (kept.length, kept.out_length) == (4, 5)
+
+
+def test_the_typed_keywords_are_exactly_the_options_there_are() -> None:
+    hints = get_type_hints(ConnectOptions)
+    assert set(hints) == ConnectOptions.__optional_keys__ == {*OWN_KEYS, *SERVICE_KEYS, "openrtm"}
+    assert not ConnectOptions.__required_keys__
+    for key, kind in CHOICES.items():
+        words, enum = get_args(hints[key])
+        assert enum is kind, key
+        assert get_args(words) == tuple(member.value for member in kind), key
+
+
+@given(st.dictionaries(st.sampled_from(["dataport.push_policy", "dataport.io_mode", "length", "skip"]), st.just("1")))
+def test_keys_of_openrtm_count_as_if_they_were_keywords(given_keys: dict[str, Any]) -> None:
+    assert with_openrtm({"name": "w", "openrtm": given_keys}) == {"name": "w", **given_keys}
+    assert with_openrtm(given_keys) is given_keys
+
+
+@pytest.mark.parametrize("wrong", ["new", 7, None, [("a", 1)], {1: "new"}])
+def test_openrtm_has_to_be_a_mapping_of_keys(wrong: Any) -> None:
+    with pytest.raises(WiringError, match=r"openrtm = .*: expected a mapping, such as \{'dataport"):
+        with_openrtm({"openrtm": wrong})
+
+
+def test_a_key_in_openrtm_and_beside_it_with_another_value_is_refused() -> None:
+    assert with_openrtm({"full": "block", "openrtm": {"full": " Block "}})["full"] == " Block "
+    with pytest.raises(WiringError, match="full stands in openrtm and beside it with two values; take one"):
+        with_openrtm({"full": "block", "openrtm": {"full": "reject"}})

@@ -435,3 +435,17 @@ async def test_what_openrtm_says_of_the_backlog_leaves_the_readers_buffer_alone(
             await source.out.write(long(number))
         assert data(sink.inp.drain()) == list(range(2, 10))
         assert connector.statistics.dropped["overwritten"] == 2
+
+
+async def test_keys_of_openrtm_travel_in_a_mapping_or_as_they_are(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Sink())
+        keys = {"dataport.subscription_type": "new", "dataport.inport.buffer.length": "3", "port.tool.color": "red"}
+        with pytest.raises(WiringError, match=r"push_rate are one option with two values"):
+            await kernel.connect(source.out, sink.inp, push_rate=5.0, openrtm={"dataport.push_rate": 6})
+        assert not kernel.connectors
+        one = await kernel.connect(source.out, sink.inp, push="all", openrtm=keys)
+        assert (one.profile.subscription, one.profile.length, one.profile.push) == ("new", 3, "all")
+        await kernel.disconnect(one)
+        plain: Any = keys
+        assert (await kernel.connect(source.out, sink.inp, push="all", **plain)).profile == one.profile

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Mapping
-from typing import Annotated, Any, ClassVar, Protocol, assert_type
+from typing import Annotated, Any, ClassVar, Protocol, Unpack, assert_type
 
 from aiorts import (
     Component,
     Configuration,
+    ConnectOptions,
     Connector,
     Goal,
     InPort,
@@ -22,6 +23,7 @@ from aiorts import (
     component,
 )
 from aiorts.events import ParameterChanged
+from aiorts.testing import Rig
 from aiorts.types import TimedDouble, TimedLong
 
 
@@ -184,6 +186,23 @@ async def functions(kernel: Kernel) -> None:
     await kernel.add(ordered("ordered0"), source("source0"))  # error: one at a time
     await made.configure(gain=2.0)
     assert_type(made.name, str)
+
+
+async def link(kernel: Kernel, pid: Pid, **options: Unpack[ConnectOptions]) -> None:
+    assert_type(await kernel.connect(pid.command, pid.measured, **options), Connector)
+
+
+async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
+    every: ConnectOptions = {"full": "block", "length": 4, "timeout": None}
+    await link(kernel, pid, **every)
+    await link(kernel, pid, subscription="periodic", push="fifo", push_rate=10, openrtm={"dataport.io_mode": "new"})
+    await kernel.connect(pid.command, pid.measured, dataflow="pull", stamp="read", name="wire", allow_duplicate=True)
+    assert_type(rig.connect("pid0.command", pid.measured, full="reject"), Connector)
+    await kernel.connect(pid.command, pid.measured, full="drop")  # error: no such word
+    await kernel.connect(pid.command, pid.measured, lenght=4)  # error: no such option
+    await kernel.connect(pid.command, pid.measured, length="4")  # error: not a number
+    await link(kernel, pid, strict="no")  # error: not a bool
+    rig.connect("pid0.command", pid.measured, subscription="always")  # error: no such word
 
 
 async def main() -> None:
