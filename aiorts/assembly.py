@@ -62,11 +62,13 @@ class Kernel(Microkernel):
     start.__doc__ = Microkernel.start.__doc__
 
     # First what is more special, though the overridden method has it last: a service port is a port.
-    @overload  # type: ignore[override, overload-overlap]
-    async def connect(self, one: Service, two: Service, /, **options: Unpack[ConnectOptions]) -> ServiceConnector: ...
+    @overload  # type: ignore[override]
+    async def connect(  # type: ignore[overload-overlap]
+        self, one: Service, two: Service, /, **options: Unpack[ConnectOptions]
+    ) -> ServiceConnector: ...
 
-    @overload  # type: ignore[overload-overlap]
-    async def connect(
+    @overload
+    async def connect(  # type: ignore[overload-overlap]
         self, one: Service, two: Service, three: Service, /, *more: Service, **options: Unpack[ConnectOptions]
     ) -> Made: ...
 

@@ -42,6 +42,8 @@ class ConnectOptions(TypedDict, total=False):
     """n: time the last n sends; 0 times nothing."""
     lifespan: float | None
     """Seconds of the kernel's clock after which a sample that was not read is dropped as expired."""
+    max_gap: float | None
+    """Seconds between two writes at the most; a longer gap is an event and a line in the log."""
     name: str
     """The connector's."""
     fan_in: int
