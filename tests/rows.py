@@ -50,6 +50,7 @@ FEATURES = {
     35: "Rate and context changed while running",
     36: "Push: the writer sends",
     37: "Pull: the reader asks, and knows whether there is news",
+    38: "A write and a read meet: the write is done when its sample was taken",
     39: "Subscriptions flush, new and periodic",
     40: "Push policies all, fifo, skip and new",
     41: "Buffer length, and what happens when it is full or empty",

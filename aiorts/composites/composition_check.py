@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 from aiorts.composites.composition import groups_of
 from aiorts.errors import DeclarationError, StateError, WiringError
+from aiorts.kernel.execution.apart import check_apart
 from aiorts.kernel.execution.cell import cell, has_cell
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ def check(composite: CompositeGroup, members: Sequence[Component], rules: Sequen
         if member in composite.members:
             continue
         _check_joins(composite, member)
+    beside = [part for part in composite.root.parts if part not in composite.parts]
+    check_apart(composite.line(members), beside, composite.root.name)
     if rules is not None:
         _check_rules(composite, rules, members)
     composite.check_ports(composite.ports_of(members, rules))

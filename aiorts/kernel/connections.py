@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
 from aiorts.errors import WiringError
+from aiorts.kernel.execution.apart import check_connection
 from aiorts.kernel.loop.bus import Connected, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.ports import PortDeclaration, wiring
@@ -66,6 +67,9 @@ class Connections:
             if connecting is not None:
                 return self._make_others(connecting.plan(self._kernel, ports, options), options)
         plans = wiring.plan(self._kernel, ports, options)
+        for out, in_, profile in plans:
+            if not profile.length:
+                check_connection(out, in_)
         if options:
             self._report_idle(options, plans[0])
         reports_losses = not says_what_is_lost(options) and all(loses_unasked(profile) for *_, profile in plans)
@@ -166,6 +170,8 @@ class Connections:
         out, in_ = (self._kernel.registry.find(path) for path in profile.ports[:2])
         ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
         wiring.check_features(writer, reader, profile)
+        if not profile.length:
+            check_connection(writer, reader)
         name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
         connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name))
         self.connectors[name] = connector

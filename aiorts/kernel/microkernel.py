@@ -420,7 +420,8 @@ class Microkernel:
             dataflow: "push", or "pull": the reader asks, the writer's latest unread sample is taken.
             subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
             push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
-            length: samples the reader's buffer holds, 1 to 1,000,000. out_length: the backlog of a periodic connector.
+            length: samples the reader's buffer holds, to 1,000,000; with 0 a write waits until the reader has taken the
+                sample. out_length: the backlog of a periodic connector.
             full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None forever.
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
             lifespan: seconds after which a sample that was not read is dropped.

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from aiorts.errors import DeclarationError, InvalidNameError, StateError
+from aiorts.kernel.execution.apart import check_apart
 from aiorts.kernel.execution.cell import as_group, check_free, flattened, group_among
 from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.loop.guarded import KernelLog
@@ -43,6 +44,7 @@ def check_start(kernel: Microkernel, context: Context, components: Sequence[Comp
     running = flattened(components)
     if len(set(map(id, running))) != len(running) or len(set(map(id, components))) != len(components):
         raise StateError(f"{context.name or context.kind}: a component was given twice")
+    check_apart(running, (), context.name or context.kind)
     if not context.runner.named and (context.name == "" or context.name in kernel.contexts):
         context.name = kernel._free_name(context.kind or type(context).__name__)
     if context.name in kernel.contexts:

@@ -27,7 +27,7 @@ class ConnectOptions(TypedDict, total=False):
     skip: int
     """n: send every (n + 1)-th sample, with push "skip"."""
     length: int
-    """Samples that the reader's buffer holds, 1 to 1,000,000."""
+    """Samples that the reader's buffer holds, to 1,000,000; 0: a write waits until the reader has taken the sample."""
     out_length: int
     """Samples that the backlog of a periodic connector holds, 1 to 1,000,000."""
     full: Literal["overwrite", "reject", "block"] | FullPolicy

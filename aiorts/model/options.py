@@ -45,6 +45,7 @@ _EITHER_SIDE: Final[tuple[tuple[str, str], ...]] = (
     ("publisher.push_rate", "push_rate"),
     ("push_rate", "push_rate"),
     ("timestamp_policy", "stamp"),
+    ("sync_readwrite", "rendezvous"),
     ("measurement.exec_count", "measure_exec_count"),
     ("measurement.period_count", "measure_period_count"),
     ("measurement.exec_time", "measure_exec"),
@@ -76,6 +77,17 @@ _VALUES: Final[dict[str, dict[str, str]]] = {
 }
 """OpenRTM's word for a value where it is not ours. `on_write` and `on_send` are one moment here: nothing lies between
 them."""
+
+_DUPLEX: Final = "duplex"
+"""OpenRTM's dataflow in which a write and a read meet."""
+_AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
+    "length": 0,
+    "dataflow": Dataflow.PUSH,
+    "subscription": Subscription.FLUSH,
+    "full": FullPolicy.BLOCK,
+    "lifespan": None,
+}
+"""What the options say where a write waits until the reader has taken its sample."""
 
 _ON_LOSS: Final = ("full", "length", "push")
 
@@ -137,6 +149,7 @@ def connector_profile(
     """
     own, extra = _translate(where, options)
     get = _Reader(where, own)
+    rendezvous = _rendezvous_by(where, own, get)
     dataflow = get.choice("dataflow", Dataflow, Dataflow.PUSH)
     subscription = get.choice("subscription", Subscription, Subscription.FLUSH)
     push = get.choice("push", Push, default_push(subscription))
@@ -145,7 +158,7 @@ def connector_profile(
         raise WiringError(f"{where}: subscription periodic needs a push_rate in Hz")
     # Flush hands every sample over as it is written: a push policy is kept and reported, and chooses nothing.
     chooses = Push.ALL if subscription is Subscription.FLUSH else push
-    length = get.integer("length", 1, MAX_LENGTH, 1 if chooses is Push.NEW else usual_length)
+    usual_length = 0 if rendezvous else 1 if chooses is Push.NEW else usual_length
     profile = ConnectorProfile(
         name=str(own["name"]) if own.get("name") else name,
         ports=ports,
@@ -154,9 +167,9 @@ def connector_profile(
         push=push,
         push_rate=rate,
         skip=get.integer("skip", 0, MAX_LENGTH, 0),
-        length=length,
-        out_length=get.integer("out_length", 1, MAX_LENGTH, DEFAULT_LENGTH),
-        full=get.choice("full", FullPolicy, FullPolicy.OVERWRITE),
+        length=get.integer("length", 0, MAX_LENGTH, usual_length),
+        out_length=get.integer("out_length", 0 if rendezvous else 1, MAX_LENGTH, DEFAULT_LENGTH),
+        full=get.choice("full", FullPolicy, FullPolicy.BLOCK if rendezvous else FullPolicy.OVERWRITE),
         empty=get.choice("empty", EmptyPolicy, None),
         timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
         stamp=get.choice("stamp", Stamp, None),
@@ -165,6 +178,8 @@ def connector_profile(
         max_gap=get.number("max_gap", SHORTEST_GAP, LONGEST_TIME, None, may_be_none=True),
         extra=MappingProxyType(extra) if extra else _NO_EXTRA,
     )
+    if rendezvous:
+        _check_rendezvous(where, options, profile, rendezvous)
     limits: dict[str, Any] = {key: own[key] for key in PORT_KEYS if key in own}
     for key in ("fan_in", "fan_out"):
         if key in limits:
@@ -186,6 +201,35 @@ def loses_unasked(profile: ConnectorProfile) -> bool:
     """Whether every sample is to be delivered, and the oldest is dropped when the reader is slow."""
     every = profile.dataflow is Dataflow.PUSH and profile.subscription is Subscription.FLUSH
     return every and profile.full is FullPolicy.OVERWRITE
+
+
+def _rendezvous_by(where: str, own: Mapping[str, Any], get: _Reader) -> str:
+    """The key that makes a write wait until the reader has taken its sample; empty where none does."""
+    said = own.get("rendezvous", "")
+    if said not in ("", None) and is_yes(where, "sync_readwrite", said):
+        return "rendezvous"
+    if "duplex" in own:
+        return "dataflow"
+    return "" if get.integer("length", 0, MAX_LENGTH, 1) else "length"
+
+
+def _check_rendezvous(where: str, options: Mapping[str, Any], profile: ConnectorProfile, by: str) -> None:
+    """Refuse what cannot be where a write waits until the reader has taken its sample."""
+    for key, value in _AT_A_RENDEZVOUS.items():
+        if getattr(profile, key) != value:
+            raise WiringError(
+                f"{where}: {_as_given(options, key)} does not go with {_as_given(options, by)}: a write waits until "
+                "the reader has taken the sample (length 0, dataflow push, subscription flush, full block); "
+                "take one of them away"
+            )
+
+
+def _as_given(options: Mapping[str, Any], key: str) -> str:
+    """An option as the user wrote it; of several spellings the one that is in force."""
+    plain = {given.removeprefix("dataport."): given for given in options}
+    spelled = [key, *(alias for alias, known in reversed(_ALIASES) if known == key)]
+    given = next((plain[alias] for alias in spelled if alias in plain), "")
+    return f"{given} = {options[given]!r}" if given else ""
 
 
 def _measured(where: str, own: Mapping[str, Any], get: _Reader) -> int:
@@ -245,6 +289,8 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
         if alias in plain:
             used.add(alias)
             own[key] = plain[alias]
+    if _folded(own.get("dataflow")) == _DUPLEX:
+        own["dataflow"], own["duplex"] = Dataflow.PUSH, True
     for key in plain:
         if key in OWN_KEYS:
             used.add(key)
@@ -267,7 +313,7 @@ def _translate(where: str, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
 
 
 _KNOWN_KEPT: Final = frozenset(
-    {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "sync_readwrite", "fsm_event_name"}
+    {"data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "fsm_event_name"}
 )
 
 
@@ -283,7 +329,7 @@ _KEPT_BEGINNINGS: Final = (
 )
 """Of OpenRTM's keys, those for its transports and tools."""
 
-_OF_TRANSPORT: Final = frozenset({"interface_type", "marshaling_type", "sync_readwrite", "empty"}) | {
+_OF_TRANSPORT: Final = frozenset({"interface_type", "marshaling_type", "empty"}) | {
     *(alias for alias, key in _OF_THE_READER if key == "empty"),
     *(f"outport.{alias}" for alias, _ in _OF_THE_READER),
 }

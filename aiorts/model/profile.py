@@ -36,7 +36,7 @@ class ConnectorProfile:
     skip: int = 0
     """With push skip: samples left out between two."""
     length: int = 8
-    """Samples that the reader's buffer holds."""
+    """Samples that the reader's buffer holds; 0: a write waits until the reader has taken the sample."""
     out_length: int = 8
     """Samples that the backlog of a periodic connector holds."""
     full: FullPolicy = FullPolicy.OVERWRITE

@@ -182,7 +182,7 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
     seen, still = -1, 0.0
     cycles: dict[Context, int] = {}
     while True:
-        buffered = [c for c in kernel.connectors.values() if c.statistics.buffered]
+        buffered = [c for c in kernel.connectors.values() if c.unread or c.statistics.buffered]
         waiting = tuple(c for c in buffered if c.in_ is not None and not look.is_off(c.in_.path.partition(".")[0]))
         moved = sum(connector.statistics.delivered for connector in kernel.connectors.values())
         if waiting or moved != seen:

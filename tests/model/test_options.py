@@ -17,6 +17,7 @@ from aiorts.model.options import (
     OWN_KEYS,
     SERVICE_KEYS,
     connector_profile,
+    doubts,
     idle,
     with_openrtm,
     without_effect,
@@ -109,10 +110,15 @@ def test_an_option_that_chooses_nothing_beside_the_others_is_found(options: dict
 @pytest.mark.row(41)
 @pytest.mark.fault("B13")
 @pytest.mark.parametrize("key", ["length", "out_length", "dataport.inport.buffer.length", "dataport.buffer.length"])
-@pytest.mark.parametrize("bad", [0, -1, 10**9, "abc", 1.5, math.inf, math.nan, True, "", [8]], ids=repr)
+@pytest.mark.parametrize("bad", [-1, 10**9, "abc", 1.5, math.inf, math.nan, True, "", [8]], ids=repr)
 def test_a_length_out_of_range_is_refused_naming_the_range(key: str, bad: Any) -> None:
-    with pytest.raises(WiringError, match=r"length = .*: expected a whole number from 1 to 1000000"):
+    with pytest.raises(WiringError, match=r"length = .*: expected a whole number from [01] to 1000000"):
         profile(**{key: bad})
+
+
+def test_a_backlog_has_room_for_one_sample() -> None:
+    with pytest.raises(WiringError, match=r"out_length = 0: expected a whole number from 1 to 1000000"):
+        profile(out_length=0)
 
 
 @pytest.mark.parametrize("good", [1, 1_000_000, "8", 8.0])
@@ -208,6 +214,15 @@ OPENRTM = [
     ({"timestamp_policy": "on_read"}, "stamp", "read"),
     ({"timestamp_policy": "none"}, "stamp", None),
     ({"inport.timestamp_policy": "on_read", "timestamp_policy": "on_write"}, "stamp", "read"),
+    ({"sync_readwrite": "YES"}, "length", 0),
+    ({"sync_readwrite": "YES"}, "full", "block"),
+    ({"inport.sync_readwrite": "YES", "outport.sync_readwrite": "NO"}, "length", 0),
+    ({"sync_readwrite": "NO"}, "length", 8),
+    ({"sync_readwrite": "NO", "buffer.length": "0"}, "length", 0),
+    ({"sync_readwrite": ""}, "full", "overwrite"),
+    ({"dataflow_type": "Duplex"}, "length", 0),
+    ({"dataflow_type": "duplex"}, "dataflow", "push"),
+    ({"dataflow_type": "duplex", "sync_readwrite": "YES", "buffer.length": "0"}, "full", "block"),
     ({"outport.publisher.push_policy": "all", "publisher.push_policy": "new"}, "push", "all"),
 ]
 
@@ -217,6 +232,64 @@ OPENRTM = [
 @pytest.mark.parametrize(("options", "key", "value"), OPENRTM, ids=repr)
 def test_openrtms_keys_are_understood(options: dict[str, str], key: str, value: Any, prefix: str) -> None:
     assert getattr(profile(**{prefix + name: given for name, given in options.items()}), key) == value
+
+
+ASKS_FOR_IT: list[dict[str, Any]] = [
+    {"length": 0},
+    {"length": "0"},
+    {"dataport.buffer.length": "0"},
+    {"sync_readwrite": "YES"},
+    {"dataport.dataflow_type": "duplex"},
+]
+
+
+@pytest.mark.row(38)
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"subscription": "new"},
+        {"dataport.subscription_type": "new"},
+        {"io_mode": "periodic", "push_rate": 1},
+        {"full": "overwrite"},
+        {"inport.buffer.write.full_policy": "do_nothing"},
+        {"lifespan": 1.0},
+    ],
+    ids=repr,
+)
+@pytest.mark.parametrize("asked", ASKS_FOR_IT, ids=repr)
+def test_what_a_rendezvous_cannot_be_is_refused_with_both_keys(asked: dict[str, Any], other: dict[str, Any]) -> None:
+    with pytest.raises(WiringError, match="take one of them away") as caught:
+        profile(**asked, **other)
+    (said,) = asked.items()
+    key, value = next(iter(other.items()))
+    assert f"{key} = {value!r} does not go with {said[0]} = {said[1]!r}" in str(caught.value)
+
+
+@pytest.mark.row(38)
+@pytest.mark.parametrize("asked", ASKS_FOR_IT, ids=repr)
+def test_what_says_the_same_as_a_rendezvous_is_taken(asked: dict[str, Any]) -> None:
+    found = profile(**asked, subscription="flush", full="block", lifespan=None, skip=3, out_length=4, timeout=2)
+    assert (found.length, found.full, found.dataflow, found.subscription, found.timeout) == (
+        0,
+        "block",
+        "push",
+        "flush",
+        2.0,
+    )
+    assert list(doubts(asked)) == []
+    assert without_effect(asked) == []
+
+
+@pytest.mark.row(38)
+def test_openrtms_other_words_for_a_rendezvous_are_refused() -> None:
+    with pytest.raises(WiringError, match=r"length = 4 does not go with sync_readwrite = 'YES'"):
+        profile(sync_readwrite="YES", length=4)
+    with pytest.raises(WiringError, match=r"sync_readwrite = 'MAYBE': expected true or false"):
+        profile(sync_readwrite="MAYBE")
+    with pytest.raises(WiringError, match=r"dataflow_type = 'pull' does not go with length = 0"):
+        profile(dataflow_type="pull", length=0)
+    with pytest.raises(WiringError, match="dataflow_type and dataflow are one option with two values"):
+        profile(dataflow_type="duplex", dataflow="push")
 
 
 @pytest.mark.row(58)
@@ -236,7 +309,6 @@ def test_keys_that_are_for_others_are_kept_and_reported() -> None:
         "dataport.inport.marshaling_type": "cdr",
         "dataport.serializer.cdr.endian": "little,big",
         "dataport.buffer.read.timeout": "1.0",
-        "sync_readwrite": "NO",
         "dataport.interface_option.ros.topic": "chatter",
         "port.port_type": "DataInPort",
     }
@@ -287,7 +359,7 @@ def test_one_word_in_two_spellings_is_one_value() -> None:
         ({"interface_type": "corba_cdr"}, ["interface_type"]),
         (
             {"dataport.inport.marshaling_type": "cdr", "dataport.sync_readwrite": "NO"},
-            ["dataport.inport.marshaling_type", "dataport.sync_readwrite"],
+            ["dataport.inport.marshaling_type"],
         ),
         ({"dataport.buffer.read.empty_policy": "readback"}, ["dataport.buffer.read.empty_policy"]),
         ({"empty": "block"}, ["empty"]),

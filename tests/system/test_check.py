@@ -440,6 +440,22 @@ members = ["one", "two"]
 """
 
 
+@pytest.mark.row(38)
+def test_a_rendezvous_within_one_context_or_composite_is_an_error(write: Write) -> None:
+    meets = BESIDE.replace('full = "block"', "length = 0")
+    one = only(write(meets))
+    assert (one.code, one.severity) == ("E-CONNECT", "error")
+    assert "would wait for a read that cannot begin before it is done: both run in b" in one.cause
+    assert "run two in another context, or set length = 1 or more" in one.remedy
+    alone = meets.replace('members = ["one", "two"]', 'members = ["one"]')
+    assert found(write(alone + '[contexts.c]\nkind = "event"\nmembers = ["two"]\n'), "warning", "error") == []
+    pair = '[composites.pair]\nmembers = ["one", "two"]\n'
+    one = only(write(meets.replace('["one", "two"]', '["pair"]').replace("[contexts.a]", pair + "[contexts.a]")))
+    assert "both run in b" in one.cause
+    one = found(write(alone.replace('["one"]', "[]") + pair), "error")[0]
+    assert "both are members of pair" in one.cause
+
+
 def test_a_writer_that_would_wait_for_its_own_context_is_a_warning(write: Write) -> None:
     one = only(write(BESIDE))
     assert (one.code, marked(one)) == ("W-BLOCK", '"block"')

@@ -89,7 +89,7 @@ def test_the_good_one_of_which_the_broken_ones_are_made_validates() -> None:
         ("params.verbosity = 1", "params.verbosity = 1.5"),
         ("params.verbosity = 1", 'params.verbosity = "much"'),
         ("params.rate = 50.0", "params.rate = 0.0"),
-        ("length = 4", "length = 0"),
+        ("length = 4", "length = -1"),
         ("length = 4", "lenght = 4"),
         ("length = 4", 'full = "blok"'),
         ("length = 4", "push_rate = true"),

@@ -306,7 +306,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-TRANSPORT": Code(
         "A connection has options that are about OpenRTM's transports and do nothing here.",
-        "It comes from a file of OpenRTM's tools: interface_type, marshaling_type, sync_readwrite, an empty policy.",
+        "It comes from a file of OpenRTM's tools: interface_type, marshaling_type, an empty policy.",
         "Leave them for those tools, or remove them; each is reported once.",
     ),
     "W-TURNED": Code(

@@ -250,6 +250,11 @@ class Group(Protocol):
     """The component's name."""
 
     @property
+    def root(self) -> Group: ...
+
+    """The outermost group it runs with."""
+
+    @property
     def holds(self) -> bool: ...
 
     """Whether its members run with it, or are about to; else they may run where they like."""

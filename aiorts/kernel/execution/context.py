@@ -15,7 +15,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import ConfigurationError, StateError
-from aiorts.kernel.execution.cell import as_group, cell, check_free, group_among
+from aiorts.kernel.execution.apart import check_apart
+from aiorts.kernel.execution.cell import as_group, cell, check_free, flattened, group_among
 from aiorts.kernel.execution.cycle import Action, Wait
 from aiorts.kernel.execution.member import Member, is_open
 from aiorts.kernel.execution.runner import Runner
@@ -167,6 +168,7 @@ class Context:
         """
         runner = self.runner
         runner.check("add")
+        check_apart(flattened(components), self.members, self.name)
         if (group := group_among(components)) is not None:
             await group.join(self, components, timeout)
             return
@@ -256,6 +258,7 @@ class Context:
             raise StateError(f"{component.name}: one of its hooks was abandoned and it never runs again; remove it")
         if here.kernel is not None:
             here.kernel.registry.check_settled(component)
+        check_apart((component,), (member.component for member in self._members), self.name or self.kind)
         for other in component.contexts:
             if other.exclusive or self.exclusive:
                 raise StateError(f"{component.name}: is in {other.name}; a member of a thread context is in no other")

@@ -343,7 +343,7 @@ class Transport:
             and self.times is None
             and receiver.open
             and receiver.lock is None
-            and not (self.blocks and self._retired)
+            and not (self.blocks and self.retired)
         )
 
     @property
@@ -367,7 +367,7 @@ class Transport:
         return self.push is not _NEW and self.connector.profile.full is _BLOCK
 
     @property
-    def _retired(self) -> bool:
+    def retired(self) -> bool:
         """Whether no context runs the reader any more: what has no room is dropped{inactive}, and no writer waits."""
         host = self.connector.in_._host
         return host is not None and host.retired
@@ -379,12 +379,17 @@ class Transport:
             or self.push is _NEW
             or self.closed
             or not self.receiver.open
-            or self._retired
+            or self.retired
         ):
             return False
         if len(self.queue) < self.length and not self.waiting:
             return False
         return self.admits_next()
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a write that must not wait may be made though `must_wait`: a read waits that will take the sample."""
+        return False
 
     def admits_next(self) -> bool:
         """Whether the push policy sends the next sample that is written."""
@@ -454,7 +459,7 @@ class Transport:
         for entry in waiting or ():
             self.written += 1
             self.drop(reason)
-            self._resolve(entry)
+            self.resolve(entry)
         self.receiver.room_made()
 
     # -- listeners -------------------------------------------------------------------------------------------------
@@ -546,9 +551,10 @@ class Transport:
                 self.push_in(self.stamp_in(entry.sample))
             else:
                 self.drop_these("skipped", (entry.sample,))
-            self._resolve(entry)
+            self.resolve(entry)
 
-    def _resolve(self, entry: Waiting) -> None:
+    def resolve(self, entry: Waiting) -> None:
+        """Let the writer go on; the caller holds the lock and calls `room_made`."""
         entry.done = True
         if entry.future is None:
             return  # a thread: woken by `room_made` of whoever called

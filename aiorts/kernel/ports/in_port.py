@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 from anyio import WouldBlock
 
-from aiorts.errors import ClosedError, ConfigurationError, ReadTimeout, StateError
+from aiorts.errors import ClosedError, ConfigurationError, DeclarationError, ReadTimeout, StateError
 from aiorts.kernel.ports.port import NOTHING, OFF, UNSUSPENDED, Port, give_turn
 from aiorts.kernel.ports.receiver import Receiver
 
@@ -54,6 +54,8 @@ class InPort(Port[T]):
         length: int | None = None,
     ) -> None:
         super().__init__(type, unit=unit, shape=shape, doc=doc, name=name, max_connectors=max_connectors)
+        if length is not None and (isinstance(length, bool) or not isinstance(length, int) or length < 1):
+            raise DeclarationError(f"{name or 'in-port'}: length = {length!r}: expected a whole number from 1, or None")
         self.length = length
         self._last: T = NOTHING
         """The sample read last, in this cycle of an event context: `NotifiedPorts` makes it `_before` in the next."""

@@ -263,11 +263,8 @@ class OutPort(Port[T]):
             self._update_fast_path()
         if sample.__class__ is not self._class:
             sample = self._checked(sample)
-        if (self._blocking or self._others) and (full := self._without_room()) is not None:
-            raise WouldBlock(
-                f"{self.path}: {full.in_.path} has no room ({full.profile.length} unread), and no reader got this "
-                "sample; await write(), or write_blocking() in a thread, waits for room"
-            )
+        if (self._blocking or self._others) and self._without_room() is not None:
+            self._raise_unless_awaited()
         return self._deliver(sample)
 
     def _without_room(self) -> Connector | None:
@@ -279,6 +276,19 @@ class OutPort(Port[T]):
             if transport.must_wait():
                 return transport.connector
         return None
+
+    def _raise_unless_awaited(self) -> None:
+        """Raise WouldBlock, unless each reader without room awaits the sample."""
+        for connector in self._connectors:
+            transport = connector._transport
+            if transport.must_wait() and not transport.is_awaited:
+                length = connector.profile.length
+                why = f"has no room ({length} unread)" if length else "does not await a sample (length = 0)"
+                what = "room" if length else "that"
+                raise WouldBlock(
+                    f"{self.path}: {connector.in_.path} {why}, and no reader got this sample; "
+                    f"await write(), or write_blocking() in a thread, waits for {what}"
+                )
 
     def _deliver(self, sample: T) -> bool:
         """To every connector; none has to be waited for. All have the sample before anybody is woken."""

@@ -15,6 +15,10 @@ from aiorts.model.values import shown
 T = TypeVar("T")
 
 
+class Looking(asyncio.Future[None]):
+    """Of a task that waits for a sample and takes none: nothing can be handed to it."""
+
+
 async def wait_any(*ports: InPort[Any], timeout: float | None = None) -> tuple[InPort[Any], ...]:
     """The ports with unread data, in the order of the arguments; waits for a sample while no port has one.
 
@@ -53,7 +57,7 @@ async def wait_until(
     else:
         turns.left = UNSUSPENDED
         await give_turn()
-    waiter = host.loop.create_future()
+    waiter = Looking(loop=host.loop)
     over = limit == 0
 
     def expire() -> None:
@@ -71,7 +75,7 @@ async def wait_until(
                 _gave_up(ports)
                 names = ", ".join(port.path for port in ports)
                 raise ReadTimeout(f"{names}: {missing} within {timeout} s")
-            waiter = host.loop.create_future()
+            waiter = Looking(loop=host.loop)
             await _first(ports, waiter)
     finally:
         if timer is not None:

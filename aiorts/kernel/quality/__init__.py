@@ -19,5 +19,14 @@ def _expiring() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Expiring, ExpiringPeriodic
 
 
-FEATURES: Final = (Feature("lifespan", lambda profile: profile.lifespan is not None, _expiring, settles=True),)
+def _rendezvous() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    from aiorts.kernel.quality.rendezvous import Rendezvous
+
+    return Rendezvous, Rendezvous  # of which none is periodic
+
+
+FEATURES: Final = (
+    Feature("lifespan", lambda profile: profile.lifespan is not None, _expiring, settles=True),
+    Feature("length = 0", lambda profile: not profile.length, _rendezvous),
+)
 """The first stands outermost: it sees a sample before the others do."""

@@ -75,7 +75,7 @@ class _Watch:
     def written(self) -> int:
         """What was written so far, and what waits for room."""
         transport = transport_of(self.connector)
-        return transport.total() + len(transport.waiting or ())
+        return transport.total() + sum(not entry.done for entry in transport.waiting or ())
 
 
 class Gaps:

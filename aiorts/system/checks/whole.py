@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from aiorts.contexts import EventContext
-from aiorts.errors import SLOW_READER, StateError, SystemFileError
+from aiorts.errors import SLOW_READER, StateError, SystemFileError, WiringError
 from aiorts.kernel.ports import OutPort, Port
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.options import connector_profile
@@ -41,6 +41,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
     yield from _too_many(found)
     yield from _mutable(found, drafts)
     yield from _loops(found, drafts)
+    yield from _meetings(found)
     yield from _waits(found)
     yield from _outrun(found, drafts)
 
@@ -182,6 +183,32 @@ def _cycle(edges: Mapping[str, Mapping[str, Any]], start: str) -> list[str]:
 # -- writers that wait -------------------------------------------------------------------------------------------------
 
 
+def _meetings(found: Survey) -> Iterator[Said]:
+    """Connectors with `length = 0` whose ends run together: the write would wait for a read that comes after it."""
+    composites = found.system.composites
+    for connection in found.system.connections:
+        profile = found.profiles.get(connection.number)
+        if profile is None or profile[0].length:
+            continue
+        writer, *readers = (path.partition(".")[0] for path in connection.ports)
+        for reader in readers:
+            outer = root(composites, writer)
+            shared = [one.name for one in found.system.contexts.values() if {writer, reader}.issubset(one.members)]
+            if reader == writer:
+                where = f"both are ports of {writer}"
+            elif shared:
+                where = f"both run in {shared[0]}"
+            elif outer in composites and root(composites, reader) == outer:
+                where = f"both are members of {outer}"
+            else:
+                continue
+            text = (
+                "length = 0: the write would wait for a read that cannot begin before it is done: "
+                f"{where}; run {reader} in another context, or set length = 1 or more"
+            )
+            yield Said("error", WiringError.code, ("connections", connection.number - 1), text)
+
+
 def _waits(found: Survey) -> Iterator[Said]:
     """Connectors with `full = "block"` and no time-out inside one context whose buffer is too short.
 
@@ -198,6 +225,8 @@ def _waits(found: Survey) -> Iterator[Said]:
         profile = found.profiles.get(connection.number)
         if profile is None or profile[0].full is not FullPolicy.BLOCK or profile[0].timeout is not None:
             continue
+        if not profile[0].length:
+            continue  # `_meetings` refuses it where they run together
         writer = connection.ports[0].partition(".")[0]
         most = max(room.get(writer, 1), 1)
         if profile[0].length >= most or not (reader := _beside(found, connection, writer)):

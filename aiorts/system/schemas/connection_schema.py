@@ -55,7 +55,11 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     },
     "push_rate": {**_number(0.001, 1e6), "description": "Hz, for subscription periodic."},
     "skip": {**_whole(0, MAX_LENGTH), "default": 0, "description": "With push skip: samples left out between two."},
-    "length": {**_whole(1, MAX_LENGTH), "default": DEFAULT_LENGTH, "description": "Samples in the reader's buffer."},
+    "length": {
+        **_whole(0, MAX_LENGTH),
+        "default": DEFAULT_LENGTH,
+        "description": "Samples in the reader's buffer; 0: a write waits until the reader has taken the sample.",
+    },
     "out_length": {
         **_whole(1, MAX_LENGTH),
         "default": DEFAULT_LENGTH,
@@ -92,8 +96,11 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "allow_duplicate": {**_YES, "default": False, "description": "A second connector between the same two ports."},
 }
 """By key. What `Kernel.connect` takes, and OpenRTM's words for the same values."""
-_KEPT: Final = ("data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type", "sync_readwrite")
-_ALIASES: Final = ("dataflow_type", "subscription_type", "io_mode", "timestamp_policy", "allow_dup_connection")
+_KEPT: Final = ("data_type", "interface_type", "buffer_type", "marshaling_type", "thread_type")
+_ALIASES: Final = (
+    *("dataflow_type", "subscription_type", "io_mode", "timestamp_policy", "allow_dup_connection"),
+    "sync_readwrite",
+)
 
 
 def connection_schema(name: str) -> dict[str, Any]:

@@ -1,0 +1,103 @@
+"""Rendezvous (`length = 0`): a write is done when the reader has taken its sample.
+
+A write that waits lies in the reader's queue as an unread sample does, so that readers find it in the order of arrival.
+Its sample counts as written once it is taken, or lost; `waiting` has one entry for each sample in the queue. One that
+`write_nowait` gave to a read that waits is written already; it stays unread where that read is cancelled meanwhile.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from itertools import islice
+from typing import Any
+
+from aiorts.kernel.ports.connector import Waiting
+from aiorts.kernel.ports.features import FeaturedTransport
+from aiorts.kernel.ports.port import OFF
+from aiorts.kernel.ports.waiting import Looking
+from aiorts.late import dataclass
+
+
+@dataclass(eq=False, slots=True)
+class _Offered(Waiting):
+    """A sample that its writer holds out to the reader, or, `done` already, one that was given to a read."""
+
+    arrived_at: int = 0
+    """As `Transport.arrived_at`."""
+
+
+class Rendezvous(FeaturedTransport):
+    """A transport without a buffer: the reader takes each sample from a write that waits. See `Transport`."""
+
+    __slots__ = ()
+    waiting: deque[Any] | None
+
+    @property
+    def buffered(self) -> int:
+        return sum(entry.done for entry in self.waiting or ())
+
+    @property
+    def is_awaited(self) -> bool:
+        receiver = self.receiver
+        waiter = receiver.waiter
+        return waiter is not None and not waiter.done() and not isinstance(waiter, Looking) and not receiver.unread()
+
+    def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
+        return self._hold_out(_Offered(self.connector, self.stamp_in(sample), future))
+
+    def store_bounded(self, sample: Any) -> bool:
+        if self.retired and not self.is_awaited:
+            return super().store_bounded(sample)
+        self._hold_out(_Offered(self.connector, self.stamp_in(sample), None, done=True))
+        return True
+
+    def _hold_out(self, entry: _Offered) -> Waiting:
+        if self.waiting is None:
+            self.waiting = deque()
+        self.waiting.append(entry)
+        self.connector.in_._fast = OFF
+        self.push_in(entry.sample)
+        entry.arrived_at = self.arrived_at
+        return entry
+
+    def give_up(self, entry: Waiting) -> bool:
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.give_up(entry)
+            waiting = self.waiting
+            if entry.done or not waiting or entry not in waiting:
+                return False
+            place = waiting.index(entry)
+            del waiting[place], self.queue[place]
+            tokens = self.receiver.tokens
+            if tokens is not None:
+                mine = (index for index, token in enumerate(tokens) if token is self)
+                del tokens[next(islice(mine, place, None))]
+            if waiting:
+                self.arrived_at = waiting[-1].arrived_at
+            else:
+                self.connector.in_._fast = self.receiver.direct
+            return True
+
+    def admit_waiting(self) -> None:
+        """Let the writers go on whose samples have left the queue."""
+        waiting = self.waiting
+        if not waiting:
+            return
+        while len(waiting) > len(self.queue):
+            entry = waiting.popleft()
+            if not entry.done:
+                self.written += 1
+                self.resolve(entry)
+        if not waiting:
+            self.connector.in_._fast = self.receiver.direct
+        self.receiver.room_made()
+
+    def discard_all(self, reason: str) -> None:
+        """What still waits is counted where its writer is let go on."""
+        waiting = self.waiting
+        while waiting and waiting[0].done:
+            waiting.popleft()
+            self.drop(reason)
+        self.queue.clear()
