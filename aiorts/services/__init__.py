@@ -10,7 +10,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.services.goal_keeper import GoalAccepted, GoalEnded
+    from aiorts.services.goal_keeper import GoalAccepted, GoalEnded, GoalKeeper
     from aiorts.services.goals import Goal
     from aiorts.services.service_ends import Provided, Required
     from aiorts.services.service_heritage import ServiceHeritage
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _late(
     globals(),
     {
-        "aiorts.services.goal_keeper": "GoalAccepted GoalEnded",
+        "aiorts.services.goal_keeper": "GoalAccepted GoalEnded GoalKeeper",
         "aiorts.services.goals": "Goal",
         "aiorts.services.service_ends": "Provided Required",
         "aiorts.services.service_heritage": "ServiceHeritage",

@@ -7,15 +7,16 @@ provider goes, it has failed.
 from __future__ import annotations
 
 import asyncio
+import re
 import typing
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
-from aiorts.errors import InterfaceMismatch
+from aiorts.errors import DeclarationError, InterfaceMismatch
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Event, StateChanged
-from aiorts.kernel.loop.tasks import current_task
+from aiorts.kernel.loop.tasks import current_task, waiting_driver
 from aiorts.kernel.service import KernelService
 from aiorts.late import dataclass
 from aiorts.model.interface import check_of, misfit, spelled
@@ -91,11 +92,27 @@ class GoalTypes(NamedTuple):
         return f"{what}{place} = {type(inner).__name__} {shown(inner)}, the interface says {spelled(hint)}"
 
 
-def goal_types(returns: Any) -> GoalTypes | None:
-    """What is said of goals where a method returns one; None where it does not."""
+def goal_types(returns: Any, where: str = "") -> GoalTypes | None:
+    """What is said of goals where a method returns one; None where it does not.
+
+    Raises:
+        DeclarationError: it might be one, and it cannot be known of which types.
+    """
     if returns is Goal:
         return GoalTypes()
-    return GoalTypes(*typing.get_args(returns)) if typing.get_origin(returns) is Goal else None
+    if typing.get_origin(returns) is Goal:
+        return GoalTypes(*typing.get_args(returns))
+    if isinstance(returns, str) and re.search(r"\bGoal\[", returns):
+        raise DeclarationError(
+            f"{where}: returns {returns!r}, which cannot be resolved; import its names when the file runs, not under "
+            "TYPE_CHECKING"
+        )
+    if any(one is Goal or typing.get_origin(one) is Goal for one in typing.get_args(returns)):
+        raise DeclarationError(
+            f"{where}: returns {spelled(returns)}; annotate `-> Goal[Feedback, Result]` alone: a method that refuses "
+            "a goal raises"
+        )
+    return None
 
 
 class Acceptance:
@@ -129,6 +146,15 @@ class Acceptance:
         """The name of the component that it was accepted for."""
         name: str = self.link.required.port._component.name
         return name
+
+    @property
+    def held_up(self) -> str:
+        """For messages: that the client's hook, which runs now, keeps the provider's from running."""
+        driver = waiting_driver(current_task())
+        for member in cell(self.link.component).members:
+            if driver is not None and member.context.runner.driver is driver:
+                return f"; {self.provider} does not run while a hook in {member.context.name} waits: wait elsewhere"
+        return ""
 
     def misfit(self, what: str, value: object) -> InterfaceMismatch | None:
         """The error where a value is not of the type that the interface says of feedback or result."""
@@ -230,6 +256,11 @@ class GoalKeeper(KernelService):
         super().__init__(kernel)
         self.running: dict[Goal[Any, Any], Acceptance] = {}
         kernel.bus.subscribe(StateChanged, self._state_changed)
+
+    @property
+    def cancelling(self) -> bool:
+        """Whether one of them is to be cancelled; it ends within its `cancel_timeout`."""
+        return any(goal.cancel_requested for goal in self.running)
 
     def _state_changed(self, event: StateChanged) -> None:
         if event.new is LifecycleState.ACTIVE or not self.running:

@@ -160,7 +160,9 @@ class Goal(Generic[F, R]):
         outcome = self._outcome
         if not self._over or outcome is None:
             self._request(f"its client waited for {timeout} s")
-            raise ServiceTimeout(f"{self._name}: did not end within {timeout} s; it was asked to cancel")
+            raise ServiceTimeout(
+                f"{self._name}: did not end within {timeout} s; it was asked to cancel{acceptance.held_up}"
+            )
         if outcome.state == "succeeded":
             result: R = outcome.result
             return result

@@ -307,10 +307,16 @@ class _Of:
         self._interface = interface
 
     def __call__(self, *args: Any, **options: Any) -> ServiceEnd[Any]:
-        from aiorts.model.interface import read_interface  # late: most components have no services
+        from aiorts.model.interface import read_interface, spelled  # late: most components have no services
 
+        interface = read_interface(self._interface)
+        for method in interface.methods.values():
+            if "Goal" in spelled(method.returns):
+                from aiorts.services.goal_keeper import goal_types  # late: most services have no goals
+
+                goal_types(method.returns, f"{interface.name}.{method.name}")
         end = self._kind.__new__(self._kind)
-        end._interface = self._interface, read_interface(self._interface)
+        end._interface = self._interface, interface
         end.__init__(*args, **options)  # type: ignore[misc] # as the class would, once it knows the interface
         return end
 

@@ -20,6 +20,7 @@ from aiorts.kernel.loop.bus import ComponentRemoved, ContextStopped, Event, Stat
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.connector import Connector
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.services import GoalKeeper
 from aiorts.supervision import ComponentRecovered, RestartLimitReached
 
 _LOOK_AGAIN: Final = 0.005
@@ -188,6 +189,7 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
         if waiting or moved != seen:
             cycles = {context: context.ticks for context in kernel.contexts.values() if _repeats(context)}
         busy = any(_is_busy(one) and one.ticks <= cycles.get(one, one.ticks) for one in kernel.contexts.values())
+        busy = busy or _is_cancelled(kernel)
         if not waiting and not busy and not _threads_wait(kernel):
             return ()
         still = 0.0 if moved != seen or busy else still + _LOOK_AGAIN
@@ -206,6 +208,12 @@ def _threads_wait(kernel: Kernel) -> bool:
     """Whether samples that foreign threads wrote wait to be passed on."""
     ports = (port for component in kernel.components.values() for port in component.ports.values())
     return any(port.thread_writes.waiting for port in ports if isinstance(port, OutPort))
+
+
+def _is_cancelled(kernel: Kernel) -> bool:
+    """Whether a goal that its client has given up still has the time to end in order."""
+    keeper = kernel.attached(GoalKeeper)
+    return keeper is not None and keeper.cancelling
 
 
 def _is_busy(context: Context) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
 
-from aiorts import Component, EventContext, Goal, Kernel, PeriodicContext, Provided, Required
+from aiorts import Component, EventContext, Goal, Kernel, PeriodicContext, Provided, Required, Supervision
 from aiorts.errors import (
     BusyError,
     ConfigurationError,
@@ -296,6 +297,28 @@ async def test_a_client_that_goes_asks_to_cancel(gone: Callable[[Kernel, Driver,
         assert counts(car.service) == GoalStatistics(offered=2, accepted=2, cancelled=1, failed={"cancel_timeout": 1})
 
 
+@simulated
+async def test_a_hook_that_waits_for_a_provider_that_it_holds_up_is_told_so() -> None:
+    class Waiting(Driver):
+        said = ""
+
+        async def on_execute(self) -> None:
+            goal = await self.car.proxy.drive(1)
+            with suppress(GoalFailed):
+                try:
+                    await goal.result(timeout=1.0)
+                except ServiceTimeout as error:
+                    self.said = str(error)
+                    await goal.result()
+
+    async with Kernel() as kernel:
+        driver, car = await kernel.add(Waiting()), await kernel.add(Car())
+        await kernel.connect(driver.car, car.service)
+        await kernel.start(PeriodicContext(0.1, name="both"), driver, car, activate=True)
+        await kernel.sleep(5.0)
+        assert driver.said.endswith("; car does not run while a hook in both waits: wait elsewhere")
+
+
 # -- providers that go -------------------------------------------------------------------------------------------------
 
 
@@ -366,6 +389,53 @@ async def test_one_that_is_always_there_keeps_its_goals() -> None:
         assert goal.state == "running"
         car.goals[0].succeed("home")
         assert await goal.result() == "home"
+
+
+@simulated
+async def test_a_provider_that_supervision_helps_has_lost_its_goals_and_takes_others() -> None:
+    async with Kernel() as kernel:
+        driver, car = await pair(kernel)
+        kernel.supervise(car, Supervision("restart", backoff=0.5))
+        await kernel.start(PeriodicContext(10.0), car, activate=True)
+        goal = await driver.car.proxy.drive(10)
+        kernel.registry.task_failed(car, "x", ValueError("broken"))
+        with pytest.raises(GoalFailed) as caught:
+            await goal.result()
+        assert (caught.value.reason, str(caught.value.__cause__)) == ("error", "broken")
+        await kernel.sleep(2.0)
+        assert kernel.components["car"] is not car
+        again = await driver.car.proxy.drive(10)
+        assert again.state == "running"
+        new: Any = kernel.components["car"]
+        new.goals[0].succeed("home")
+        assert await again.result() == "home"
+
+
+@simulated
+async def test_a_service_port_that_is_removed_disconnects_its_goals() -> None:
+    async with Kernel() as kernel:
+        driver, car = await pair(kernel)
+        goal = await driver.car.proxy.drive(10)
+        car.remove_port("service")
+        assert car.goals[0].cancel_requested
+        with pytest.raises(GoalFailed, match="it was disconnected"):
+            await goal.result()
+
+
+@simulated
+async def test_goals_that_have_ended_leave_nothing_behind() -> None:
+    async with Kernel() as kernel:
+        driver, car = await pair(kernel)
+        for number in range(20):
+            goal = await driver.car.proxy.drive(10)
+            if number % 2:
+                goal.cancel()
+            car.goals.pop().succeed("home")
+            assert await goal.result(timeout=1.0) == "home"
+        del goal
+        await kernel.sleep(10.0)
+        gc.collect()
+        assert [one for one in gc.get_objects() if type(one) is Goal] == []
 
 
 # -- hooks -------------------------------------------------------------------------------------------------------------
@@ -499,6 +569,19 @@ async def test_one_task_reads_the_feedback() -> None:
 def test_a_time_to_cancel_is_above_nothing() -> None:
     with pytest.raises(DeclarationError, match=r"Provided\[Driving\]: cancel_timeout = 0: expected seconds above 0"):
         Provided[Driving](cancel_timeout=0)
+
+
+def test_a_goal_of_types_that_cannot_be_known_is_refused_at_once() -> None:
+    class Unknown(Protocol):
+        async def drive(self) -> Goal[Nowhere, str]: ...  # type: ignore[name-defined] # noqa: F821 - on purpose
+
+    class Maybe(Protocol):
+        async def drive(self) -> Goal[float, str] | None: ...
+
+    with pytest.raises(DeclarationError, match=r"drive: returns 'Goal\[Nowhere, str\]', which cannot be resolved"):
+        Required[Unknown]()
+    with pytest.raises(DeclarationError, match=r"drive: returns .*; annotate `-> Goal\[Feedback, Result\]` alone"):
+        Provided[Maybe]()
 
 
 def test_interfaces_with_other_goals_do_not_fit() -> None:

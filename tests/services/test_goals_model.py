@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts import ExternalContext, Kernel, Provided
-from aiorts.errors import GoalCancelled, GoalFailed, ServiceError, ServiceTimeout, StateError
+from aiorts.errors import GoalCancelled, GoalFailed, InterfaceMismatch, ServiceError, ServiceTimeout, StateError
 from aiorts.events import GoalAccepted, GoalEnded
 from aiorts.model.service_profile import GoalStatistics
 from aiorts.testing.simulation import simulate
@@ -101,6 +101,7 @@ class Play:
         self.drivers: list[Driver] = []
         self.state = "active"
         self.on = [True, True]
+        self.gone: list[Driver] = []
         self.events: Counter[str] = Counter()
 
     async def build(self) -> None:
@@ -205,6 +206,13 @@ class Play:
         if model.state == "running":
             model.feed(values)
 
+    async def _wrong(self, model: Model, _: int, amount: int) -> None:
+        wrong: Any = model.goal
+        with pytest.raises(InterfaceMismatch if model.state == "running" else StateError):
+            if model.state != "running" and not model.own:
+                raise StateError(f"ignored: {wrong.succeed(amount)}")
+            (wrong.succeed if amount % 2 else wrong.feedback)(None)
+
     async def _succeed(self, model: Model, _: int, __: int) -> None:
         self._done(model, lambda: model.goal.succeed("home"), running=model.state == "running")
         model.end("succeeded", own=True)
@@ -285,13 +293,19 @@ class Play:
     async def _remove(self, _: Model | None, which: int, amount: int) -> None:
         if amount < 10:
             return
-        if which % 2 and self.state != "gone":
+        if which > 3 and self.state != "gone":
             await self.kernel.remove(self.car)
             self._all_fail("removed")
             self.state = "gone"
+        elif which <= 3 and self.drivers[which % 2] not in self.gone:
+            self.gone.append(self.drivers[which % 2])
+            await self.kernel.remove(self.gone[-1])
+            self._all_request(which % 2)
 
     async def _driver(self, _: Model | None, which: int, __: int) -> None:
         number = which % 2
+        if self.drivers[number] in self.gone:
+            return
         if self.on[number]:
             await self.clients.deactivate(self.drivers[number])
             self._all_request(number)
@@ -305,7 +319,7 @@ class Play:
         if driver.car.is_bound:
             await self.kernel.disconnect(driver.car.connectors[0])
             self._all_request(number)
-        elif self.state != "gone":
+        elif self.state != "gone" and driver not in self.gone:
             await self.kernel.connect(driver.car, self.car.service)
 
     def _all_fail(self, reason: str) -> None:
@@ -351,7 +365,7 @@ async def reading(goal: Goal[float, str], got: list[float]) -> str:
 
 OPS = (
     *("offer", "offer", "offer", "feedback", "feedback", "succeed", "fail", "cancelled", "cancelled", "cancel"),
-    *("wait", "wait", "read", "drop", "sleep", "sleep", "car", "error", "driver", "link", "remove"),
+    *("wait", "wait", "read", "drop", "sleep", "sleep", "car", "error", "driver", "link", "remove", "wrong"),
 )
 
 

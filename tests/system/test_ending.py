@@ -18,6 +18,7 @@ from aiorts import (
     OutPort,
     Param,
     PeriodicContext,
+    Required,
     Supervision,
     ThreadContext,
 )
@@ -26,6 +27,7 @@ from aiorts.events import RestartLimitReached
 from aiorts.system import Ending, ended_in_error, wait_finished
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
+from services.goal_parts import Car, Driving
 
 
 class Brief(Component):
@@ -81,6 +83,30 @@ async def test_samples_of_foreign_threads_that_wait_are_still_on_their_way() -> 
         assert "out" not in kernel.profile().structure().components["brief0"].thread_writes
         assert await wait_finished(kernel) == ()
         assert (connector.statistics.written, connector.statistics.delivered) == (600, 600)
+
+
+class GoingBrief(Brief):
+    """It gives a goal up as soon as it has finished."""
+
+    car = Required[Driving]()
+
+
+@pytest.mark.parametrize("ends", [True, False])
+@simulated
+async def test_a_goal_that_was_given_up_has_the_time_to_end_in_order(ends: bool) -> None:
+    async with Kernel() as kernel:
+        source, car = await kernel.create(GoingBrief), await kernel.create(Car)
+        await kernel.connect(source.car, car.service)
+        given_up, going = [await source.car.proxy.drive(1) for _ in range(2)]
+        given_up.cancel()
+        kernel.call_later(1.0, lambda: car.goals[0].cancelled() if ends else None)  # type: ignore[arg-type]
+        await kernel.start(EventContext(), source, activate=True)
+        begun = kernel.clock.time()
+        assert await wait_finished(kernel) == ()
+        # Its time to cancel is 2 s; a source that finishes gives its own goals up, too.
+        assert kernel.clock.time() - begun == pytest.approx(2.0, abs=0.1)
+        assert given_up.state == ("cancelled" if ends else "failed")
+        assert going.state == "failed"
 
 
 @simulated

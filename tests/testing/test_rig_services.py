@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, Provided, Required
-from aiorts.errors import DeclarationError, ServiceFailed, WiringError
+from aiorts import Component, Goal, Provided, Required
+from aiorts.errors import DeclarationError, GoalFailed, ServiceFailed, WiringError
 from aiorts.testing import Rig
+from services.goal_parts import Car, Driver
 from services.parts import Brake, Quick
 
 pytestmark = pytest.mark.anyio
@@ -83,3 +84,38 @@ async def test_what_a_rig_cannot_do_says_why(anyio_backend: Any) -> None:
         rig.provide("guard.brake", Fake())
         with pytest.raises(WiringError, match="is bound to"):
             rig.provide("guard.brake", Fake())
+
+
+async def test_a_fake_takes_goals_and_a_test_offers_them(anyio_backend: Any) -> None:
+    class Fake:
+        def __init__(self) -> None:
+            self.goal: Goal[float, str] = Goal()
+
+        def drive(self, metres: int) -> Goal[float, str]:
+            return self.goal
+
+    class Going(Driver):
+        goal: Goal[float, str] | None = None
+        seen = "nothing"
+
+        async def on_execute(self) -> None:
+            if self.goal is None:
+                self.goal = await self.car.proxy.drive(5)
+            self.seen = self.goal.state
+
+    fake = Fake()
+    going = Going()
+    async with Rig(going, rate=10.0) as rig:
+        rig.provide("driver.car", fake)
+        await rig.tick()
+        assert (fake.goal.state, going.seen) == ("running", "running")
+        assert fake.goal.succeed("home")
+        await rig.tick()
+        assert going.seen == "succeeded"
+
+    async with Rig(Car(), rate=10.0) as rig:
+        goal = await rig.call("car.service", "drive", 5)
+        assert goal.state == "running"
+        await rig.deactivate()
+        with pytest.raises(GoalFailed, match="car went to inactive"):
+            await goal.result()
