@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         ComponentAdded,
         ComponentRemoved,
         Connected,
+        ConnectorChanged,
         ContextStarted,
         ContextStopped,
         Disconnected,
@@ -66,6 +67,7 @@ __all__ = (
     "ConfigurationSetChanged",
     "ConfigurationSetRemoved",
     "Connected",
+    "ConnectorChanged",
     "ConnectorEvent",
     "ContextBeat",
     "ContextStarted",
@@ -108,9 +110,9 @@ _late(
     globals(),
     {
         "aiorts.kernel.loop.bus": (
-            "CallFailed ComponentAdded ComponentRemoved Connected ContextStarted ContextStopped Disconnected "
-            "Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun ParametersChanged PortAdded "
-            "PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
+            "CallFailed ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted ContextStopped "
+            "Disconnected Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun ParametersChanged "
+            "PortAdded PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
         ),
         "aiorts.kernel.quality": "WriterBack WriterSilent",
         "aiorts.composites": "CompositeChanged",

@@ -18,6 +18,7 @@ from aiorts.kernel.declarations import Kind, declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.hooks import HookKind
 from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.connector import unread_at
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.port import NOTHING
 
@@ -116,7 +117,7 @@ class Calls:
 
     def unread(self) -> int:
         """The calls that a cycle has room for: later samples are for the next, so that every cycle ends."""
-        return sum(sum(connector.unread for connector in port.connectors) for port in self.ins) or _FEW
+        return sum(unread_at(port) for port in self.ins) or _FEW
 
     def due(self, component: FunctionComponent) -> Iterator[tuple[list[Any], Any]]:
         """The calls of this cycle: arguments, and the time stamp of their newest sample.
@@ -147,7 +148,7 @@ class Calls:
         """A call for each sample unread when the cycle began; the first one reads what it needs of each port."""
         parts, last = self.parts, self.last
         # Counted for each port, so that one whose samples are always the older ones does not keep the others waiting.
-        left = [sum(c.unread for c in port.connectors) or (_FEW if port.is_new else 0) for port in self.ins]
+        left = [unread_at(port) or (_FEW if port.is_new else 0) for port in self.ins]
         ordered = all(one.stamped for one in self.plan.inlets)
         while True:
             ready = [number for port, _, number in parts if left[number] and port.is_new]

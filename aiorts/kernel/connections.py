@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from aiorts.errors import WiringError
 from aiorts.kernel.execution.apart import check_connection
-from aiorts.kernel.loop.bus import Connected, Disconnected
+from aiorts.kernel.loop.bus import Connected, ConnectorChanged, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.ports import PortDeclaration, wiring
-from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.features import offer
 from aiorts.kernel.ports.losses import Losses
 from aiorts.kernel.ports.tap import make_tap, resize
@@ -19,11 +20,13 @@ from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import (
+    changed_profile,
     connector_profile,
     idle,
     loses_unasked,
     says_what_is_lost,
     transport_notice,
+    what_stays,
     with_openrtm,
     without_effect,
 )
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.service import KernelService
 
 _LOG = KernelLog()
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 offer(*FEATURES)
 
 
@@ -87,6 +91,19 @@ class Connections:
             self._notify_made(connector)
         return made
 
+    def change(self, connector: Connector, options: Mapping[str, Any]) -> None:
+        """See `Connector.change`."""
+        self.check_mine(connector)
+        before = connector.profile
+        where = f"{connector.out.path} -> {connector.in_.path}"
+        profile = changed_profile(where, before, options)
+        transport_of(connector).change(profile)
+        if says_what_is_lost(options):
+            self.losses.stop(connector)
+        if profile != before:
+            self._report_idle(options, (connector.out, connector.in_, profile), what_stays(profile))
+            self._kernel.bus.publish(ConnectorChanged(profile, before))
+
     def tap(
         self,
         service: KernelService,
@@ -122,16 +139,23 @@ class Connections:
         """Let a tap leave so many samples unread from now on; those that are there stay."""
         resize(connector, length)
 
+    def unread(self, connector: Connector) -> int:
+        """Samples of a connector, such as a tap, that can be read now."""
+        return unread_of(connector)
+
     def _notify_made(self, connector: Connector) -> None:
         self._kernel.bus.publish(Connected(connector.profile))
         self.gaps.add(connector)
         notify(self._kernel.services, "connector_made", connector)
 
     def _report_idle(
-        self, options: Mapping[str, Any], plan: tuple[OutPort[Any], InPort[Any], ConnectorProfile]
+        self,
+        options: Mapping[str, Any],
+        plan: tuple[OutPort[Any], InPort[Any], ConnectorProfile],
+        beside: Mapping[str, Any] = _NOTHING,
     ) -> None:
-        """Warn of what chooses nothing, once for each option."""
-        for _, text in idle(options):
+        """Warn of what chooses nothing beside these others, once for each option."""
+        for _, text in idle(options, beside):
             if text not in self._idle:
                 self._idle.add(text)
                 out, in_, profile = plan

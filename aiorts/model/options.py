@@ -10,6 +10,7 @@ reports it; one without is a typing mistake and refused. What OpenRTM says of it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from enum import StrEnum
 from types import MappingProxyType
@@ -189,6 +190,47 @@ def connector_profile(
     if "allow_duplicate" in limits:
         limits["allow_duplicate"] = is_yes(where, "allow_duplicate", limits["allow_duplicate"])
     return profile, limits
+
+
+CHANGEABLE: Final = ("push_rate", "length", "full")
+"""Options that may be changed while connected."""
+
+_STAY: Final = ("dataflow", "subscription", "push", "skip", "timeout")
+"""Options that what may be changed is checked with."""
+
+
+def what_stays(profile: ConnectorProfile) -> dict[str, Any]:
+    """The options in force that one is checked with that may be changed."""
+    return {key: getattr(profile, key) for key in (*_STAY, *CHANGEABLE)}
+
+
+def changed_profile(where: str, profile: ConnectorProfile, options: Mapping[str, Any]) -> ConnectorProfile:
+    """The options in force after a change of these.
+
+    Raises:
+        WiringError: as `connector_profile`; or none is given; or one cannot be changed.
+    """
+    can = "push_rate, length and full can be changed while connected"
+    if not options:
+        raise WiringError(f"{where}: change: there is nothing to change; {can}")
+    for key in options:
+        if key not in CHANGEABLE:
+            near = get_close_matches(key, CHANGEABLE, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise WiringError(f"{where}: change: {key}: {hint}{can}; for other options disconnect and connect anew")
+    periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
+    if "push_rate" in options and not periodic:
+        pulls = profile.dataflow is Dataflow.PULL
+        what = "the reader pulls" if pulls else f"the subscription is {profile.subscription}"
+        raise WiringError(f"{where}: change: push_rate: {what}; only a periodic connector has a push_rate")
+    length = _Reader(where, options).integer("length", 0, MAX_LENGTH, profile.length)
+    if (length == 0) is not (profile.length == 0):
+        raise WiringError(
+            f"{where}: change: length = {length}: whether a write waits until the reader has taken the sample (length "
+            "0) cannot be changed; disconnect and connect anew"
+        )
+    new, _ = connector_profile(where, {**what_stays(profile), **options}, profile.name, profile.ports)
+    return replace(profile, **{key: getattr(new, key) for key in CHANGEABLE})
 
 
 def says_what_is_lost(options: Mapping[str, Any]) -> bool:
@@ -407,10 +449,10 @@ _NO_BACKLOG: Final = "there is no backlog: the subscription is not periodic"
 _KEY_OF: Final = {**dict(reversed(_ALIASES)), **{key: key for key in OWN_KEYS}}
 
 
-def idle(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def idle(options: Mapping[str, Any], beside: Mapping[str, Any] = _NO_EXTRA) -> Iterator[tuple[str, str]]:
     """Options that choose nothing beside the others: the key as it was given, and what is to be said of it."""
     try:
-        profile, _ = connector_profile("", options, "", ())
+        profile, _ = connector_profile("", {**beside, **options}, "", ())
     except WiringError:
         return  # which says what is wrong
     rows = [(what, keys) for what, applies, keys in _IDLE if applies(profile)]

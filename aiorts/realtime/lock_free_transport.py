@@ -17,11 +17,12 @@ from operator import methodcaller
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from aiorts.errors import StateError
 from aiorts.kernel.ports.connector import Transport, Waiting
 from aiorts.kernel.ports.port import UNLOCKED, host_of
 from aiorts.model.buffer import Verdict, decide
 from aiorts.model.policy import Push
-from aiorts.model.profile import ConnectorStatistics
+from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.receiver import Receiver
@@ -96,6 +97,12 @@ class LockFreeTransport(Transport):
         for side in (sides.by_reader, sides.by_loop):
             for reason, number in side.items():
                 self.drop(reason, number)
+
+    def change(self, profile: ConnectorProfile) -> None:
+        raise StateError(
+            f"{self.connector.name}: change: a real-time thread is at one of its ends, which takes no other options "
+            "while it runs; take that component out of its context first, or disconnect and connect anew"
+        )
 
     # -- the ledger ------------------------------------------------------------------------------------------------
 
@@ -232,7 +239,7 @@ class LockFreeTransport(Transport):
             return False
         sample = self.stamp_in(sample)
         if verdict is _REPLACE_OLDEST:
-            if self.length == 1 and self.replace_newest(sample, "overwritten", dropped):
+            if self.length == 1 >= len(queue) and self.replace_newest(sample, "overwritten", dropped):
                 return True
             if take_one(queue) is not EMPTY:  # else the reader was faster
                 take_one(self.extra.places)

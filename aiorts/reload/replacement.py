@@ -29,6 +29,7 @@ from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.loop.origins import located, origin_of
 from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.connector import unread_at
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.port import move_to, refresh, unanswerable, wake_waiter
 from aiorts.kernel.ports.wiring import pair_faults
@@ -458,7 +459,7 @@ class Replacement:
 
     def _end_port(self, port: Port[Any]) -> Dropped:
         connectors = port.connectors
-        unread = sum(connector.unread for connector in connectors) if isinstance(port, InPort) else 0
+        unread = unread_at(port) if isinstance(port, InPort) else 0
         for connector in connectors:
             self.kernel.connections.end(connector)
         if isinstance(port, InPort):

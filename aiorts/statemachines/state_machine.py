@@ -17,6 +17,7 @@ from aiorts.errors import DeclarationError, StateError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Event
 from aiorts.kernel.ports import InPort
+from aiorts.kernel.ports.connector import unread_at
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.statemachines.actions import Acting, acting
@@ -258,7 +259,7 @@ class StateMachine:
             self._component.kernel.call_on_loop(self._report_lost)
         # Most connectors name no event; then the connector of a sample does not matter.
         self._naming = {port for port in events if any(each.profile.extra for each in port.connectors)}
-        left = {port: sum(each.unread for each in port.connectors) or 1 for port in events if port.is_new}
+        left = {port: unread_at(port) or 1 for port in events if port.is_new}
         for _ in range(len(arrivals)):
             item = arrivals.popleft()
             if isinstance(item, MachineEvent):

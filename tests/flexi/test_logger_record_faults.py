@@ -17,6 +17,7 @@ import pytest
 
 from aiorts import Component, Context, EventContext, Kernel, LifecycleState, PeriodicContext, ThreadContext
 from aiorts.errors import ComponentError
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.testing import simulated
 from aiorts.types import TimedLong, TimedOctetSeq
 from aiorts_flexi.recordings import recording
@@ -106,7 +107,7 @@ async def test_every_sample_of_a_burst_in_one_tick_is_recorded(
         await kernel.sleep(0.1)
         for number in range(100):  # while most of the burst is still on its way to the file
             feed.write_nowait(TimedLong(0, count + number))
-        await until(lambda: not any(connector.unread for connector in logger.ports["input0"].connectors))
+        await until(lambda: not any(unread_of(connector) for connector in logger.ports["input0"].connectors))
         await closed(logger)
         assert longest < 0.05  # to hand on 100,000 one by one is 0.1 s of work and more
     assert [record.data for _, _, record in read(path)] == list(range(count + 100))
@@ -208,7 +209,7 @@ async def test_a_writer_that_may_wait_waits_for_the_disk_and_nothing_is_lost(
         await active(kernel, logger)
         for number in range(300):
             await feed.write(TimedLong(0, number))
-        await until(lambda: not any(connector.unread for connector in logger.ports["input0"].connectors))
+        await until(lambda: not any(unread_of(connector) for connector in logger.ports["input0"].connectors))
         assert ticker.longest < 0.25
     assert [record.data for _, _, record in read(path)] == list(range(300))
 

@@ -29,6 +29,7 @@ from aiorts.events import (
     ConfigurationSetChanged,
     ConfigurationSetRemoved,
     Connected,
+    ConnectorChanged,
     ConnectorEvent,
     ConnectorEventKind,
     ContextBeat,
@@ -87,7 +88,7 @@ KINDS: dict[str, tuple[type[Event], ...]] = {
     "COMPONENT_PROFILE": (ComponentAdded, ComponentRemoved, ParameterAdded, ParameterRemoved),
     "RTC_STATUS": (StateChanged, ComponentRemoved),
     "EC_STATUS": (ContextStarted, ContextStopped, MemberAdded, MemberRemoved, RateChanged),
-    "PORT_PROFILE": (PortAdded, PortRemoved, Connected, Disconnected),
+    "PORT_PROFILE": (PortAdded, PortRemoved, Connected, ConnectorChanged, Disconnected),
     "CONFIGURATION": (
         ConfigurationSetAdded,
         ConfigurationSetChanged,

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from aiorts import Connector, ExternalContext, Kernel, SimulatedClock, WouldBlock
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.testing.simulation import simulate
 from campaign import cases
 from ports.parts import Model, ModelConnector, Sink, Source, long
@@ -62,7 +63,7 @@ class Schedule:
             ledger = connector.statistics
             got = (ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped))
             assert got == model.expected, (step, connector)
-            assert connector.unread == len(model.ledger.samples)
+            assert unread_of(connector) == len(model.ledger.samples)
         port = self.sink.inp
         assert port.is_new == bool(self.model.order)
         first = self.model.order[0].ledger.samples[0] if self.model.order else None

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts import Component, Context, EventContext, Kernel, PeriodicContext, ThreadContext, WouldBlock
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.testing import simulate
 from campaign import cases
 from ports.parts import Sink, Source, long
@@ -73,7 +74,7 @@ def test_a_blocked_writer_goes_on_when_its_reader_leaves(way: str, kind: Callabl
                 if way == "stop":
                     await kernel.start(EventContext(), sink, activate=True)
                     assert out.write_nowait(long(11))
-                    assert connector.unread == 1
+                    assert unread_of(connector) == 1
                     out.write_nowait(long(12))
                     with pytest.raises(WouldBlock):
                         out.write_nowait(long(13))
@@ -125,12 +126,12 @@ def test_a_reader_in_two_contexts_is_read_until_the_last_one_stops() -> None:
             await second.activate()
             out.write_nowait(long(1))
             out.write_nowait(long(2))
-            assert connector.unread == 2
+            assert unread_of(connector) == 2
             with pytest.raises(WouldBlock):
                 out.write_nowait(long(3))
             await second.stop()
             assert connector.statistics.dropped == {"inactive": 2}
-            assert connector.unread == 0
+            assert unread_of(connector) == 0
 
     simulate(main)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, KernelService, OutPort, PeriodicContext, ThreadContext
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.system import wait_finished
 from aiorts.testing import simulated
 
@@ -114,7 +115,7 @@ async def test_what_it_leaves_unread_holds_up_writers_or_is_dropped_and_not_the_
         dropping = taker.tap(source.out, length=2)
         await kernel.start(PeriodicContext(10.0), source, activate=True)
         await asyncio.wait_for(wait_finished(kernel), 10.0)
-        assert (dropping.unread, dict(dropping.statistics.dropped)) == (2, {"overwritten": 3})
+        assert (unread_of(dropping), dict(dropping.statistics.dropped)) == (2, {"overwritten": 3})
 
 
 @simulated
@@ -139,7 +140,7 @@ async def test_what_a_thread_writes_is_taken_on_the_loop() -> None:
         connector = taker.tap(source.out, length=1000)
         await kernel.start(ThreadContext(rate=2000.0), source, activate=True)
         await asyncio.wait_for(wait_finished(kernel), 10.0)
-        while connector.unread:
+        while unread_of(connector):
             await asyncio.sleep(0.01)
         assert taker.took == list(range(1, 201))
 

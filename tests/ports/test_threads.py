@@ -12,7 +12,7 @@ import pytest
 
 from aiorts import Component, EventContext, InPort, Kernel, OutPort, SimulatedClock, ThreadContext, WouldBlock
 from aiorts.errors import ClosedError, ReadTimeout, StateError, ThreadError, WriteTimeout
-from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.connector import transport_of, unread_of
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.receiver import Receiver
 from aiorts.realtime.lock_free import make_lock_free
@@ -84,7 +84,7 @@ async def test_a_thread_waits_for_a_slow_reader_on_the_loop(anyio_backend: Any) 
         await kernel.start(ThreadContext(), writer, activate=True)
         seen: list[int] = []
         while len(seen) < count:
-            assert connector.unread <= 4
+            assert unread_of(connector) <= 4
             seen.append((await asyncio.wait_for(sink.inp.read(), 5.0)).data)
         assert seen == list(range(count))
         assert connector.statistics.dropped == {}
@@ -199,7 +199,7 @@ async def test_the_ledger_balances_while_two_threads_hammer_the_connector(full: 
                 assert 0 <= ledger.buffered <= 16
                 assert ledger.delivered >= 0
             await asyncio.sleep(0)
-        await reached(lambda: one.unread == two.unread == 0)
+        await reached(lambda: unread_of(one) == unread_of(two) == 0)
         await asyncio.sleep(0.01)
         ledgers = [one.statistics, two.statistics]
         assert [ledger.written for ledger in ledgers] == [count, number]
@@ -371,7 +371,7 @@ async def test_a_foreign_thread_that_cannot_wake_a_waiting_reader_is_told_at_onc
             await asyncio.to_thread(source.out.write_nowait, long(1))
         [connector] = source.out.connectors
         assert connector.statistics.balanced
-        assert connector.unread == 1  # it lies there, nobody was woken
+        assert unread_of(connector) == 1  # it lies there, nobody was woken
         source.out.write_nowait(long(2))
         assert (await asyncio.wait_for(reading, 5.0)).data == (1 if transport_of(connector).room > 1 else 2)
         sink.inp.drain()
@@ -451,7 +451,7 @@ async def test_periodic_samples_of_a_thread_arrive_on_the_loop(anyio_backend: An
         )
         await kernel.start(ThreadContext(), writer, activate=True)
         await reached(lambda: writer.written == 2_000)
-        await reached(lambda: transport_of(connector).buffered == connector.unread)
+        await reached(lambda: transport_of(connector).buffered == unread_of(connector))
         ledger = connector.statistics
         assert ledger.written == 2_000
         assert ledger.balanced

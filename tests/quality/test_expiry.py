@@ -23,6 +23,7 @@ from aiorts import (
 )
 from aiorts.errors import ReadTimeout, StateError, WiringError, WriteTimeout
 from aiorts.events import ConnectorEvent
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
 
@@ -84,7 +85,7 @@ LOOKS: dict[str, Any] = {
     "drain": lambda port: port.drain(),
     "is_new": lambda port: port.is_new,
     "statistics": lambda port: port.connectors[0].statistics.buffered,
-    "unread": lambda port: port.connectors[0].unread,
+    "unread": lambda port: unread_of(port.connectors[0]),
 }
 
 

@@ -20,6 +20,7 @@ from aiorts import (
 )
 from aiorts.errors import ComponentError
 from aiorts.events import ComponentReloaded, PortAdded, PortRemoved, StateChanged
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.testing import simulated
 from aiorts.types import Time, TimedDouble
@@ -110,7 +111,7 @@ async def test_a_port_that_is_gone_is_disconnected_with_counts_and_a_new_one_ann
         new: Any = kernel.components["sink"]
         assert list(new.ports) == ["data", "extra"]
         assert (kept.closed, gone.closed, leaving.closed) == (False, True, True)
-        assert kept.unread == 3
+        assert unread_of(kept) == 3
         dropped = {one.name: one for one in done.components[0].dropped}
         assert dropped.keys() == {"more", "out"}
         assert (dropped["more"].connectors, dropped["more"].unread) == ((gone.name,), 3)
@@ -355,7 +356,7 @@ async def test_a_writer_that_waits_for_room_goes_on_waiting_and_gets_it(source: 
         assert not waiting.done()
         assert (await kernel.components["sink"].data.read()).data == 0.0  # type: ignore[attr-defined]
         await waiting
-        assert connector.unread == 1
+        assert unread_of(connector) == 1
 
 
 @pytest.mark.anyio
@@ -433,7 +434,7 @@ async def test_in_an_event_context_unread_data_is_still_a_cause_to_run(source: M
             await asyncio.sleep(0)
         await task
         await kernel.sleep(0.1)
-        assert connector.unread == 0
+        assert unread_of(connector) == 0
         assert context.ticks == 40
 
 

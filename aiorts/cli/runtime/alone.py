@@ -13,6 +13,7 @@ from aiorts import Catalogue, Component, Context, EventContext, InPort, Kernel, 
 from aiorts.errors import ConfigurationError, DeclarationError, PluginError
 from aiorts.events import StateChanged
 from aiorts.kernel.extensions.arguments import arguments_of, needs_rate, settings_faults, settings_of
+from aiorts.kernel.ports.connector import unread_at
 from aiorts.system import ended_in_error
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ async def connect_input(kernel: Kernel, component: Component, ends: Ends, **how:
     ordered = bool(getattr(component, "in_line_order", False))
 
     def held_up() -> bool:
-        return any(connector.unread for name in outs for connector in component.ports[name].connectors)
+        return any(unread_at(component.ports[name]) for name in outs)
 
     source = await kernel.add(ends.source(ins, ordered=ordered, held_up=held_up, **how))
     # One that takes what it can pair leaves the rest, and must not keep us from reading what that waits for.

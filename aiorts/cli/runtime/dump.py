@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.cli.console.report import printed
 from aiorts.kernel.loop.origins import place
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.service import reports
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def _context(context: Context) -> str:
 
 
 def _connector(connector: Connector) -> str:
-    written, buffered, dropped = connector.glance()
+    written, buffered, dropped = transport_of(connector).glance()
     drops = ", ".join(f"{count} dropped {reason}" for reason, count in dropped.items()) or "0 dropped"
     delivered = written - buffered - sum(dropped.values())
     return f"connector {connector.name}: {written} written, {delivered} delivered, {buffered} buffered, {drops}"

@@ -33,6 +33,7 @@ __all__ = (
     "Connected",
     "ContextStarted",
     "ContextStopped",
+    "ConnectorChanged",
     "Disconnected",
     "Event",
     "HookAfter",
@@ -101,6 +102,14 @@ class Connected(Event):
     """A connector was made."""
 
     connector: ConnectorProfile | ServiceConnectorProfile
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectorChanged(Event):
+    """Options of a connector were changed; `before` has those that were in force."""
+
+    connector: ConnectorProfile
+    before: ConnectorProfile
 
 
 @dataclass(frozen=True, slots=True)

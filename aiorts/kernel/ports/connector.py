@@ -20,8 +20,9 @@ from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Never, Protocol
 
+from aiorts.errors import ClosedError
 from aiorts.kernel.ports.port import OFF, UNLOCKED
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy, Verdict, decide
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.host import KernelSide
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
+    from aiorts.kernel.ports.port import Port
     from aiorts.kernel.ports.receiver import Receiver
     from aiorts.model.timing import PublisherTiming
 
@@ -92,11 +94,6 @@ class Connector:
         return found if kernel is None else kernel.connections.gaps.added(found, self)
 
     @property
-    def delivered(self) -> int:
-        """Samples that were read: what was written, less what was dropped and what is still buffered."""
-        return self._transport.delivered()
-
-    @property
     def timing(self) -> PublisherTiming | None:
         """When and how long this connector sent, over its last `measure` sends; None when `measure` was not given.
 
@@ -106,18 +103,6 @@ class Connector:
         with transport.guard():
             return None if transport.times is None else transport.times.timing
 
-    @property
-    def unread(self) -> int:
-        """Samples of this connector that the reader can read now."""
-        transport = self._transport
-        transport.settle()
-        return len(transport.queue)
-
-    @property
-    def blocks(self) -> bool:
-        """Whether a writer waits while there is no room."""
-        return self._transport.blocks
-
     def close(self) -> None:
         """End this connector as `Kernel.disconnect` does, on the kernel's loop. Idempotent."""
         host = self.out._host
@@ -125,13 +110,38 @@ class Connector:
             host.check_loop_thread(f"{self.name}: its end was")
             host.kernel.connections.end(self)
 
-    def glance(self) -> tuple[int, int, Mapping[str, int]]:
-        """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
+    def change(
+        self,
+        *,
+        push_rate: float | None = None,
+        length: int | None = None,
+        full: str | None = None,
+        **others: Never,
+    ) -> None:
+        """Change options while connected: all that are given or, where one is refused, none. Nothing is lost by it.
 
-        For a look into a process that is stuck; torn when the connector is being used at this moment. `statistics` is
-        exact.
+        What is unread stays, though it be more than the new length: a write then meets a full buffer, which by `full`
+        overwrites one, rejects, or waits until fewer than `length` are unread. Writers that wait for room go on as far
+        as a larger `length` has room; where `full` is "block" no more, all of them do, in order, also beyond the
+        length. A `push_rate` begins a period: the n-th after it ends n / push_rate seconds after the change.
+
+        Args:
+            push_rate: Hz, of a periodic connector.
+            length: samples that the reader's buffer holds.
+            full: "overwrite", "reject", "block".
+
+        Raises:
+            WiringError: names the option that is wrong or cannot be changed, or says that none was given.
+            StateError: a real-time thread is at it.
+            ClosedError: it was disconnected.
+            ThreadError: called in another thread than the loop's.
         """
-        return self._transport.glance()
+        host = self.out._host
+        if host is None or host.kernel is None or self.closed:
+            raise ClosedError(f"{self.name}: change: this connector was disconnected; connect anew with these options")
+        host.check_loop_thread(f"{self.name}: a change was")
+        given = {"push_rate": push_rate, "length": length, "full": full, **others}
+        host.kernel.connections.change(self, {key: value for key, value in given.items() if value is not None})
 
     def __repr__(self) -> str:
         p = self.profile
@@ -143,6 +153,18 @@ class Connector:
 def transport_of(connector: Connector) -> Transport:
     """What carries the samples of a connector now; ask each time, it may be replaced."""
     return connector._transport
+
+
+def unread_of(connector: Connector) -> int:
+    """Samples of this connector that the reader can read now."""
+    transport = connector._transport
+    transport.settle()
+    return len(transport.queue)
+
+
+def unread_at(port: Port[Any]) -> int:
+    """Samples that can be read now, of all connectors of an in-port or out-port."""
+    return sum(unread_of(connector) for connector in port.connectors)
 
 
 class LossListener(Protocol):
@@ -209,7 +231,8 @@ class Transport:
         self.arrived_at = 0
         """When the newest sample arrived, counted at a receiver with several connectors."""
         self.dead = 0
-        """Tokens that such a receiver still has for samples that were overwritten: `length` at the most."""
+        """Tokens that such a receiver still has for samples that were overwritten: `length` at the most, or as many as
+        are unread."""
         self.waiting: deque[Waiting] | None = None
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
         self.clock_ns = kernel._clock_ns
@@ -253,6 +276,19 @@ class Transport:
         self.receiver = receiver
         self.extra = None
 
+    def change(self, profile: ConnectorProfile) -> None:
+        """Have other options in force: on the loop. Who waits for room and need not any more is let in before."""
+        with self.guard():
+            self.settle()
+            self.count_displaced()
+            if self.waiting and profile.full is not _BLOCK:
+                self.length = len(self.queue) + len(self.waiting)
+                self.admit_waiting()
+            self.connector.profile = profile
+            self.length = profile.length
+            self.admit_waiting()
+        self.connector.out._refresh()
+
     # -- the ledger ------------------------------------------------------------------------------------------------
 
     def statistics(self) -> ConnectorStatistics:
@@ -268,7 +304,7 @@ class Transport:
             return ConnectorStatistics(self.total(), delivered, self.buffered, MappingProxyType(dict(self.dropped)))
 
     def delivered(self) -> int:
-        """See `Connector.delivered`."""
+        """Samples that were read: what was written, less what was dropped and what is still buffered."""
         with self.guard():
             if (now := self.connector._transport) is not self:
                 return now.delivered()
@@ -276,7 +312,11 @@ class Transport:
             return self.total() - sum(self.dropped.values()) - self.buffered
 
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
-        """See `Connector.glance`."""
+        """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
+
+        For a look into a process that is stuck; torn when the connector is being used at this moment. `statistics` is
+        exact.
+        """
         dropped = dict(self.dropped)
         if displaced := self.displaced:
             reason = "superseded" if self.push is _NEW else _DISPLACED[self.connector.profile.full]
@@ -590,9 +630,10 @@ class Transport:
         if verdict is _REFUSE:
             self.drop("rejected")
             return False
-        if verdict is _WAIT:  # and `must_wait` has said no
+        if verdict is _WAIT and self.retired:
             self.drop("inactive")
             return True
+        # Else the options changed since `must_wait` has said no, in the loop's thread: it is stored, nothing is lost.
         replaces = verdict is _REPLACE_OLDEST
         if replaces:
             self.queue.popleft()

@@ -49,6 +49,12 @@ class Losses:
         connector.out._refresh()
         self._kernel.loop.call_soon_threadsafe(self._begun, connector)
 
+    def stop(self, connector: Connector) -> None:
+        """Its user has chosen what is lost: report what was not reported yet, and nothing from now on."""
+        connector._transport.losses = None
+        connector.out._refresh()
+        self.end(connector)
+
     def end(self, connector: Connector) -> None:
         """It is closed: report what was not reported yet."""
         reported = self._reported.pop(connector, None)
@@ -71,7 +77,7 @@ class Losses:
             _samples(lost),
             SLOW_READER,
         )
-        if connector.closed:
+        if connector.closed or connector._transport.losses is None:
             self.end(connector)
         elif self._timer is None and not self._kernel.closed:
             self._timer = self._kernel.call_later(self._wait, self._look)
@@ -110,7 +116,7 @@ class Losses:
 
 
 def _lost(connector: Connector) -> int:
-    return connector.glance()[2].get("overwritten", 0)
+    return connector._transport.glance()[2].get("overwritten", 0)
 
 
 def _samples(count: int) -> str:

@@ -1,8 +1,8 @@
 """A transport whose samples wait at the writer and move at each period of `push_rate` on the kernel's clock.
 
-Periods are counted from the connection: the n-th is over at `start + n / push_rate`, so they do not drift. No timer
-runs while nothing waits. The writer never waits; with full = block a sample that finds no room at the reader stays
-where it is.
+Periods are counted from the connection, or from a change of `push_rate`: the n-th is over at `start + n / push_rate`,
+so they do not drift. No timer runs while nothing waits. The writer never waits; with full = block a sample that finds
+no room at the reader stays where it is.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from aiorts.model.policy import Choice, Push, choose
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.host import KernelSide
+    from aiorts.model.profile import ConnectorProfile
 
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
@@ -44,9 +45,6 @@ class PeriodicTransport(Transport):
 
     def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
         super().__init__(connector, receiver, kernel)
-        push_rate = connector.profile.push_rate
-        assert push_rate is not None  # noqa: S101 - options were checked
-        self.numerator, self.denominator = push_rate.as_integer_ratio()
         self.backlog: deque[Any] = deque()
         self.first = 1
         """The number since the connection of the oldest sample in the backlog."""
@@ -56,13 +54,29 @@ class PeriodicTransport(Transport):
         """Whether a timer was requested that the loop has not set yet."""
         self.timers = kernel._timers
         self.now_ns: Callable[[], int] = kernel.clock.monotonic_ns
-        self.start_ns = self.now_ns()
+        self.begin_periods(connector.profile)
         self.timer: Any = None
 
     def take_over(self, old: Transport, receiver: Receiver) -> None:
         super().take_over(old, receiver)
         for name in PeriodicTransport.__slots__:
             setattr(self, name, getattr(old, name))
+
+    def change(self, profile: ConnectorProfile) -> None:
+        before = self.connector.profile.push_rate
+        super().change(profile)
+        if profile.push_rate != before:
+            self.begin_periods(profile)
+            if self.timer is not None:
+                self.timer.cancel()
+                self.timer = None
+                self.set_timer()
+
+    def begin_periods(self, profile: ConnectorProfile) -> None:
+        """Count periods from now on."""
+        assert profile.push_rate is not None  # noqa: S101 - options were checked
+        self.numerator, self.denominator = profile.push_rate.as_integer_ratio()
+        self.start_ns = self.now_ns()
 
     @property
     def direct(self) -> bool:

@@ -280,6 +280,8 @@ class Receiver:
 
         Only as far back as its oldest one lies, and with them those of others on the way.
         """
+        if transport.dead <= len(transport.queue):
+            return  # it has more samples than its length, which was larger before
         tokens, kept = self.tokens, []
         assert tokens is not None  # noqa: S101 - it has several connectors
         met: dict[Transport, int] = {}

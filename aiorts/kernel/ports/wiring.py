@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from aiorts.errors import WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
-from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.connector import Connector, unread_of
 from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settles
 from aiorts.kernel.ports.in_port import in_ports_at
 from aiorts.model.options import SERVICE_KEYS, connector_profile
@@ -107,7 +107,7 @@ def unwire(connector: Connector) -> None:
     receiver = in_._receiver
     several = receiver.tokens is not None
     with receiver.guard():
-        unread = connector.unread
+        unread = unread_of(connector)
         connector._transport.close()
         in_._connectors = _without(in_._connectors, connector)
         receiver.read_stamps -= connector.profile.stamp is Stamp.READ

@@ -21,6 +21,7 @@ from anyio import WouldBlock
 from aiorts.errors import RecordError, WriteTimeout
 from aiorts.kernel.component import Component
 from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.connector import unread_at
 from aiorts.system.stdio.stream import LineStream
 from aiorts.wire.lines import LineReader, LineWriter
 
@@ -88,10 +89,10 @@ class Feed:
             try:
                 await asyncio.wait_for(port.write(sample), _STUCK_S)
             except TimeoutError:
-                lacking = [out.name for out in self._outs.values() if not any(c.unread for c in out.connectors)]
+                lacking = [out.name for out in self._outs.values() if not unread_at(out)]
                 if lacking and not held_up():
                     raise WriteTimeout(
-                        f"in-port {port.name} is full, with {sum(c.unread for c in port.connectors)} samples, and its "
+                        f"in-port {port.name} is full, with {unread_at(port)} samples, and its "
                         f"component waits for {', '.join(lacking)}; give the lines of the in-ports by turns"
                     ) from None
             else:
@@ -107,7 +108,7 @@ class Feed:
 async def _taken(port: OutPort[Any]) -> None:
     """Wait until everything written to a port has been read."""
     turns = 0
-    while any(connector.unread for connector in port.connectors):
+    while unread_at(port):
         turns += 1
         await asyncio.sleep(0 if turns < _TURNS else _LOOK)
 

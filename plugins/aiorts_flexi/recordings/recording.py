@@ -263,7 +263,7 @@ class Recording:
         for port, number in self._inputs.values():
             if self._is_simulated:
                 self._record_all(session, number, port.drain(), now)
-            elif any(connector.blocks for connector in port.connectors):
+            elif any(connector.profile.full == "block" for connector in port.connectors):
                 held = self._record_some(session, number, port, now) or held
             elif samples := port.drain():
                 session.write(number, samples, now)

@@ -122,9 +122,9 @@ class _Tapped:
         """Samples that are read at once at the most."""
         return _AT_ONCE if self.weigh is None else 1
 
-    def read(self, port: InPort[Any]) -> list[Any]:
-        """The oldest samples, no more than are recorded at once."""
-        if self.connector.unread <= self.room:
+    def read(self, port: InPort[Any], unread: int) -> list[Any]:
+        """The oldest of so many unread samples, no more than are recorded at once."""
+        if unread <= self.room:
             return port.drain()
         return [port.read_nowait() for _ in range(self.room)]
 
@@ -324,7 +324,7 @@ class Beside(KernelService):
                     return
                 if one.room <= 0 and not self._has_room(session, one, port):
                     break
-                samples = one.read(port)
+                samples = one.read(port, self.kernel.connections.unread(one.connector))
                 one.room -= len(samples)
                 session.write(one.number, samples, self._base + self._monotonic_ns())
                 if one.weigh is not None and (length := one.length_for(samples[-1])):
@@ -362,7 +362,7 @@ class Beside(KernelService):
         session = self._session
         if session is None:
             return
-        while any(one.connector.unread for one in self._taps.values()):
+        while any(one.connector.in_.is_new for one in self._taps.values()):
             self._look()
             await asyncio.sleep(0 if not self._looking else _LOOK_AGAIN)
         self._finish(session)
