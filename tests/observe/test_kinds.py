@@ -120,6 +120,7 @@ async def test_all_ten_kinds_of_status_are_told_with_what_they_are_about(simulat
         await context.add(door)
         await context.activate(door)
         wire = await kernel.connect(source.out, door.button)
+        wire.change(length=3)
         door.add_event_port("again", EventPort(TimedBoolean))  # FSM_PROFILE: an event is bound, and set free
         door.remove_port("again")
         source.out.write_nowait(TimedBoolean(0, True))
