@@ -18,7 +18,7 @@ from aiorts.kernel.execution.cell import as_group, cell
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.loop.bus import ComponentRemoved, ContextStopped, Event, StateChanged
 from aiorts.kernel.ports import InPort, OutPort
-from aiorts.kernel.ports.connector import Connector
+from aiorts.kernel.ports.connector import Connector, unread_of
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.services import GoalKeeper
 from aiorts.supervision import ComponentRecovered, RestartLimitReached
@@ -183,7 +183,7 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
     seen, still = -1, 0.0
     cycles: dict[Context, int] = {}
     while True:
-        buffered = [c for c in kernel.connectors.values() if c.unread or c.statistics.buffered]
+        buffered = [c for c in kernel.connectors.values() if unread_of(c) or c.statistics.buffered]
         waiting = tuple(c for c in buffered if c.in_ is not None and not look.is_off(c.in_.path.partition(".")[0]))
         moved = sum(connector.statistics.delivered for connector in kernel.connectors.values())
         if waiting or moved != seen:

@@ -441,6 +441,9 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "an alias": ({}, {"buffer.length": 2}, "change: buffer.length: "),
     "length": ({}, {"length": 1_000_001}, "length = 1000001: expected a whole number from "),
     "a text": ({}, {"length": "many"}, "length = 'many': expected a whole number from "),
+    "to a rendezvous": ({}, {"length": 0}, "length = 0: whether a write waits until the reader has taken the sample"),
+    "from a rendezvous": ({"length": 0}, {"length": 3}, "length = 3: whether a write waits until the reader has taken"),
+    "full of a rendezvous": ({"length": 0}, {"full": "reject"}, "full = 'reject' does not go with length = 0: a write"),
     "full": (
         {},
         {"full": "overwrit"},
@@ -461,7 +464,7 @@ async def test_a_bad_change_is_refused_with_its_key_and_changes_nothing(
 ) -> None:
     async with Kernel() as kernel:
         source, _, wire = await connected(kernel, **options)
-        write(source, 1, 2)
+        write(source, *(() if options == {"length": 0} else (1, 2)))
         before = wire.profile, counts(wire)
         seen: list[ConnectorChanged] = []
         kernel.bus.subscribe(ConnectorChanged, seen.append)

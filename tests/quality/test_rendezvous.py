@@ -26,6 +26,7 @@ from aiorts import (
     wait_any,
 )
 from aiorts.errors import DeclarationError, StateError, WiringError, WriteTimeout
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.testing import simulated
 from aiorts.types import TimedLong
 
@@ -148,7 +149,7 @@ async def test_a_write_that_waits_is_unread_data(simulated_clock: SimulatedClock
         assert sink.inp.peek() is None
         writes = await writing(source, 1, 2, 3, 4)
         assert sink.inp.is_new
-        assert wire.unread == 4
+        assert unread_of(wire) == 4
         assert sink.inp.peek() == long(1)
         assert await wait_any(sink.inp) == (sink.inp,)
         assert sink.inp.read_nowait() == long(1)
