@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 from aiorts.clock import to_ns
 from aiorts.contexts.periodic import PeriodicContext
 from aiorts.contexts.schedule import MAX_RATE
-from aiorts.errors import ConfigurationError, StateError
+from aiorts.errors import ConfigurationError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.handed_log import HandedLogger
 from aiorts.kernel.ports.port import UNSUSPENDED
-from aiorts.kernel.ports.wiring import realtime_fault
 from aiorts.realtime.lock_free import let_go_all, make_all_lock_free, make_lock_free
 from aiorts.realtime.privileges import Granted, Wanted
 from aiorts.realtime.realtime_thread import RealtimeDriver
@@ -60,6 +59,7 @@ class RealtimeContext(PeriodicContext):
     kind: ClassVar[str] = "realtime"
     exclusive: ClassVar[bool] = True
     suspends: ClassVar[bool] = False
+    features: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -98,15 +98,6 @@ class RealtimeContext(PeriodicContext):
             for component in components:
                 _let_out(component)
             raise
-
-    def _check_can_add(self, component: ComponentSide) -> None:
-        super()._check_can_add(component)
-        for port in component.ports.values():
-            if fault := realtime_fault(port):
-                raise StateError(
-                    f"{component.name}: {fault}, and no real-time thread has such a connector at its ports; "
-                    "connect without that option, or take another kind of context"
-                )
 
     def _longest_spin_ns(self) -> int:
         """How long before a deadline the thread looks at the clock: never most of the time."""

@@ -18,6 +18,7 @@ from aiorts import (
     PeriodicContext,
     RealtimeContext,
     SimulatedClock,
+    Supervision,
     ThreadContext,
     wait_any,
 )
@@ -354,3 +355,80 @@ async def test_samples_are_dropped_as_inactive_or_disconnected_as_without_it(sim
         source.out.write_nowait(long(3))
         await kernel.disconnect(wire)
         assert counts(wire) == (3, 0, 0, {"inactive": 2, "disconnected": 1})
+
+
+@simulated
+async def test_a_thread_that_waits_for_room_goes_on_when_a_sample_expires(simulated_clock: SimulatedClock) -> None:
+    class Writer(Component):
+        out = OutPort(TimedLong)
+        ends: list[float]
+
+        def on_execute(self) -> None:
+            for number in range(3):
+                self.out.write_blocking(long(number))
+                self.ends.append(simulated_clock.monotonic_ns() / 1e9)
+
+    async with Kernel() as kernel:
+        writer, sink = await kernel.add(Writer("writer")), await kernel.add(Sink("sink"))
+        writer.ends = []
+        wire = await kernel.connect(writer.out, sink.inp, lifespan=1.0, full="block", length=1, timeout=None)
+        context = await kernel.start(ThreadContext(rate=0.01), writer, activate=True)
+        await asyncio.sleep(5)
+        first, second, third = writer.ends
+        assert (second - first, third - second) == pytest.approx((1.0, 1.0))
+        assert counts(wire) == (3, 0, 0, {"expired": 3})
+        await context.stop()
+
+
+@simulated
+async def test_a_foreign_thread_waits_for_room_no_longer_than_a_lifespan(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        source, sink, wire = await connected(kernel, length=1, full="block", timeout=None)
+        for number in range(3):
+            assert await asyncio.to_thread(source.out.write_from_thread, long(number))
+        await asyncio.sleep(2.5)
+        assert sink.inp.drain() == [long(2)]
+        assert counts(wire) == (3, 1, 0, {"expired": 2})
+
+
+@pytest.mark.parametrize("action", ["reset", "restart"])
+@simulated
+async def test_a_component_that_is_helped_keeps_its_connectors_options(
+    simulated_clock: SimulatedClock, action: str
+) -> None:
+    class Failing(Sink):
+        def on_execute(self) -> None:
+            if self.inp.is_new and self.inp.read_nowait().data == 1:
+                raise ValueError("a test")
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.create(Failing, "sink")
+        await kernel.connect(source.out, sink.inp, lifespan=1.0, max_gap=60.0, name="wire")
+        kernel.supervise(sink, Supervision(action, backoff=0.5))
+        await kernel.start(PeriodicContext(rate=0.1), sink, activate=True)
+        source.out.write_nowait(long(1))
+        await asyncio.sleep(15)
+        wire = kernel.connectors["wire"]
+        assert (wire.profile.lifespan, wire.profile.max_gap) == (1.0, 60.0)
+        assert str(next(iter(kernel.components["sink"].states.values()))) == "active"
+        before = counts(wire)[3].get("expired", 0)
+        source.out.write_nowait(long(2))
+        await asyncio.sleep(1)
+        assert counts(wire)[2:] == (0, {**wire.statistics.dropped, "expired": before + 1})
+
+
+@simulated
+async def test_an_operation_ends_what_has_expired_first(simulated_clock: SimulatedClock) -> None:
+    """A sample that has expired is dropped as that, whoever empties the queue afterwards."""
+    async with Kernel() as kernel:
+        source, sink, wire = await connected(kernel)
+        context = await kernel.start(PeriodicContext(rate=0.001), sink, activate=True)
+        source.out.write_nowait(long(1))
+        await asyncio.sleep(1)
+        await context.deactivate(sink)
+        assert counts(wire) == (1, 0, 0, {"expired": 1})
+        await context.activate(sink)
+        source.out.write_nowait(long(2))
+        await asyncio.sleep(1)
+        await kernel.disconnect(wire)
+        assert counts(wire) == (2, 0, 0, {"expired": 2})

@@ -8,7 +8,18 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, Connector, EventContext, InPort, Kernel, OutPort, PeriodicContext, SimulatedClock
+from aiorts import (
+    Component,
+    Connector,
+    EventContext,
+    InPort,
+    Kernel,
+    OutPort,
+    PeriodicContext,
+    RealtimeContext,
+    SimulatedClock,
+    ThreadContext,
+)
 from aiorts.errors import PortTypeError, StateError, WiringError
 from aiorts.events import Event, WriterBack, WriterSilent
 from aiorts.testing import simulate, simulated
@@ -249,3 +260,20 @@ async def test_a_gap_that_is_no_time_is_refused(simulated_clock: SimulatedClock,
     async with Kernel() as kernel:
         with pytest.raises(WiringError, match=r"max_gap = .*: expected a number from 0\.001"):
             await connected(kernel, max_gap=bad)
+
+
+@pytest.mark.parametrize("context", [PeriodicContext, ThreadContext, RealtimeContext])
+@simulated
+async def test_a_writer_of_any_context_is_watched(simulated_clock: SimulatedClock, context: Any) -> None:
+    async with Kernel() as kernel:
+        heard = Heard(kernel)
+        ticker, sink = await kernel.add(Ticker("ticker")), await kernel.add(Sink("sink"))
+        wire = await kernel.connect(ticker.out, sink.inp, max_gap=0.25)
+        run = await kernel.start(context(rate=10.0), ticker, activate=True)
+        for ticker.quiet in (False, True, False, True, False):
+            await asyncio.sleep(3)
+            assert [what for what, _ in heard.take()] in (["WriterSilent" if ticker.quiet else "WriterBack"], [])
+        assert (wire.statistics.missed_gaps, wire.statistics.silent) == (2, False)
+        await run.stop()
+        await asyncio.sleep(3)
+        assert heard.take() == []

@@ -579,3 +579,15 @@ def test_a_context_with_an_argument_that_it_needs_may_have_others(write: Write, 
     write(changed("rate = 100.0", "samples = 2", text))
     (one,) = (one for one in check(path, plugins=[tmp_path]) if one.severity == "error")
     assert "'port'" in one.message
+
+
+@pytest.mark.parametrize(("kind", "count"), [("periodic", 0), ("thread", 0), ("realtime", 1)])
+def test_an_option_that_no_real_time_thread_has_is_found_where_it_stands(write: Write, kind: str, count: int) -> None:
+    text = changed("length = 4", "lifespan = 0.5\nmax_gap = 1.0")
+    findings = found(write(text.replace('kind = "event"', f'kind = "{kind}"\nrate = 10.0')))
+    assert len(findings) == count
+    for one in findings:
+        assert (one.code, one.severity, one.where) == ("E-CONNECT", "error", "connections[1].lifespan")
+        assert marked(one) == "lifespan"
+        assert "middle runs in a realtime context" in one.cause
+        assert one.remedy.startswith("take it away")

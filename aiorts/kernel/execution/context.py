@@ -24,6 +24,7 @@ from aiorts.kernel.execution.task_driver import TaskDriver
 from aiorts.kernel.loop.deadlines import StopBudget
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import set_open
+from aiorts.kernel.ports.wiring import realtime_fault
 from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import check_name
@@ -56,6 +57,8 @@ class Context:
     """Whether a member can be in no other context."""
     suspends: ClassVar[bool] = True
     """Whether hooks may wait for something: not in a thread, which has no event loop."""
+    features: ClassVar[bool] = True
+    """Whether connectors at the ports of members may have features, such as a lifespan."""
     _member_class: ClassVar[type[Member]] = Member
     # What few contexts ever have stands in the class until then: an instance without it is smaller.
     _divided: PassSteps | None = None
@@ -262,6 +265,12 @@ class Context:
         for other in component.contexts:
             if other.exclusive or self.exclusive:
                 raise StateError(f"{component.name}: is in {other.name}; a member of a thread context is in no other")
+        for port in () if self.features else component.ports.values():
+            if fault := realtime_fault(port):
+                raise StateError(
+                    f"{component.name}: {fault}, and no real-time thread has such a connector at its ports; "
+                    "connect without that option, or take another kind of context"
+                )
 
     def _make_driver(self, kernel: KernelSide) -> Driver:
         return TaskDriver(self, self.runner.life.steps(), kernel.loop, kernel.call_at, kernel._call_later, kernel.bus)

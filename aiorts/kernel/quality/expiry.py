@@ -117,6 +117,7 @@ class Expiring(FeaturedTransport):
         self._tend_soon()
 
     def end_all(self, reason: str) -> None:
+        self._expire()
         super().end_all(reason)
         self._tend_soon()
 

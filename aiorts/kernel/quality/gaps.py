@@ -143,7 +143,7 @@ class Gaps:
 
     def _is_active(self, port: Port[Any]) -> bool:
         host = host_of(port)
-        component = None if host is None else self._kernel.components.get(host.name)
+        component = None if host is None or host.retired else self._kernel.components.get(host.name)
         return component is not None and is_open(component)
 
     def _pause(self, watch: _Watch) -> None:

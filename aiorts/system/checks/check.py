@@ -13,7 +13,7 @@ from typing import Any
 from aiorts.errors import AiortsError, StateError, SystemFileError
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
-from aiorts.system.checks.connection_checks import joint_findings
+from aiorts.system.checks.connection_checks import feature_findings, joint_findings
 from aiorts.system.checks.draft import Draft, drafts_of
 from aiorts.system.checks.findings import Finding, Said, in_order
 from aiorts.system.checks.whole import whole_findings
@@ -66,6 +66,7 @@ def check_text(
     # What is said of the whole is said of who runs, in the place of whom it is a part of.
     found.system = with_parts(leaf_paths(system, every))
     said += _of_members(found, drafts)
+    said += feature_findings(found)
     # Of a composite whose ports are not known it is not known either which of its members' ports are connected.
     vague = {part for name, one in composed.drafts.items() if one.error for part in parts(system.composites, name)}
     known = {name: one for name, one in drafts.items() if name not in vague}

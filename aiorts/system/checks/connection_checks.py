@@ -9,6 +9,7 @@ from typing import Any
 from aiorts.errors import SystemFileError, WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.wiring import pair_faults
+from aiorts.kernel.quality import FEATURES
 from aiorts.model.options import doubts, idle, transport_notice, without_effect
 from aiorts.services import ServicePort, fault_of
 from aiorts.system.checks.adapt import adaptation
@@ -48,6 +49,28 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
         ):
             what = f"connections[{names[name]}] has the name {name!r} already; choose another"
             yield Said("error", WiringError.code, (*_key(connection), "name"), what)
+
+
+def feature_findings(found: Survey) -> Iterator[Said]:
+    """Options that no real-time thread has at its ports."""
+    threads = {
+        member: context.kind
+        for name, context in found.contexts.items()
+        if not context.features and name in found.system.contexts
+        for member in found.system.contexts[name].members
+    }
+    for connection in found.system.connections:
+        if connection.number not in found.profiles:
+            continue
+        profile, _ = found.profiles[connection.number]
+        ends = [path.partition(".")[0] for path in connection.ports]
+        for feature in FEATURES:
+            if feature.wanted(profile) and (end := next((one for one in ends if one in threads), None)):
+                what = (
+                    f"{end} runs in a {threads[end]} context, which has no such connector at its ports; "
+                    "take it away, or take another kind of context"
+                )
+                yield Said("error", WiringError.code, (*_key(connection), feature.key), what, of_key=True)
 
 
 def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
