@@ -64,29 +64,58 @@ class Kernel(Microkernel):
     # First what is more special, though the overridden method has it last: a service port is a port.
     @overload  # type: ignore[override]
     async def connect(  # type: ignore[overload-overlap]
-        self, one: Service, two: Service, /, **options: Unpack[ConnectOptions]
+        self, one: Service, two: Service | str, /, **options: Unpack[ConnectOptions]
     ) -> ServiceConnector: ...
 
     @overload
     async def connect(  # type: ignore[overload-overlap]
-        self, one: Service, two: Service, three: Service, /, *more: Service, **options: Unpack[ConnectOptions]
+        self, one: str, two: Service, /, **options: Unpack[ConnectOptions]
+    ) -> ServiceConnector: ...
+
+    @overload
+    async def connect(  # type: ignore[overload-overlap]
+        self,
+        one: Service,
+        two: Service | str,
+        three: Service | str,
+        /,
+        *more: Service | str,
+        **options: Unpack[ConnectOptions],
     ) -> Made: ...
 
     @overload
-    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Unpack[ConnectOptions]) -> Connector: ...
+    async def connect(
+        self, one: Port[Any] | str, two: Port[Any] | str, /, **options: Unpack[ConnectOptions]
+    ) -> Connector: ...
 
     @overload
     async def connect(
-        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Unpack[ConnectOptions]
+        self,
+        one: Port[Any] | str,
+        two: Port[Any] | str,
+        three: Port[Any] | str,
+        /,
+        *more: Port[Any] | str,
+        **options: Unpack[ConnectOptions],
     ) -> tuple[Connector, ...]: ...
 
     @overload
     async def connect(
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
+        self,
+        one: PortDeclaration | str,
+        two: PortDeclaration | str,
+        /,
+        *more: PortDeclaration | str,
+        **options: Unpack[ConnectOptions],
     ) -> Any: ...
 
     async def connect(  # pyright: ignore[reportIncompatibleMethodOverride]
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
+        self,
+        one: PortDeclaration | str,
+        two: PortDeclaration | str,
+        /,
+        *more: PortDeclaration | str,
+        **options: Unpack[ConnectOptions],
     ) -> Any:
         return await super().connect(one, two, *more, **options)
 

@@ -63,9 +63,11 @@ class Connections:
         """Connect every out-port with every in-port, or service ports with one another.
 
         Raises:
+            InvalidNameError: a text is no path.
             WiringError: says which ports or options do not go together; nothing was connected.
         """
         options = with_openrtm(options)
+        ports = [self._kernel.registry.port(one) if isinstance(one, str) else one for one in ports]
         for port in ports:
             connecting = port.connecting if isinstance(port, PortDeclaration) else None
             if connecting is not None:

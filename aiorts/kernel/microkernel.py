@@ -33,6 +33,7 @@ from aiorts.kernel.pool import PoolMonitor
 from aiorts.kernel.ports import Port, PortDeclaration
 from aiorts.kernel.registry import Registry
 from aiorts.kernel.service import KernelService, notify, plan_service, report_fault
+from aiorts.kernel.targets import target
 from aiorts.model.names import check_name
 from aiorts.model.naming import NamePolicy
 from aiorts.model.numbering import Numbering
@@ -398,22 +399,43 @@ class Microkernel:
     # -- connecting ------------------------------------------------------------------------------------------------
 
     @overload
-    async def connect(self, one: Port[Any], two: Port[Any], /, **options: Unpack[ConnectOptions]) -> Connector: ...
+    async def connect(
+        self, one: Port[Any] | str, two: Port[Any] | str, /, **options: Unpack[ConnectOptions]
+    ) -> Connector: ...
 
     @overload
     async def connect(
-        self, one: Port[Any], two: Port[Any], three: Port[Any], /, *more: Port[Any], **options: Unpack[ConnectOptions]
+        self,
+        one: Port[Any] | str,
+        two: Port[Any] | str,
+        three: Port[Any] | str,
+        /,
+        *more: Port[Any] | str,
+        **options: Unpack[ConnectOptions],
     ) -> tuple[Connector, ...]: ...
 
     @overload
     async def connect(
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
+        self,
+        one: PortDeclaration | str,
+        two: PortDeclaration | str,
+        /,
+        *more: PortDeclaration | str,
+        **options: Unpack[ConnectOptions],
     ) -> Any: ...
 
     async def connect(
-        self, one: PortDeclaration, two: PortDeclaration, /, *more: PortDeclaration, **options: Unpack[ConnectOptions]
+        self,
+        one: PortDeclaration | str,
+        two: PortDeclaration | str,
+        /,
+        *more: PortDeclaration | str,
+        **options: Unpack[ConnectOptions],
     ) -> Any:
         """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
+
+        A port is given itself or by its path ("pid0.command", see `find`). A type checker takes two paths for those of
+        data ports.
 
         Returns the connector, or a tuple of them when more than two ports were given. Options (`aiorts.ConnectOptions`
         has their types; the same keys in system files and profiles; OpenRTM's keys are aliases):
@@ -434,6 +456,7 @@ class Microkernel:
             does not tell. strict: False leaves unbound what no provider answers. name: the connector's.
 
         Raises:
+            InvalidNameError: a text is no path.
             WiringError: says which ports or options do not go together and why; nothing was connected.
         """
         self.check_open("connect")
@@ -477,6 +500,37 @@ class Microkernel:
         self.check_open("stop")
         context.runner.check_kernel(self)
         await context.stop()
+
+    async def activate(
+        self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
+    ) -> None:
+        """Activate a component, given itself or by its path, in the context in which it is: see `Context.activate`.
+
+        Args:
+            context: where the component is in several contexts, the one that is meant, itself or by its name.
+            timeout: seconds of the kernel's clock; None waits forever.
+
+        Raises:
+            WiringError: there is no component of that path, and says what there is.
+            StateError: the component is in no context, or in several and none is named, or not inactive.
+                What `Context.activate` raises.
+        """
+        one, where = target(self, "activate", component, context)
+        await where.activate(one, timeout=timeout)
+
+    async def deactivate(
+        self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
+    ) -> None:
+        """Deactivate a component, given as for `activate`: see `Context.deactivate`."""
+        one, where = target(self, "deactivate", component, context)
+        await where.deactivate(one, timeout=timeout)
+
+    async def reset(
+        self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
+    ) -> None:
+        """Take a component, given as for `activate`, out of error into inactive: see `Context.reset`."""
+        one, where = target(self, "reset", component, context)
+        await where.reset(one, timeout=timeout)
 
     async def sleep(self, seconds: float) -> None:
         """Wait on the kernel's clock; a negative time is 0. ValueError for NaN and infinities."""
@@ -542,6 +596,13 @@ class Microkernel:
         if self._loop is None or self.closed:
             why = "is closed" if self.closed else "is not open; use `async with` or await open()"
             raise ClosedError(f"{self.name}: cannot {what}: {why}")
+
+    def check_reachable(self, what: str) -> None:
+        """As `check_open`; but it may be closing: what still runs then can be asked."""
+        if self.state == "closing":
+            self.check_thread(what)
+        else:
+            self.check_open(what)
 
     def check_mine(self, component: Component, what: str) -> None:
         """Raise StateError unless this is a component of this kernel, which is open."""

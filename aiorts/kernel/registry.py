@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Awaitable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aiorts.errors import ComponentError, DeclarationError, InvalidNameError, StateError, WiringError, format_error
@@ -41,7 +42,17 @@ if TYPE_CHECKING:
 C = TypeVar("C", bound=Component)
 _NAMED: Final = 10
 """Instances that a message lists."""
+_COMPARED: Final = 1000
+"""Names that one is compared with that is not there."""
 _LOG = KernelLog()
+
+
+def known(name: str, names: Iterable[str], there_are: str = "there are") -> str:
+    """What an error says of the names there are: the one that is meant, or else all."""
+    from difflib import get_close_matches  # late: for an error alone
+
+    near = get_close_matches(name, islice(names, _COMPARED), n=1)
+    return f"did you mean {near[0]!r}?" if near else f"{there_are} {', '.join(names) or 'none'}"
 
 
 class Registry:
@@ -74,17 +85,22 @@ class Registry:
             self._check_here(path, where)
         component = self.components.get(where.component)
         if component is None:
-            raise WiringError(
-                f"{path}: no component {where.component!r}; there are {', '.join(self.components) or 'none'}"
-            )
+            raise WiringError(f"{path}: no component {where.component!r}; {known(where.component, self.components)}")
         if not where.port:
             return component
         port = component.ports.get(where.port)
         if port is None:
-            raise WiringError(
-                f"{path}: {where.component} has no port {where.port!r}; it has {', '.join(component.ports) or 'none'}"
-            )
+            has = known(where.port, component.ports, "it has")
+            raise WiringError(f"{path}: {where.component} has no port {where.port!r}; {has}")
         return port
+
+    def port(self, path: str) -> Port[Any]:
+        """The port of a path. WiringError: there is none, or it is the path of a component."""
+        found = self.find(path)
+        if isinstance(found, Port):
+            return found
+        ports = ", ".join(f"{path}.{name}" for name in found.ports)
+        raise WiringError(f"{path}: is a component; {f'give one of its ports: {ports}' if ports else 'it has no port'}")
 
     def _check_here(self, path: str, where: Path) -> None:
         """Raise WiringError when a path that names its kernel, or its host too, means another one than this."""

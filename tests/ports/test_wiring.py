@@ -449,3 +449,46 @@ async def test_keys_of_openrtm_travel_in_a_mapping_or_as_they_are(anyio_backend:
         await kernel.disconnect(one)
         plain: Any = keys
         assert (await kernel.connect(source.out, sink.inp, push="all", **plain)).profile == one.profile
+
+
+async def test_a_port_is_given_itself_or_by_its_path(anyio_backend: Any) -> None:
+    async with Kernel("robot") as kernel:
+        source, sink, other = await kernel.add(Source()), await kernel.add(Sink()), await kernel.add(Sink())
+        for one, two in (
+            ("source0.out", "sink0.inp"),
+            (source.out, "sink0.inp"),
+            ("robot/source0.out", sink.inp),
+            ("sink0.inp", "source0.out"),
+        ):
+            connector = await kernel.connect(one, two, length=3)
+            assert (connector.out, connector.in_, connector.profile.length) == (source.out, sink.inp, 3)
+            assert set(connector.profile.ports) == {"source0.out", "sink0.inp"}
+            await kernel.disconnect(connector)
+        await kernel.connect("source0.out", sink.inp, "sink1.inp")
+        source.out.write_nowait(long(7))
+        assert (sink.inp.read_nowait().data, other.inp.read_nowait().data) == (7, 7)
+
+
+@pytest.mark.parametrize(
+    ("path", "error", "said"),
+    [
+        ("sink0.imp", WiringError, r"sink0\.imp: sink0 has no port 'imp'; did you mean 'inp'\?"),
+        ("sink0.x", WiringError, r"sink0 has no port 'x'; it has inp"),
+        ("snik0.inp", WiringError, r"snik0\.inp: no component 'snik0'; did you mean 'sink0'\?"),
+        ("nobody.inp", WiringError, r"no component 'nobody'; there are source0, sink0"),
+        ("sink0", WiringError, r"sink0: is a component; give one of its ports: sink0\.inp$"),
+        ("other/sink0.inp", WiringError, r"is in the kernel 'other'"),
+        ("sink0.inp.more", InvalidNameError, r"'\.' not allowed"),
+        ("", InvalidNameError, "is empty"),
+    ],
+)
+async def test_a_path_of_no_port_is_refused_and_nothing_connected(
+    path: str, error: type[Exception], said: str, anyio_backend: Any
+) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source()), await kernel.add(Sink())
+        for ports in ((source.out, path), (path, sink.inp), (source.out, sink.inp, path)):
+            with pytest.raises(error, match=said):
+                await kernel.connect(*ports)
+        assert not kernel.connectors
+        assert source.out.connectors == sink.inp.connectors == ()

@@ -66,6 +66,18 @@ async def _failed(w: Any) -> None:
     await w.composite.reset()
 
 
+async def _quietened(w: Any) -> None:
+    await w.kernel.activate("two")
+    await w.kernel.deactivate(w.two)
+
+
+async def _repaired(w: Any) -> None:
+    await w.kernel.activate("two")
+    w.context.runner.life.failed(w.context.runner.member(w.two), "on_execute", RuntimeError("told to"))
+    await w.kernel.sleep(0.02)
+    await w.kernel.reset("two")
+
+
 async def _opened(w: Any) -> None:
     other = Kernel("other")
     try:
@@ -128,6 +140,9 @@ CALLS: dict[str, Call] = {
     "Composite.remove_members": lambda w: w.composite.remove_members(w.inner[0]),  # type: ignore[attr-defined]
     "ExternalContext.tick": lambda w: w.ticked.tick(),  # type: ignore[attr-defined]
     "Introspection.profile_in_turns": lambda w: w.kernel.profile_in_turns(hold=0.0),
+    "Microkernel.activate": lambda w: w.kernel.activate("two"),
+    "Microkernel.deactivate": _quietened,
+    "Microkernel.reset": _repaired,
     "Kernel.open": _opened,
     "Kernel.__aenter__": _entered,
     "Kernel.__aexit__": _entered,

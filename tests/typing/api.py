@@ -125,6 +125,8 @@ async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
     assert_type(await kernel.connect(arm.brake, brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, brake.service, mapping={"brake": "service"}), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), tuple[ServiceConnector, ...])
+    assert_type(await kernel.connect("arm0.brake", brake.service), ServiceConnector)
+    assert_type(await kernel.connect(arm.brake, "brake0.service", strict=False), ServiceConnector)
     await kernel.connect(arm.brake, arm)  # error: a component is no port
 
 
@@ -198,6 +200,12 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     await link(kernel, pid, subscription="periodic", push="fifo", push_rate=10, openrtm={"dataport.io_mode": "new"})
     await kernel.connect(pid.command, pid.measured, dataflow="pull", stamp="read", name="wire", allow_duplicate=True)
     assert_type(rig.connect("pid0.command", pid.measured, full="reject"), Connector)
+    assert_type(await kernel.connect("pid0.command", "pid1.measured", full="block"), Connector)
+    assert_type(await kernel.connect(pid.command, "pid1.measured"), Connector)
+    await kernel.connect("pid0.command", pid, full="block")  # error: a component is no port
+    await kernel.activate("pid0", context="main")
+    await kernel.reset(pid, context=PeriodicContext(rate=1.0), timeout=None)
+    await kernel.deactivate(pid.command)  # error: a port is no component
     await kernel.connect(pid.command, pid.measured, full="drop")  # error: no such word
     await kernel.connect(pid.command, pid.measured, lenght=4)  # error: no such option
     await kernel.connect(pid.command, pid.measured, length="4")  # error: not a number

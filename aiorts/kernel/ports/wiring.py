@@ -35,9 +35,6 @@ def plan(
     Raises:
         WiringError: says which ports do not go together and why.
     """
-    for text in ports:
-        if isinstance(text, str):
-            raise WiringError(f"connect({text!r}): a text is no port; give the port itself: kernel.find({text!r})")
     outs = [port for port in ports if isinstance(port, OutPort)]
     ins = [port for port in ports if isinstance(port, InPort)]
     where = " -> ".join(getattr(port, "path", None) or shown(port) for port in ports)
