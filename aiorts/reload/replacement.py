@@ -295,7 +295,8 @@ class Replacement:
         _change_ports(old, self._fresh, self._gone)
         for member in members:
             member.open_ports()
-        for port in self._gone:
+        for port in self._ports.values():
+            # What the new code has not read: no other sample may come before the old code runs.
             if isinstance(port, InPort) and port.is_new:
                 receiver_of(port).notify()
         if configured is not self._put_in_force:
