@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 from anyio import WouldBlock
 
-from aiorts import Component, Connector, ExternalContext, InPort, Kernel, OutPort, SimulatedClock
+from aiorts import Component, Connector, ExternalContext, InPort, Kernel, OutPort, SimulatedClock, ThreadContext
 from aiorts.errors import WriteTimeout
+from aiorts.kernel.ports.connector import unread_of
+from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.testing import simulate
 from aiorts.types import TimedLong
 from campaign import CAMPAIGN, cases
@@ -172,7 +174,9 @@ class Model:
 class System:
     """One random system, played on live ports and on the model."""
 
-    def __init__(self, number: int, hits: Counter[str]) -> None:
+    def __init__(self, number: int, hits: Counter[str], *, threads: bool = False, **kernel_options: Any) -> None:
+        self.threads = threads
+        self.kernel_options = kernel_options
         self.random = random.Random(number)
         self.hits = hits
         self.model = Model()
@@ -185,11 +189,13 @@ class System:
 
     async def play(self, clock: SimulatedClock) -> None:
         self.clock = clock
-        async with Kernel() as kernel:
+        async with Kernel(**self.kernel_options) as kernel:
             self.kernel = kernel
             self.sources = [await kernel.add(Source(f"source{number}")) for number in range(SOURCES)]
             self.sinks = [await kernel.add(Sink(f"sink{number}")) for number in range(SINKS)]
             self.contexts = [await kernel.start(ExternalContext(), sink, activate=True) for sink in self.sinks]
+            if self.threads:
+                await self.connect_a_thread()
             for _ in range(self.random.choice((1, 3, 5))):
                 await self.connect()
             table = {
@@ -210,7 +216,7 @@ class System:
             }
             for step in self.random.choices(list(table), list(table.values()), k=STEPS):
                 await step()
-                for _ in range(6):
+                for _ in range(20 if self.threads else 6):
                     await asyncio.sleep(0)
                 self.model.settle()
                 self.compare(step.__name__)
@@ -226,7 +232,7 @@ class System:
             expected = (link.written, link.delivered, buffered, dict(link.dropped))
             assert (ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped)) == expected, (step, link)
             assert ledger.balanced
-            assert connector.unread == len(unread), step
+            assert unread_of(connector) == len(unread), step
             for reason, count in ledger.dropped.items():
                 self.hits[reason] += not link.length and count
         for number, sink in enumerate(self.sinks):
@@ -348,11 +354,21 @@ class System:
         source, sink = self.random.randrange(SOURCES), self.random.randrange(SINKS)
         length, timeout = self.random.choice((0, 0, 0, 1, 3)), self.random.choice((None, None, 0.03, 0.2))
         options: dict[str, Any] = {"length": length, "timeout": timeout, "allow_duplicate": True}
+        if length and self.random.random() < 0.3:
+            options["lifespan"] = 1e6  # whose reader is of another class
         connector = await self.kernel.connect(self.sources[source].out, self.sinks[sink].inp, **options)
         link = Link(source, sink, length)
         self.model.links.append(link)
         self.live[link] = connector
         self.all.append((connector, link))
+
+    async def connect_a_thread(self) -> None:
+        """One that writes nothing: from now on whatever is at these ports takes their locks."""
+        other = await self.kernel.add(Source("other"))
+        await self.kernel.start(ThreadContext(rate=0.001), other)
+        for sink in self.sinks:
+            await self.kernel.connect(other.out, sink.inp)
+            assert receiver_of(sink.inp).lock is not None
 
     async def disconnect(self) -> None:
         if self.live:
@@ -376,6 +392,15 @@ class System:
 
 def long(number: int) -> TimedLong:
     return TimedLong(0, number)
+
+
+@pytest.mark.row(38)
+@pytest.mark.campaign
+@pytest.mark.parametrize("options", [{"threads": True}, {"debug": True}], ids=["threads", "debug"])
+def test_nor_do_locks_or_checks_change_anything(options: dict[str, Any]) -> None:
+    hits: Counter[str] = Counter()
+    for number in range(cases(500)):
+        simulate(System(number, hits, **options).play, seed=number)
 
 
 PARTS = 10 if CAMPAIGN else 1

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from anyio import WouldBlock
 
 from aiorts import (
     Component,
+    Composite,
     Connector,
     EventContext,
     InPort,
@@ -21,9 +23,9 @@ from aiorts import (
     Supervision,
     ThreadContext,
 )
-from aiorts.errors import AiortsError, ClosedError, WriteTimeout
+from aiorts.errors import AiortsError, ClosedError, StateError, ThreadError, WriteTimeout
 from aiorts.events import ConnectorEvent
-from aiorts.system import wait_finished
+from aiorts.system import build, load, wait_finished
 from aiorts.testing import simulate, simulated
 from aiorts.types import TimedLong
 from reload_files import Source as File
@@ -271,3 +273,121 @@ async def test_in_debug_mode_it_is_the_same(simulated_clock: SimulatedClock) -> 
         assert data(sink.inp.drain()) == [0, 2]
         assert counts(wire) == (2, 2, 0, {})
         assert wire.timing is not None
+
+
+@simulated
+async def test_a_thread_that_must_not_wait_gives_to_a_read_on_the_loop(simulated_clock: SimulatedClock) -> None:
+    class Offering(Component):
+        out = OutPort(TimedLong)
+        given = refused = 0
+
+        def on_execute(self) -> None:
+            try:
+                self.out.write_nowait(long(self.given))
+                self.given += 1
+            except WouldBlock:
+                self.refused += 1
+
+    async with Kernel() as kernel:
+        offering, sink = await kernel.add(Offering("offering")), await kernel.add(Sink("sink"))
+        wire = await kernel.connect(offering.out, sink.inp, length=0)
+        context = await kernel.start(ThreadContext(rate=100.0), offering, activate=True)
+        await asyncio.sleep(0.1)
+        assert offering.refused > 5
+        taken = [(await sink.inp.read(timeout=5)).data for _ in range(20)]
+        await context.stop()
+        assert taken == list(range(20))
+        assert offering.given == 20
+        assert counts(wire) == (20, 20, 0, {})
+
+
+@simulated
+async def test_a_foreign_thread_takes_nothing_since_it_cannot_wake_the_writer(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        wire = await kernel.connect(source.out, sink.inp, length=0, timeout=None)
+        write = asyncio.create_task(source.out.write(long(1)))
+        await asyncio.sleep(0)
+        with pytest.raises(ThreadError, match="cannot wake the writer"):
+            await asyncio.to_thread(sink.inp.read_nowait)
+        assert not write.done()
+        assert sink.inp.read_nowait() == long(1)
+        await write
+        assert counts(wire) == (1, 1, 0, {})
+
+
+@simulated
+async def test_members_with_schedules_of_their_own_may_meet(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        apart = Composite("apart", sink, own_schedule=True)
+        await kernel.add(Composite("whole", source, apart))
+        wire = await kernel.connect(source.out, sink.inp, length=0, timeout=None)
+        await kernel.start(EventContext(), apart, activate=True)
+        write = asyncio.create_task(source.out.write(long(1)))
+        await asyncio.sleep(0)
+        assert sink.inp.read_nowait() == long(1)
+        assert await write is True
+        with pytest.raises(StateError, match="length = 0"):
+            await kernel.contexts["event0"].add(source)
+        assert counts(wire) == (1, 1, 0, {})
+
+
+@pytest.mark.parametrize("said", ["length = 0", 'sync_readwrite = "YES"', 'dataflow_type = "duplex"'])
+def test_a_system_file_asks_for_it(tmp_path: Path, said: str) -> None:
+    """Its writer waits for a reader that runs twenty times a second."""
+    (tmp_path / "parts.py").write_text(PARTS)
+    file = tmp_path / "system.toml"
+    file.write_text(SYSTEM.replace("SAID", said))
+
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(file))
+            assert await wait_finished(kernel) == ()
+            (wire,) = kernel.connectors.values()
+            assert (wire.profile.length, wire.profile.full) == (0, "block")
+            assert counts(wire) == (20, 20, 0, {})
+            taking: Any = kernel.components["taking"]
+            assert taking.taken == list(range(20))
+
+    simulate(main())
+
+
+PARTS = """
+from aiorts import Component, InPort, OutPort
+from aiorts.types import TimedLong
+
+class Writing(Component):
+    out = OutPort(TimedLong)
+    async def on_execute(self):
+        for number in range(20):
+            await self.out.write(TimedLong(0, number))
+        self.finish()
+
+class Taking(Component):
+    inp = InPort(TimedLong)
+    def on_activated(self):
+        self.taken = []
+    def on_execute(self):
+        if self.inp.is_new:
+            self.taken.append(self.inp.read_nowait().data)
+"""
+SYSTEM = """
+schema = 1
+[components.writing]
+type = "parts.py:Writing"
+[components.taking]
+type = "parts.py:Taking"
+[[connections]]
+from = "writing.out"
+to = "taking.inp"
+SAID
+[contexts.a]
+kind = "periodic"
+rate = 100.0
+members = ["writing"]
+[contexts.b]
+kind = "periodic"
+rate = 20.0
+members = ["taking"]
+"""
