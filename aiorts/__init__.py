@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from aiorts.kernel import (
         Bus,
         Component,
+        Connection,
         Connector,
         Context,
         InPort,
@@ -65,6 +66,7 @@ __all__ = (
     "Composite",
     "Configuration",
     "ConnectOptions",
+    "Connection",
     "Connector",
     "Context",
     "Declaration",
@@ -121,7 +123,7 @@ _late(
         "aiorts.contexts": "EventContext ExternalContext PeriodicContext ThreadContext",
         "aiorts.errors": "AiortsError",
         "aiorts.kernel": (
-            "Bus Component Connector Context InPort KernelService Microkernel OutPort Param setting wait_any"
+            "Bus Component Connection Connector Context InPort KernelService Microkernel OutPort Param setting wait_any"
         ),
         "aiorts.kernel.extensions.catalogue": "Catalogue Extension",
         "aiorts.kernel.extensions.type_modules": "import_types",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from aiorts.configuration import ConfigurationFiles
     from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
     from aiorts.kernel.component import Component
+    from aiorts.kernel.connection import Connection
     from aiorts.kernel.ports import Port, PortDeclaration
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.blame import GcPauses
@@ -97,7 +98,7 @@ class Kernel(Microkernel):
         /,
         *more: Port[Any] | str,
         **options: Unpack[ConnectOptions],
-    ) -> tuple[Connector, ...]: ...
+    ) -> Connection[Connector]: ...
 
     @overload
     async def connect(

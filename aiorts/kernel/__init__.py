@@ -13,6 +13,7 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
+    from aiorts.kernel.connection import Connection
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.execution.cycle import Wait
     from aiorts.kernel.loop.bus import Bus
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = (
     "Bus",
     "Component",
+    "Connection",
     "Connector",
     "Context",
     "InPort",
@@ -42,6 +44,7 @@ _late(
     {
         "aiorts.kernel.loop.bus": "Bus",
         "aiorts.kernel.component": "Component",
+        "aiorts.kernel.connection": "Connection",
         "aiorts.kernel.ports.connector": "Connector",
         "aiorts.kernel.execution.context": "Context",
         "aiorts.kernel.execution.cycle": "Wait",

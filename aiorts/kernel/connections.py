@@ -33,6 +33,7 @@ from aiorts.model.options import (
 from aiorts.model.profile import ConnectorProfile
 
 if TYPE_CHECKING:
+    from aiorts.kernel.connection import Connection
     from aiorts.kernel.execution.cell import KernelSide
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
@@ -240,6 +241,18 @@ class Connections:
         self._those(connector).pop(connector.name, None)
         self._numbering.free(connector.name)
         self._kernel.bus.publish(Disconnected(connector.profile))
+
+    def end_whole(self, connection: Connection[Any]) -> None:
+        """Take all connectors of one `connect` out of force, the last one first.
+
+        Raises:
+            WiringError: one is of another kernel; none was ended.
+            ThreadError: called in another thread than the loop's.
+        """
+        self._kernel.check_thread("the end of a connection")
+        for connector in connection:
+            self.check_mine(connector)
+        self.end_each(connection[::-1])
 
     def end_all(self) -> None:
         """In reverse order."""

@@ -18,6 +18,7 @@ from aiorts.clock import Clock, SystemClock, clock_of, to_ns
 from aiorts.errors import ClosedError, ConfigurationError, DeclarationError, StateError, ThreadError
 from aiorts.kernel import embedding, naming, start_context
 from aiorts.kernel.component import Component
+from aiorts.kernel.connection import Connection, joined
 from aiorts.kernel.connections import Connections
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.context import Context
@@ -412,7 +413,7 @@ class Microkernel:
         /,
         *more: Port[Any] | str,
         **options: Unpack[ConnectOptions],
-    ) -> tuple[Connector, ...]: ...
+    ) -> Connection[Connector]: ...
 
     @overload
     async def connect(
@@ -437,8 +438,9 @@ class Microkernel:
         A port is given itself or by its path ("pid0.command", see `find`). A type checker takes two paths for those of
         data ports.
 
-        Returns the connector, or a tuple of them when more than two ports were given. Options (`aiorts.ConnectOptions`
-        has their types; the same keys in system files and profiles; OpenRTM's keys are aliases):
+        Returns the connector, or the `Connection` of them when more than two ports were given. Options
+        (`aiorts.ConnectOptions` has their types; the same keys in system files and profiles; OpenRTM's keys are
+        aliases):
             dataflow: "push", or "pull": the reader asks, the writer's latest unread sample is taken.
             subscription: "flush", "new", "periodic". push: "all", "fifo", "skip", "new".
             push_rate: Hz, for periodic. skip: n, send every (n + 1)-th.
@@ -461,13 +463,22 @@ class Microkernel:
         """
         self.check_open("connect")
         made = self.connections.make((one, two, *more), options)
-        return tuple(made) if more else made[0]
+        return joined(made, self.connections) if more else made[0]
 
     async def disconnect(self, connector: Any) -> None:
-        """End a connector: what is queued is dropped as disconnected, who waits goes on, calls end. Idempotent."""
+        """End a connector, or all of a `Connection`. Idempotent.
+
+        What is queued is dropped as disconnected, who waits goes on, calls end.
+
+        Raises:
+            WiringError: it is of another kernel; nothing was ended.
+        """
         self.check_open("disconnect")
-        self.connections.check_mine(connector)
-        self.connections.end(connector)
+        if isinstance(connector, Connection):
+            self.connections.end_whole(connector)
+        else:
+            self.connections.check_mine(connector)
+            self.connections.end(connector)
 
     # -- contexts --------------------------------------------------------------------------------------------------
 

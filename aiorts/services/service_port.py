@@ -20,6 +20,7 @@ from aiorts.services.tallies import Tally
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
+    from aiorts.kernel.connection import Connection
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.host import PortHost
     from aiorts.model.interface import Interface
@@ -370,7 +371,7 @@ Service: TypeAlias = ServicePort | ServiceEnd[Any]
 """What of services can be connected: a port with all its interfaces, or one of them."""
 
 
-Made: TypeAlias = tuple[ServiceConnector, ...]
+Made: TypeAlias = "Connection[ServiceConnector]"
 
 
 def service_connecting() -> Connecting:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Protocol, Unpack, assert_type
 from aiorts import (
     Component,
     Configuration,
+    Connection,
     ConnectOptions,
     Connector,
     Goal,
@@ -124,7 +125,7 @@ def blocking(arm: Arm) -> None:
 async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
     assert_type(await kernel.connect(arm.brake, brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, brake.service, mapping={"brake": "service"}), ServiceConnector)
-    assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), tuple[ServiceConnector, ...])
+    assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), Connection[ServiceConnector])
     assert_type(await kernel.connect("arm0.brake", brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, "brake0.service", strict=False), ServiceConnector)
     await kernel.connect(arm.brake, arm)  # error: a component is no port
@@ -221,7 +222,7 @@ async def main() -> None:
         assert_type(await kernel.create(Pid), Pid)
         assert_type(await kernel.create("Pid"), Component)
         assert_type(await kernel.connect(pid.command, pid.measured, subscription="new"), Connector)
-        assert_type(await kernel.connect(pid.command, pid.command, pid.measured), tuple[Connector, ...])
+        assert_type(await kernel.connect(pid.command, pid.command, pid.measured), Connection[Connector])
         context = await kernel.start(PeriodicContext(rate=500.0), pid)
         assert_type(context, PeriodicContext)
         assert_type(context.state(pid), LifecycleState)
