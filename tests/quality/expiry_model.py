@@ -32,6 +32,7 @@ class ModelConnector:
     lifespan_ns: int | None
     start_ns: int
     """When it was made: its periods count from there."""
+    out_length: int
     queue: list[Entry] = field(default_factory=list)
     backlog: list[Entry] = field(default_factory=list)
     waiting: list[Entry] = field(default_factory=list)
@@ -130,7 +131,7 @@ class Model:
             one.dropped["inactive"] += 1
             return True
         if one.periodic:
-            if len(one.backlog) >= one.length:
+            if len(one.backlog) >= one.out_length:
                 if one.full == "reject":
                     one.dropped["rejected"] += 1
                     return False
@@ -150,15 +151,28 @@ class Model:
                 return False
             one.queue.pop(0)
             one.dropped["overwritten"] += 1
+        self._append(one, entry)
+        return True
+
+    def _append(self, one: ModelConnector, entry: Entry) -> None:
         self._places += 1
         entry.place = self._places
         one.queue.append(entry)
-        return True
 
     def _admit(self, one: ModelConnector) -> None:
         while one.waiting and len(one.queue) < one.length:
             one.written += 1
             self._store(one, Entry(one.waiting.pop(0).sample, self.now))
+
+    def change(self, one: ModelConnector, length: int, full: str) -> None:
+        """Waiting writers go on as far as there is room; where nobody waits any more, all of them."""
+        self._settle(one)
+        one.length, one.full = length, full
+        waiting = len(one.waiting) if full != "block" else max(0, length - len(one.queue))
+        for entry in one.waiting[:waiting]:
+            one.written += 1
+            self._append(one, Entry(entry.sample, self.now))
+        del one.waiting[:waiting]
 
     def cancel(self, one: ModelConnector, sample: int) -> None:
         """The writer of this sample waits no more."""

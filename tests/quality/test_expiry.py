@@ -19,6 +19,7 @@ from aiorts import (
     RealtimeContext,
     SimulatedClock,
     Supervision,
+    Synchronizer,
     ThreadContext,
     wait_any,
 )
@@ -432,3 +433,35 @@ async def test_an_operation_ends_what_has_expired_first(simulated_clock: Simulat
         await asyncio.sleep(1)
         await kernel.disconnect(wire)
         assert counts(wire) == (2, 0, 0, {"expired": 2})
+
+
+@simulated
+async def test_in_a_strict_rig(simulated_clock: SimulatedClock) -> None:
+    """In debug mode every sample goes the checked way."""
+    async with Kernel(debug=True) as kernel:
+        source, sink, wire = await connected(kernel, length=1, full="block", timeout=None)
+        for number in range(3):
+            await source.out.write(long(number))
+        assert sink.inp.read_nowait() == long(2)
+        assert counts(wire) == (3, 1, 0, {"expired": 2})
+
+
+@simulated
+async def test_a_synchroniser_takes_nothing_that_is_too_old(simulated_clock: SimulatedClock) -> None:
+    class Fusing(Component):
+        one = InPort(TimedLong)
+        two = InPort(TimedLong)
+
+    async with Kernel() as kernel:
+        left, right = await kernel.add(Source("left")), await kernel.add(Source("right"))
+        fusing = await kernel.add(Fusing("fusing"))
+        both = Synchronizer(fusing.one, fusing.two, policy="exact")
+        await kernel.connect(left.out, fusing.one, lifespan=1.0)
+        await kernel.connect(right.out, fusing.two)
+        left.out.write_nowait(TimedLong(5, 1))
+        await asyncio.sleep(1)
+        right.out.write_nowait(TimedLong(5, 2))
+        with pytest.raises(WouldBlock):
+            both.match_nowait()
+        left.out.write_nowait(TimedLong(5, 3))
+        assert both.match_nowait() == (TimedLong(5, 3), TimedLong(5, 2))

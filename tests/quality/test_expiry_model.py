@@ -15,7 +15,7 @@ from aiorts import Component, ExternalContext, InPort, Kernel, OutPort, Simulate
 from aiorts.errors import WriteTimeout
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong
-from campaign import cases
+from campaign import cases, time_limit
 from quality.expiry_model import LIFESPANS_NS, RATE, TIMEOUT_NS, Model, ModelConnector
 
 STEP = 0.1
@@ -24,7 +24,7 @@ APART_NS = 7_000_000
 """Between the making of two connectors: their periods do not end together."""
 OPERATIONS = (
     *("write", "write", "write", "wait", "wait", "cancel", "read", "read", "read"),
-    *("peek", "drain", "latest", "is_new", "listen", "unlisten", "switch"),
+    *("peek", "drain", "latest", "is_new", "listen", "unlisten", "switch", "length", "full"),
 )
 
 
@@ -37,7 +37,8 @@ class Sink(Component):
 
 
 KINDS = st.sampled_from(["flush", "flush", "new", "pull", "periodic all", "periodic fifo", "periodic new"])
-FULL = st.sampled_from(["overwrite", "reject", "block"])
+FULLS = ["overwrite", "reject", "block"]
+FULL = st.sampled_from(FULLS)
 CONNECTORS = st.lists(st.tuples(KINDS, FULL, st.integers(1, 3), st.booleans()), min_size=1, max_size=2)
 CHANGES = st.lists(
     st.tuples(st.sampled_from(OPERATIONS), st.integers(0, 1), st.sampled_from([0, 0, 1, 1, 2, 4, 5, 9])),
@@ -132,6 +133,18 @@ class Bench:
         elif operation == "unlisten":
             while self.removers:
                 self.removers.pop()()
+        elif operation in ("length", "full"):
+            if not one.replaces:
+                length, full = one.length, one.full
+                if operation == "length":
+                    length = length % 3 + 1
+                    wire.change(length=length)
+                else:
+                    full = FULLS[(FULLS.index(full) + 1) % 3]
+                    wire.change(full=full)
+                model.change(one, length, full)
+                for _ in range(4):
+                    await asyncio.sleep(0)
         else:
             await (self.context.deactivate if model.is_open else self.context.activate)(self.sink)
             model.set_open(not model.is_open)
@@ -153,6 +166,7 @@ def run(connectors: list[tuple[str, str, int, bool]], changes: list[tuple[str, i
                     1 if kind in ("new", "pull") else length,
                     LIFESPANS_NS[number] if short else None,
                     number * APART_NS,
+                    length,
                 )
                 for number, (kind, full, length, short) in enumerate(connectors)
             ]
@@ -176,6 +190,7 @@ def run(connectors: list[tuple[str, str, int, bool]], changes: list[tuple[str, i
     simulate(main, seed=seed)
 
 
+@pytest.mark.timeout(time_limit(1200))
 @settings(max_examples=cases(5_000), deadline=None)
 @given(CONNECTORS, CHANGES, st.integers(0, 1_000))
 def test_any_operations_do_what_the_model_says(

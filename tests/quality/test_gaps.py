@@ -10,6 +10,7 @@ import pytest
 
 from aiorts import (
     Component,
+    Composite,
     Connector,
     EventContext,
     InPort,
@@ -275,5 +276,27 @@ async def test_a_writer_of_any_context_is_watched(simulated_clock: SimulatedCloc
             assert [what for what, _ in heard.take()] in (["WriterSilent" if ticker.quiet else "WriterBack"], [])
         assert (wire.statistics.missed_gaps, wire.statistics.silent) == (2, False)
         await run.stop()
+        await asyncio.sleep(3)
+        assert heard.take() == []
+
+
+@simulated
+async def test_members_of_a_composite_are_watched(simulated_clock: SimulatedClock) -> None:
+    async with Kernel() as kernel:
+        heard = Heard(kernel)
+        ticker, sink = await kernel.add(Ticker("ticker")), await kernel.add(Sink("sink"))
+        await kernel.connect(ticker.out, sink.inp, max_gap=0.25)
+        whole = await kernel.add(Composite("whole", ticker, sink))
+        run = await kernel.start(PeriodicContext(rate=10.0), whole)
+        await asyncio.sleep(3)
+        assert heard.take() == []
+        ticker.quiet = True
+        await run.activate(whole)
+        await asyncio.sleep(3)
+        assert [what for what, _ in heard.take()] == ["WriterSilent"]
+        ticker.quiet = False
+        await asyncio.sleep(3)
+        assert [what for what, _ in heard.take()] == ["WriterBack"]
+        await run.deactivate(whole)
         await asyncio.sleep(3)
         assert heard.take() == []

@@ -19,7 +19,7 @@ from aiorts import (
     ThreadContext,
 )
 from aiorts.errors import ComponentError
-from aiorts.events import ComponentReloaded, PortAdded, PortRemoved, StateChanged
+from aiorts.events import ComponentReloaded, PortAdded, PortRemoved, StateChanged, WriterBack, WriterSilent
 from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.testing import simulated
@@ -84,6 +84,37 @@ async def test_unread_samples_and_their_order_stay(source: Make) -> None:
         assert [each.data for each in new.data.drain()] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
         assert first.statistics.delivered + second.statistics.delivered == 7
         assert first.statistics.dropped == second.statistics.dropped == {}
+
+
+@simulated
+async def test_lifespans_and_gaps_go_on(source: Make) -> None:
+    file = source(SINK)
+    events: list[str] = []
+    async with Kernel() as kernel:
+        writer, reader = await kernel.create(Writer, "writer"), await kernel.create(Reader, "reader")
+        sink = await kernel.create(file.get("Sink"), "sink")
+        into = await kernel.connect(writer.out, sink.data, lifespan=1.0)
+        leaving = await kernel.connect(sink.out, reader.inp, max_gap=1.0)
+        for kind in (WriterSilent, WriterBack):
+            kernel.bus.subscribe(kind, lambda event: events.append(type(event).__name__))
+        await kernel.start(EventContext(), sink, activate=True)
+        writer.out.write_nowait(sample(0))
+        await asyncio.sleep(0.9)
+        writer.out.write_nowait(sample(1))
+        file.replace("self.runs += 1", "self.runs += 2")
+        await kernel.reload("Sink", seconds=0.0)
+        new: Any = kernel.components["sink"]
+        await asyncio.sleep(0.2)
+        assert [each.data for each in new.data.drain()] == [1.0]
+        assert into.statistics.dropped == {"expired": 1}
+        await asyncio.sleep(2)
+        assert (events, leaving.statistics.silent) == (["WriterSilent"], True)
+        await kernel.reload("Sink", seconds=0.0)
+        kernel.components["sink"].out.write_nowait(sample(2))
+        await asyncio.sleep(0.5)
+        assert events == ["WriterSilent", "WriterBack"]
+        await asyncio.sleep(5)
+        assert (events[2:], leaving.statistics.missed_gaps) == (["WriterSilent"], 2)
 
 
 @simulated

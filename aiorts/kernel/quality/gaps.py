@@ -190,6 +190,8 @@ class Gaps:
                     self._look(watch)
                 else:  # it was refused, or a thread is not done with it yet
                     self._set_timer(watch)
+                    self._awaited.add(out)
+                    refresh(out)
 
     def _publish(self, watch: _Watch) -> None:
         connector, max_gap = watch.connector, watch.connector.profile.max_gap

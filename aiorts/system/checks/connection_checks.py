@@ -70,7 +70,8 @@ def feature_findings(found: Survey) -> Iterator[Said]:
                     f"{end} runs in a {threads[end]} context, which has no such connector at its ports; "
                     "take it away, or take another kind of context"
                 )
-                yield Said("error", WiringError.code, (*_key(connection), feature.key), what, of_key=True)
+                option = feature.key.partition(" ")[0]
+                yield Said("error", WiringError.code, (*_key(connection), option), what, of_key=True)
 
 
 def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
