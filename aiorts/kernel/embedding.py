@@ -202,8 +202,9 @@ def creator_of(task: Any) -> Any:
 
 
 def _still_runs(task: Any) -> bool:
-    creator = task._aiorts_creator
+    """Whether what made the task may yet ask for it; a caller in whose step a served method made it never does."""
+    creator, owner = task._aiorts_creator, task._aiorts_component
     if isinstance(creator, tuple):
         driver, run = creator
-        return bool(driver.run == run)
-    return not creator.done()
+        return bool(driver.run == run) and driver.current is not None and driver.current.component is owner
+    return not creator.done() and owner_of(creator) is owner

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from aiorts.errors import DeclarationError, InterfaceMismatch
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.loop.bus import Event, StateChanged
+from aiorts.kernel.loop.bus import Event, HookFailed, StateChanged
 from aiorts.kernel.loop.tasks import current_task, waiting_driver
 from aiorts.kernel.service import KernelService
 from aiorts.late import dataclass
@@ -256,6 +256,7 @@ class GoalKeeper(KernelService):
         super().__init__(kernel)
         self.running: dict[Goal[Any, Any], Acceptance] = {}
         kernel.bus.subscribe(StateChanged, self._state_changed)
+        kernel.bus.subscribe(HookFailed, self._hook_failed)
 
     @property
     def cancelling(self) -> bool:
@@ -267,13 +268,21 @@ class GoalKeeper(KernelService):
             return
         name, text = event.component, f"{event.component} went to {event.new} in {event.context}"
         for goal, acceptance in tuple(self.running.items()):
-            link = acceptance.link
-            if acceptance.provider == name and link.provided._refusal:
-                error = event.new is LifecycleState.ERROR
-                cause = cell(link.component).last_error if error else None
-                goal._end_from_outside("error" if error else "deactivated", text, cause)
-            elif acceptance.client == name and not any(m.active for m in cell(link.required.port._component).members):
+            link, error = acceptance.link, event.new is LifecycleState.ERROR
+            if acceptance.provider == name and not _is_active(link.provided):
+                if error:
+                    goal._end_from_outside("error", text, cell(link.component).last_error)
+                elif not link.provided.always:
+                    goal._end_from_outside("deactivated", text)
+            elif acceptance.client == name and not _is_active(link.required):
                 goal._request(text)
+
+    def _hook_failed(self, event: HookFailed) -> None:
+        if event.context:
+            return  # it changes its state
+        for goal, acceptance in tuple(self.running.items()):
+            if acceptance.provider == event.component:
+                goal._end_from_outside("error", f"{event.component}: its {event.hook} failed", event.error)
 
     def components_replaced(self, pairs: Mapping[Component, Component]) -> None:
         names = {component.name for component in pairs}
@@ -301,6 +310,10 @@ class GoalKeeper(KernelService):
     def stopped(self) -> None:
         for goal in tuple(self.running):
             goal._end_from_outside("closed", "its kernel has closed")
+
+
+def _is_active(end: Any) -> bool:
+    return any(member.active for member in cell(end.port._component).members)
 
 
 def is_goal(value: object) -> bool:

@@ -221,6 +221,8 @@ class Goal(Generic[F, R]):
         """
         if isinstance(error, BaseException):
             return self._end("fail", Outcome("failed", None, located(error), error, "provider"))
+        if not isinstance(error, str):
+            raise TypeError(f"{self._name}: fail({error!r:.80}): expected an exception or a text")
         return self._end("fail", Outcome("failed", None, error, None, "provider"))
 
     def cancelled(self) -> bool:

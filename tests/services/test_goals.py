@@ -89,6 +89,9 @@ async def test_what_failed_says_why() -> None:
             await goals[0].result()
         assert isinstance(caught.value.__cause__, OSError)
         assert caught.value.reason == "provider"
+        wrong: Any = car.goals[1]
+        with pytest.raises(TypeError, match=r"fail\(None\): expected an exception or a text"):
+            wrong.fail(None)
         with pytest.raises(GoalFailed, match="failed: flat tyre"):
             await goals[1].result()
         assert counts(driver.car).failed == {"provider": 2}
@@ -376,19 +379,63 @@ async def test_a_provider_that_goes_has_failed(
         assert counts(car.service) == GoalStatistics(offered=1, accepted=1, failed={reason: 1})
 
 
-@simulated
-async def test_one_that_is_always_there_keeps_its_goals() -> None:
-    class Always(Car):
-        service = Provided[Driving](always=True)
+class Always(Car):
+    service = Provided[Driving](always=True)
 
+
+@simulated
+async def test_one_that_is_always_there_keeps_its_goals_until_it_fails() -> None:
     async with Kernel() as kernel:
         driver, car = await pair(kernel, Always())
         context = await kernel.start(PeriodicContext(10.0), car, activate=True)
         goal = await driver.car.proxy.drive(10)
+        other = await driver.car.proxy.drive(10)
         await context.deactivate(car)
         assert goal.state == "running"
         car.goals[0].succeed("home")
         assert await goal.result() == "home"
+        await context.activate(car)
+        kernel.registry.task_failed(car, "x", ValueError("broken"))
+        with pytest.raises(GoalFailed, match="car went to error"):
+            await other.result()
+
+
+@pytest.mark.parametrize("inside", [True, False], ids=["in a context", "in none"])
+@simulated
+async def test_a_task_of_the_provider_works_on_a_goal_and_its_failure_is_the_goals(inside: bool) -> None:
+    class Working(Car):
+        def drive(self, metres: int) -> Goal[float, str]:
+            goal = super().drive(metres)
+            self.task = asyncio.create_task(self._work(goal, metres))
+            return goal
+
+        async def _work(self, goal: Goal[float, str], metres: int) -> None:
+            for driven in range(metres):
+                await self.sleep(1.0)
+                if goal.cancel_requested:
+                    goal.cancelled()
+                    return
+                goal.feedback(driven)
+                if driven == 3:
+                    raise OSError("no fuel")
+            goal.succeed("home")
+
+    async with Kernel() as kernel:
+        driver, car = await pair(kernel, Working())
+        if inside:
+            await kernel.start(PeriodicContext(10.0), car, activate=True)
+        goal = await driver.car.proxy.drive(2)
+        assert await read(goal) == [0, 1]
+        assert await goal.result() == "home"
+        goal = await driver.car.proxy.drive(2)
+        goal.cancel()
+        with pytest.raises(GoalCancelled):
+            await goal.result()
+        goal = await driver.car.proxy.drive(9)
+        with pytest.raises(GoalFailed) as caught:
+            await goal.result()
+        assert (caught.value.reason, repr(caught.value.__cause__)) == ("error", "OSError('no fuel')")
+        assert kernel.clock.time() == pytest.approx(7.5, abs=0.2)  # half a second later, as any task that failed
 
 
 @simulated
@@ -439,6 +486,36 @@ async def test_goals_that_have_ended_leave_nothing_behind() -> None:
 
 
 # -- hooks -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("inside", [True, False], ids=["in a context", "in none"])
+@simulated
+async def test_a_task_of_a_served_method_that_fails_is_found_while_the_caller_goes_on(inside: bool) -> None:
+    class Failing(Car):
+        def drive(self, metres: int) -> Goal[float, str]:
+            self.task = asyncio.create_task(self._fail())
+            return super().drive(metres)
+
+        async def _fail(self) -> None:
+            raise OSError("no fuel")
+
+    class Waiting(Driver):
+        reason = ""
+
+        async def on_execute(self) -> None:
+            try:
+                await (await self.car.proxy.drive(1)).result(timeout=10.0)
+            except GoalFailed as error:
+                self.reason = error.reason
+
+    async with Kernel() as kernel:
+        driver, car = await kernel.add(Waiting()), await kernel.add(Failing())
+        await kernel.connect(driver.car, car.service)
+        if inside:
+            await kernel.start(PeriodicContext(10.0), car, activate=True)
+        await kernel.start(PeriodicContext(0.01), driver, activate=True)
+        await kernel.sleep(5.0)
+        assert driver.reason == "error"
 
 
 @simulated
