@@ -7,22 +7,19 @@ provider goes, it has failed.
 from __future__ import annotations
 
 import asyncio
-import re
-import typing
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from aiorts.errors import DeclarationError, InterfaceMismatch
+from aiorts.errors import InterfaceMismatch
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Event, HookFailed, StateChanged
 from aiorts.kernel.loop.tasks import current_task, waiting_driver
 from aiorts.kernel.service import KernelService
 from aiorts.late import dataclass
-from aiorts.model.interface import check_of, misfit, spelled
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.values import shown
 from aiorts.services.goals import Goal, Outcome
+from aiorts.services.service_arguments import GoalTypes
 from aiorts.services.tallies import count_in
 
 if TYPE_CHECKING:
@@ -74,45 +71,6 @@ class Link(Protocol):
     def named(self, method: str) -> str:
         """A call over it, for messages."""
         ...
-
-
-class GoalTypes(NamedTuple):
-    """The types of feedback and result that an interface says of a method; and what looks at values."""
-
-    feedback: Any = Any
-    result: Any = Any
-
-    def misfit(self, what: str, value: object) -> str:
-        """How a value is not of the type; "" where it is, or that is not to be known."""
-        hint = getattr(self, what)
-        check = check_of(hint)
-        if check is None or check(value):
-            return ""
-        place, inner = misfit(hint, value)
-        return f"{what}{place} = {type(inner).__name__} {shown(inner)}, the interface says {spelled(hint)}"
-
-
-def goal_types(returns: Any, where: str = "") -> GoalTypes | None:
-    """What is said of goals where a method returns one; None where it does not.
-
-    Raises:
-        DeclarationError: it might be one, and it cannot be known of which types.
-    """
-    if returns is Goal:
-        return GoalTypes()
-    if typing.get_origin(returns) is Goal:
-        return GoalTypes(*typing.get_args(returns))
-    if isinstance(returns, str) and re.search(r"\bGoal\[", returns):
-        raise DeclarationError(
-            f"{where}: returns {returns!r}, which cannot be resolved; import its names when the file runs, not under "
-            "TYPE_CHECKING"
-        )
-    if any(one is Goal or typing.get_origin(one) is Goal for one in typing.get_args(returns)):
-        raise DeclarationError(
-            f"{where}: returns {spelled(returns)}; annotate `-> Goal[Feedback, Result]` alone: a method that refuses "
-            "a goal raises"
-        )
-    return None
 
 
 class Acceptance:
@@ -314,8 +272,3 @@ class GoalKeeper(KernelService):
 
 def _is_active(end: Any) -> bool:
     return any(member.active for member in cell(end.port._component).members)
-
-
-def is_goal(value: object) -> bool:
-    """What looks at the answers of such a method."""
-    return isinstance(value, Goal)

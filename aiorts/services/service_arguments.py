@@ -1,14 +1,20 @@
 """Whether what a caller gives has the types that the interface says; quick for values of exactly these classes.
+Whether a method answers with a goal, and what the interface says of that goal's values.
 
 A value that is not of the very class is looked at as results are (`check_of`): an int may stand for a float.
 """
 
 from __future__ import annotations
 
+import re
+import typing
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from aiorts.model.interface import Method, check_of
+from aiorts.errors import DeclarationError
+from aiorts.model.interface import Method, check_of, misfit, spelled
+from aiorts.model.values import shown
+from aiorts.services.goals import Goal
 
 Look: TypeAlias = "Callable[[tuple[Any, ...], dict[str, Any]], str]"
 """The name of the first argument of a wrong type; "" where there is none."""
@@ -63,3 +69,50 @@ def _several(kinds: tuple[type, ...], look: Look) -> Look:
         return "" if (*map(type, args),) == kinds and not kwargs else look(args, kwargs)
 
     return quick
+
+
+# -- goals -------------------------------------------------------------------------------------------------------------
+
+
+class GoalTypes(NamedTuple):
+    """The types of feedback and result that an interface says of a method; and what looks at values."""
+
+    feedback: Any = Any
+    result: Any = Any
+
+    def misfit(self, what: str, value: object) -> str:
+        """How a value is not of the type; "" where it is, or that is not to be known."""
+        hint = getattr(self, what)
+        check = check_of(hint)
+        if check is None or check(value):
+            return ""
+        place, inner = misfit(hint, value)
+        return f"{what}{place} = {type(inner).__name__} {shown(inner)}, the interface says {spelled(hint)}"
+
+
+def goal_types(returns: Any, where: str = "") -> GoalTypes | None:
+    """What is said of goals where a method returns one; None where it does not.
+
+    Raises:
+        DeclarationError: it might be one, and it cannot be known of which types.
+    """
+    if returns is Goal:
+        return GoalTypes()
+    if typing.get_origin(returns) is Goal:
+        return GoalTypes(*typing.get_args(returns))
+    if isinstance(returns, str) and re.search(r"\bGoal\[", returns):
+        raise DeclarationError(
+            f"{where}: returns {returns!r}, which cannot be resolved; import its names when the file runs, not under "
+            "TYPE_CHECKING"
+        )
+    if any(one is Goal or typing.get_origin(one) is Goal for one in typing.get_args(returns)):
+        raise DeclarationError(
+            f"{where}: returns {spelled(returns)}; annotate `-> Goal[Feedback, Result]` alone: a method that refuses "
+            "a goal raises"
+        )
+    return None
+
+
+def is_goal(value: object) -> bool:
+    """What looks at the answers of such a method."""
+    return isinstance(value, Goal)

@@ -313,7 +313,7 @@ class _Of:
         interface = read_interface(self._interface)
         for method in interface.methods.values():
             if "Goal" in spelled(method.returns):
-                from aiorts.services.goal_keeper import goal_types  # late: most services have no goals
+                from aiorts.services.service_arguments import goal_types  # late: most services have no goals
 
                 goal_types(method.returns, f"{interface.name}.{method.name}")
         end = self._kind.__new__(self._kind)

@@ -26,7 +26,8 @@ from aiorts.kernel.loop.tasks import current_task
 from aiorts.model.interface import misfit
 from aiorts.model.values import shown
 from aiorts.services.activities import holder_of
-from aiorts.services.goal_keeper import answer_offer, goal_types
+from aiorts.services.goal_keeper import answer_offer
+from aiorts.services.service_arguments import goal_types
 from aiorts.services.tallies import count_in
 
 if TYPE_CHECKING:

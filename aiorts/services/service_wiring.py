@@ -20,8 +20,8 @@ from aiorts.model.interface import Method, check_of, differences, spelled
 from aiorts.model.options import SERVICE_KEYS, is_yes
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.services.activities import CallGraph
-from aiorts.services.goal_keeper import GoalKeeper, goal_types, is_goal
-from aiorts.services.service_arguments import look_of
+from aiorts.services.goal_keeper import GoalKeeper
+from aiorts.services.service_arguments import goal_types, is_goal, look_of
 from aiorts.services.service_ends import Provided, Required
 from aiorts.services.service_port import ServiceConnector, ServiceEnd, ServicePort, is_service
 from aiorts.services.service_proxy import make_proxy
