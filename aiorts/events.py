@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         ConnectorChanged,
         ContextStarted,
         ContextStopped,
+        ConversionFailed,
         Disconnected,
         Event,
         HookAfter,
@@ -72,6 +73,7 @@ __all__ = (
     "ContextBeat",
     "ContextStarted",
     "ContextStopped",
+    "ConversionFailed",
     "Disconnected",
     "Event",
     "ProfileSnapshot",
@@ -111,8 +113,8 @@ _late(
     {
         "aiorts.kernel.loop.bus": (
             "CallFailed ComponentAdded ComponentRemoved Connected ConnectorChanged ContextStarted ContextStopped "
-            "Disconnected Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun ParametersChanged "
-            "PortAdded PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
+            "ConversionFailed Disconnected Event HookAfter HookBefore HookFailed MemberAdded MemberRemoved Overrun "
+            "ParametersChanged PortAdded PortRemoved RateChanged ServiceCalled StateChanged ThreadsExhausted"
         ),
         "aiorts.kernel.quality": "WriterBack WriterSilent",
         "aiorts.composites": "CompositeChanged",

@@ -16,7 +16,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "howto": (
         "How to",
         (
-            *("choose-policy", "records", "slow-reader", "quality-of-service", "synchronize", "camera"),
+            *("choose-policy", "records", "slow-reader", "quality-of-service", "convert", "synchronize", "camera"),
             *("real-time", "supervise", "deploy", "ros-bag"),
             *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
             "dynamic-ports",

@@ -14,7 +14,7 @@ from aiorts.kernel.loop.guarded import KernelLog, guarded
 from aiorts.kernel.ports import PortDeclaration, wiring
 from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.features import offer
-from aiorts.kernel.ports.losses import Losses
+from aiorts.kernel.ports.losses import Losses, Unconverted
 from aiorts.kernel.ports.tap import make_tap, resize
 from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
@@ -54,6 +54,7 @@ class Connections:
         """Those that are none of data ports."""
         self.losses = Losses(kernel)
         self.gaps = Gaps(kernel)
+        self.unconverted = Unconverted(kernel)
         self._numbering = Numbering(self._taken)
         self._idle: set[str] = set()
         """Warnings of options that choose nothing, each given once."""
@@ -195,12 +196,13 @@ class Connections:
         if not isinstance(profile, ConnectorProfile):
             return self._renew_other(profile)
         out, in_ = (self._kernel.registry.find(path) for path in profile.ports[:2])
-        ((writer, reader, _),) = wiring.plan(self._kernel, cast("Any", (out, in_)), {"allow_duplicate": True})
+        options = {"allow_duplicate": True, "convert": profile.convert}
+        ((writer, reader, planned),) = wiring.plan(self._kernel, cast("Any", (out, in_)), options)
         wiring.check_features(writer, reader, profile)
         if not profile.length:
             check_connection(writer, reader)
         name = profile.name if not self._taken(profile.name) else self._free_name("", profile.name, 1)
-        connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name))
+        connector = wiring.wire(self._kernel, writer, reader, replace(profile, name=name, convert=planned.convert))
         self.connectors[name] = connector
         if reports_losses:
             self.losses.listen(connector)
@@ -236,6 +238,7 @@ class Connections:
                 return
             self.losses.end(connector)
             self.gaps.end(connector)
+            self.unconverted.end(connector)
         else:
             connector.ports[0].connecting.end(connector)
         self._those(connector).pop(connector.name, None)
@@ -259,6 +262,7 @@ class Connections:
         self.end_each(tuple(self.service_connectors.values())[::-1])
         self.end_each(tuple(self.connectors.values())[::-1])
         self.losses.close()
+        self.unconverted.close()
 
     def end_each(self, connectors: Sequence[Any]) -> None:
         """End these; one that cannot be ended does not keep the others."""

@@ -451,6 +451,9 @@ class Microkernel:
             lifespan: seconds after which a sample that was not read is dropped.
             max_gap: seconds between two writes at the most; after a longer gap there are `WriterSilent` and, at the
                 next write, `WriterBack` on the bus.
+            convert: a plain function that makes a sample of the in-port of one of the out-port, called once for each
+                sample in the write; or a text: "FILE.py:function", "package.module:function" or the name of a converter
+                that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
             measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
             openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
@@ -460,8 +463,14 @@ class Microkernel:
         Raises:
             InvalidNameError: a text is no path.
             WiringError: says which ports or options do not go together and why; nothing was connected.
+            PluginError: `convert` is a text that finds no converter.
         """
         self.check_open("connect")
+        if isinstance(text := options.get("convert"), str):
+            from aiorts.kernel.extensions.converters import load_converter  # late: few connectors have one
+
+            options = {**options, "convert": await load_converter(text, self.plugins, self.clock)}
+            self.check_open("connect")  # it may have closed meanwhile
         made = self.connections.make((one, two, *more), options)
         return joined(made, self.connections) if more else made[0]
 

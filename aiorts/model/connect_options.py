@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Literal, TypedDict
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, TypedDict
 
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
@@ -38,6 +38,8 @@ class ConnectOptions(TypedDict, total=False):
     """Seconds that an awaited write waits with full "block"; None is forever."""
     stamp: Literal["send", "received", "read"] | Stamp
     """When `tm` is set to the kernel's clock."""
+    convert: Callable[[Any], Any] | str | None
+    """What makes a sample of the in-port of one of the out-port: a plain function, or a text that finds one."""
     measure: int
     """n: time the last n sends; 0 times nothing."""
     lifespan: float | None

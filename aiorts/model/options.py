@@ -113,6 +113,7 @@ OWN_KEYS: Final = (
     "empty",
     "timeout",
     "stamp",
+    "convert",
     "measure",
     "lifespan",
     "max_gap",
@@ -174,6 +175,7 @@ def connector_profile(
         empty=get.choice("empty", EmptyPolicy, None),
         timeout=get.number("timeout", 0.0, 1e9, 1.0, may_be_none=True),
         stamp=get.choice("stamp", Stamp, None),
+        convert=get.converter("convert"),
         measure=_measured(where, own, get),
         lifespan=get.number("lifespan", SHORTEST_TIME, LONGEST_TIME, None, may_be_none=True),
         max_gap=get.number("max_gap", SHORTEST_GAP, LONGEST_TIME, None, may_be_none=True),
@@ -507,6 +509,23 @@ class _Reader:
         if not low <= number <= high:  # also refuses NaN
             raise WiringError(f"{self._where}: {key} = {value!r}: expected {expected}")
         return number
+
+    def converter(self, key: str) -> str | None:
+        value = self._own.get(key)
+        if value is None:
+            return None
+        from aiorts.model.converter import REMEDY, Converter  # late: few connectors have one
+
+        if isinstance(value, Converter):
+            return value
+        if isinstance(value, str):
+            if not value.strip():
+                raise WiringError(f"{self._where}: {key} = {value!r}: expected a text that names a converter; {REMEDY}")
+            return Converter(value.strip(), of_text=True)
+        try:
+            return Converter.of_function(value)
+        except WiringError as error:
+            raise WiringError(f"{self._where}: {key} = {error}") from None
 
     def _parsed(self, key: str, value: Any, kind: Callable[[Any], Any], expected: str) -> Any:
         try:

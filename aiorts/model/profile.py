@@ -47,6 +47,8 @@ class ConnectorProfile:
     """Seconds that an awaited write waits with full = block; None waits forever."""
     stamp: Stamp | None = None
     """When the connector stamps samples; None leaves the writer's stamp."""
+    convert: str | None = None
+    """What makes the reader's samples of the writer's: the text that finds it, or the qualified name of a function."""
     measure: int = 0
     """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
     lifespan: float | None = None

@@ -38,7 +38,10 @@ if TYPE_CHECKING:
     from aiorts.observe.profiles import SystemProfile
 
 _COUNTS: Final = frozenset(
-    {"CallFailed", "GoalAccepted", "GoalEnded", "MachineAfter", "MachineBefore", "Overrun", "ThreadsExhausted"}
+    {
+        *("CallFailed", "ConversionFailed", "GoalAccepted", "GoalEnded", "MachineAfter", "MachineBefore", "Overrun"),
+        "ThreadsExhausted",
+    }
 )
 """Kinds of events after which nothing but counters is different, or that are followed by one of what is."""
 

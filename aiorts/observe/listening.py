@@ -35,7 +35,8 @@ _MOST_NOTES: Final = 10_000
 
 
 class ConnectorEventKind(StrEnum):
-    """What happens at a connector; the names are OpenRTM's without ON_, but for SKIPPED, SUPERSEDED and EXPIRED."""
+    """What happens at a connector; the names are OpenRTM's without ON_, but for SKIPPED, UNCONVERTED, SUPERSEDED
+    and EXPIRED."""
 
     BUFFER_WRITE = "buffer_write"
     """A sample is in the reader's buffer, or in the backlog of a periodic connector."""
@@ -47,6 +48,8 @@ class ConnectorEventKind(StrEnum):
     """This older sample made room for a new one."""
     SKIPPED = "skipped"
     """The push policy leaves this sample out."""
+    UNCONVERTED = "unconverted"
+    """The connector's converter failed on this sample."""
     SUPERSEDED = "superseded"
     """A newer sample was sent, or read, in the place of this one."""
     EXPIRED = "expired"
@@ -79,6 +82,7 @@ class ConnectorEventKind(StrEnum):
 _LEFT_OUT: Final = {
     "skipped": ConnectorEventKind.SKIPPED,
     "superseded": ConnectorEventKind.SUPERSEDED,
+    "unconverted": ConnectorEventKind.UNCONVERTED,
     "expired": ConnectorEventKind.EXPIRED,
 }
 """Of the reasons for which a sample is dropped those that are reported where it is counted."""

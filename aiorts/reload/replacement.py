@@ -221,7 +221,7 @@ class Replacement:
             return None
         for connector in live.connectors:
             ends = (fresh, connector.in_) if isinstance(fresh, OutPort) else (connector.out, fresh)
-            if any(pair_faults(*ends)):  # type: ignore[arg-type] # one is the out-port, the other the in-port
+            if any(pair_faults(*ends, converted=connector.profile.convert is not None)):  # type: ignore[arg-type] # one is the out-port, the other the in-port
                 return None
         self._words[live] = {word: getattr(fresh, word) for word in _WORDS if hasattr(fresh, word)}
         return live

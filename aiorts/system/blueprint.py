@@ -45,6 +45,8 @@ class Blueprint:
     contexts: Mapping[str, Context]
     catalogue: Catalogue
     services: Mapping[str, ServicePlan]
+    converters: Mapping[int, str]
+    """By the number of the connection."""
 
     @property
     def params(self) -> Mapping[str, Mapping[str, Any]]:
@@ -72,7 +74,8 @@ def prepare(
         found.say(key, SystemFileError(text), spelled(places_of(system.text).known(key)) if system.text else "")
     if found.faults:
         raise _refused(system, found.faults[0]) from found.faults[0].error.__cause__
-    return Blueprint(system, found.types, found.settings, found.contexts, found.catalogue, found.services)
+    converters = {number: one.convert for number, (one, _) in found.profiles.items() if one.convert is not None}
+    return Blueprint(system, found.types, found.settings, found.contexts, found.catalogue, found.services, converters)
 
 
 def _refused(system: SystemFile, fault: Fault) -> AiortsError:
@@ -122,7 +125,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     for connection in system.connections:
         ports = [_port(system, kernel, connection, number) for number in range(len(connection.ports))]
         try:
-            await kernel.connect(*ports, **connection.options)
+            await kernel.connect(*ports, **_options(plan, connection))
         except WiringError as error:
             where = system.at(*_blamed(connection, str(error)))
             raise WiringError(f"{where}: {connection.place}: {error}") from None
@@ -141,6 +144,12 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
         # One that fails is in error; whoever waits for it says so, unless it is helped in time.
         with contextlib.suppress(ComponentError):
             await kernel.start_in_order([rule])
+
+
+def _options(plan: Blueprint, connection: ConnectionEntry) -> Mapping[str, Any]:
+    """The options of a connection, with the converter that was loaded for its text."""
+    converter = plan.converters.get(connection.number)
+    return connection.options if converter is None else {**connection.options, "convert": converter}
 
 
 async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:

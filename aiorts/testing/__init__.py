@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from aiorts.testing.component_checks import COMPONENT_CHECKS, check_component
     from aiorts.testing.conformance import ConformanceError
     from aiorts.testing.context_checks import CONTEXT_CHECKS, check_context
+    from aiorts.testing.converter_checks import CONVERTER_CHECKS, check_converter
     from aiorts.testing.decorator import simulated
     from aiorts.testing.rig import Caught, Rig
     from aiorts.testing.samples import difference
@@ -26,6 +27,7 @@ __all__ = (
     "CODEC_CHECKS",
     "COMPONENT_CHECKS",
     "CONTEXT_CHECKS",
+    "CONVERTER_CHECKS",
     "SERVICE_CHECKS",
     "Caught",
     "ChartCoverage",
@@ -40,6 +42,7 @@ __all__ = (
     "check_codec",
     "check_component",
     "check_context",
+    "check_converter",
     "check_service",
     "current_clock",
     "difference",
@@ -56,6 +59,7 @@ _late(
         "aiorts.testing.component_checks": "COMPONENT_CHECKS check_component",
         "aiorts.testing.conformance": "ConformanceError",
         "aiorts.testing.context_checks": "CONTEXT_CHECKS check_context",
+        "aiorts.testing.converter_checks": "CONVERTER_CHECKS check_converter",
         "aiorts.testing.rig": "Caught Rig",
         "aiorts.testing.samples": "difference",
         "aiorts.testing.service_checks": "SERVICE_CHECKS check_service",

@@ -216,6 +216,7 @@ async def test_each_kind_of_connector_listeners_fires(
             await asks()
 
         await connected(too_late, lifespan=0.1)
+        await connected(twice, convert=lambda sample: None)
         wire = await kernel.connect(writer.out, reader.into)
         await context.deactivate(reader)
         writer.out.write_nowait(sample)
@@ -228,4 +229,6 @@ async def test_each_kind_of_connector_listeners_fires(
         await kernel.disconnect(wire)
         await asyncio.sleep(0)
         assert {event.kind for event in heard} == set(ConnectorEventKind)
-        assert len(ConnectorEventKind) == 17 + 3  # OpenRTM's, and our own for what is left out or too old
+        assert (
+            len(ConnectorEventKind) == 17 + 4
+        )  # OpenRTM's, and our own for what is left out, not converted or too old

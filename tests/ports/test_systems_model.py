@@ -35,6 +35,8 @@ class System:
         # Half of the systems have direct connectors alone: one that has to choose changes how all are written.
         self.combinations = COMBINATIONS if number % 2 else _PLAIN
         self.kernel_options = kernel_options
+        self.options: dict[str, Any] = {}
+        """Of the next connector, besides those that are chosen at random."""
         self.hits = hits
         self.world = World(SINKS)
         self.live: dict[Link, Connector] = {}
@@ -236,6 +238,7 @@ class System:
             allow_duplicate=True,
             timeout=self.random.choice((None, 0.03, 0.2)),
             **options,
+            **self.options,
         )
         link = Link(source, sink, ModelConnector(options, self.clock.monotonic_ns()))
         self.world.links.append(link)

@@ -29,17 +29,19 @@ from aiorts.testing import (
     CODEC_CHECKS,
     COMPONENT_CHECKS,
     CONTEXT_CHECKS,
+    CONVERTER_CHECKS,
     SERVICE_CHECKS,
     ConformanceError,
     check_codec,
     check_component,
     check_context,
+    check_converter,
     check_service,
     faults,
 )
 from aiorts.types import TimedDouble, TimedDoubleSeq
 from aiorts.wire import CONTROL, Codec, MsgpackCodec
-from testing import wrong_codecs, wrong_components, wrong_contexts, wrong_services
+from testing import wrong_codecs, wrong_components, wrong_contexts, wrong_converters, wrong_services
 
 CONTEXTS: dict[str, Callable[[], Context]] = {
     "external": ExternalContext,
@@ -212,7 +214,22 @@ def test_checks_can_be_chosen_and_an_unknown_one_is_refused() -> None:
         check_codec(MsgpackCodec(), only=["nonsense"])
 
 
-@pytest.mark.parametrize("promises", [CONTEXT_CHECKS, CODEC_CHECKS, COMPONENT_CHECKS])
+@pytest.mark.parametrize("name", wrong_converters.WRONG)
+def test_the_suite_of_converters_refuses_each_wrong_one(name: str) -> None:
+    make, target, check = wrong_converters.WRONG[name]
+    samples = [TimedDouble(0, 1.0), TimedDouble(1, 2.0), TimedDouble(2, 3.0)]
+    with pytest.raises(ConformanceError) as caught:
+        check_converter(make, "2", samples, target)
+    assert caught.value.check == check
+    check_converter(wrong_converters.right, "2", samples, TimedDouble)
+
+
+def test_the_suite_of_converters_needs_a_sample() -> None:
+    with pytest.raises(ValueError, match="at least one sample"):
+        check_converter(wrong_converters.right, "2", [], TimedDouble)
+
+
+@pytest.mark.parametrize("promises", [CONTEXT_CHECKS, CODEC_CHECKS, COMPONENT_CHECKS, CONVERTER_CHECKS])
 def test_every_check_says_what_it_demands(promises: dict[str, str]) -> None:
-    assert len(promises) >= 8 or promises is COMPONENT_CHECKS
+    assert len(promises) >= 8 or promises in (COMPONENT_CHECKS, CONVERTER_CHECKS)
     assert all(len(promise) > 20 and promise != name for name, promise in promises.items())

@@ -55,6 +55,10 @@ def _codec(extension: Extension, found: Any) -> str:
     return "" if back == record else f"it gives {back!r} back for {record!r}; see aiorts.testing.check_codec"
 
 
+def _converter(extension: Extension, found: Any) -> str:
+    return "" if callable(found) else f"{_shown(found)} is no function that makes a converter of text and two types"
+
+
 def _command(extension: Extension, found: Any) -> str:
     return "" if isinstance(found, click.Command) else f"{_shown(found)} is no click.Command"
 
@@ -93,6 +97,7 @@ _TESTS: Final[Mapping[str, Callable[[Extension, Any], str]]] = {
     "contexts": lambda _, found: _derived(found, Context),
     "services": _service,
     "codecs": _codec,
+    "converters": _converter,
     "transports": lambda _extension, _found: "",  # there are none yet, and so no rule for them
     "commands": _command,
     "benches": _bench,

@@ -19,6 +19,7 @@ Tell: TypeAlias = Callable[[str, str], None]
 _WHY: Final = {
     "superseded": ".latest takes the newest alone; drain() or read() takes every one",
     "overwritten": f"the reader is slower than the writer; {SLOW_READER}",
+    "unconverted": "the connection's convert failed on them; the log has the first one",
     "expired": "no read within the connector's lifespan",
     "rejected": f"the reader is slower than the writer; {SLOW_READER}",
 }

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 T = TypeVar("T")
-KINDS: Final = ("components", "contexts", "services", "codecs", "transports", "commands", "benches", "types")
+KINDS: Final = (
+    *("components", "contexts", "services", "codecs", "converters", "transports", "commands", "benches", "types"),
+)
 """What a plugin can offer."""
 _LARGEST: Final = 1 << 20
 """Bytes of a file that is looked into."""

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from aiorts.errors import DeclarationError, PluginError
@@ -38,6 +39,9 @@ _LONGEST: Final = 30.0
 
 class Offer(Protocol):
     """What is to be loaded, as `catalogue.py` has found it."""
+
+    @property
+    def kind(self) -> str: ...
 
     @property
     def name(self) -> str: ...
@@ -183,7 +187,12 @@ def _answer(extension: Offer) -> tuple[Any, PluginError | None]:
 
 
 async def load_aside(extension: Offer, clock: Clock, base: type[T], limit: float = _LONGEST) -> type[T]:
-    """A class derived from `base`, loaded in a thread, for at most `limit` seconds of real time.
+    """A class derived from `base`, loaded as `load_object_aside` does."""
+    return class_of(extension, await load_object_aside(extension, clock, limit), base)
+
+
+async def load_object_aside(extension: Offer, clock: Clock, limit: float = _LONGEST) -> Any:
+    """The object itself, loaded in a thread, for at most `limit` seconds of real time.
 
     A simulated clock stands still meanwhile. PluginError names the plugin and what went wrong.
     """
@@ -220,7 +229,7 @@ async def load_aside(extension: Offer, clock: Clock, base: type[T], limit: float
         alarm.cancel()
         if held is not None:
             held.release()
-    return class_of(extension, found, base)
+    return found
 
 
 def class_of(extension: Offer, found: Any, base: type[T]) -> type[T]:
@@ -257,19 +266,20 @@ def _imported(extension: Offer) -> Any:
         try:
             found = getattr(found, attribute)
         except AttributeError as error:
-            raise PluginError(f"there is no {attribute!r}; {_near_name(attribute, found)}") from error
+            raise PluginError(f"there is no {attribute!r}; {_near_name(extension.kind, attribute, found)}") from error
     return found
 
 
-def _near_name(wanted: str, found: Any) -> str:
-    """What may have been meant among the classes of a module, or of a class."""
+def _near_name(kind: str, wanted: str, found: Any) -> str:
+    """What may have been meant among the classes of a module, or of a class; of a converter among the functions."""
     from difflib import get_close_matches
 
     held = getattr(found, "__dict__", {})
-    names = [name for name, value in held.items() if isinstance(value, type) and not name.startswith("_")]
+    meant, word = (FunctionType, "function") if kind == "converters" else (type, "class")
+    names = [name for name, value in held.items() if isinstance(value, meant) and not name.startswith("_")]
     own = [name for name in names if getattr(held[name], "__module__", "") == getattr(found, "__name__", "")]
     near = get_close_matches(wanted[:100], own or names, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"it has {', '.join(own[:12]) or 'no class'}"
+    return f"did you mean {near[0]!r}?" if near else f"it has {', '.join(own[:12]) or f'no {word}'}"
 
 
 def _check_home(module: ModuleType, folder: Path) -> None:

@@ -41,6 +41,7 @@ def extension_of(
     catalogue: Catalogue,
     places: Iterable[Path] = (Path(),),
     allow: Callable[[Path], object] | None = None,
+    kind: str = "components",
 ) -> Extension:
     """What the text names, to be loaded.
 
@@ -49,6 +50,7 @@ def extension_of(
             does not find; besides the catalogue's.
         allow: called with each path before it is looked at; it raises when the file may not be taken. Then only what
             lies in a place is made importable for it.
+        kind: what it is the text of.
 
     Raises:
         PluginError: there is no such file, module or offer (near names are given), or it is none of the three forms.
@@ -56,14 +58,14 @@ def extension_of(
     home, name = split_type(text)
     folders = tuple(places)
     if home.endswith(".py"):
-        return _of_file(text, home, name, folders, allow)
+        return _of_file(kind, text, home, name, folders, allow)
     if home:
-        return Extension("components", text, f"{home}:{name}", "", _place_of(home, (*folders, *catalogue.folders)))
-    if name.endswith(".py") and name not in catalogue.extensions("components"):
+        return Extension(kind, text, f"{home}:{name}", "", _place_of(home, (*folders, *catalogue.folders)))
+    if name.endswith(".py") and name not in catalogue.extensions(kind):
         found = next((place / name for place in folders if _is_file(place / name)), None)
         if found is not None:
             raise PluginError(_which(found, name))
-    return catalogue.find("components", name)
+    return catalogue.find(kind, name)
 
 
 def shown(text: str) -> str:
@@ -81,7 +83,7 @@ def _which(path: Path, typed: str) -> str:
 
 
 def _of_file(
-    text: str, home: str, name: str, places: tuple[Path, ...], allow: Callable[[Path], object] | None
+    kind: str, text: str, home: str, name: str, places: tuple[Path, ...], allow: Callable[[Path], object] | None
 ) -> Extension:
     for place in places:
         path = place / home
@@ -92,7 +94,7 @@ def _of_file(
             root = package_of(path)[1]
             if allow is not None:
                 root = within if path.is_relative_to(within) else path.parent
-            return Extension("components", text, f"{path.relative_to(root).as_posix()}:{name}", "", root)
+            return Extension(kind, text, f"{path.relative_to(root).as_posix()}:{name}", "", root)
     folders = [(place / home).parent for place in places]
     names = {other.name for folder in folders for other in _files(folder)} - {Path(home).name}
     near = get_close_matches(Path(home).name, sorted(names), n=1)
@@ -133,7 +135,7 @@ def _place_of(home: str, places: tuple[Path, ...]) -> Path | None:
     for place in places:
         if any((root / top).is_dir() or _is_file(root / f"{top}.py") for root in (place / "src", place)):
             return place
-    known = {module.name for module in pkgutil.iter_modules([*map(str, places), *sys.path])}
+    known = {module.name for module in pkgutil.iter_modules([*map(_absolute, places), *sys.path])}
     near = get_close_matches(top, known, n=1)
     hint = f"did you mean {near[0]}{home[len(top) :]}?" if near else "install it, or go to the folder that it lies in"
     raise PluginError(f"no module named {top!r}; {hint}")

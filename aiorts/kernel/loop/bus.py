@@ -34,6 +34,7 @@ __all__ = (
     "ContextStarted",
     "ContextStopped",
     "ConnectorChanged",
+    "ConversionFailed",
     "Disconnected",
     "Event",
     "HookAfter",
@@ -110,6 +111,18 @@ class ConnectorChanged(Event):
 
     connector: ConnectorProfile
     before: ConnectorProfile
+
+
+@dataclass(frozen=True, slots=True)
+class ConversionFailed(Event):
+    """The converter of a connector raised, or made a wrong type: the first time, and again after it has worked.
+
+    The samples are dropped as unconverted; the connector's ledger counts each.
+    """
+
+    connector: str
+    error: str
+    """What was raised or made, and where."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,19 +1,23 @@
-"""Logs that a connector with default options loses samples: the first one with the reason, then counts, ever rarer.
+"""Logs that a connector loses samples: the first one with the reason, then counts, ever rarer.
 
-Such a connector drops the oldest sample when its reader is too slow. How many more it has dropped is logged after 10 s,
-after twice as long each time while it goes on, and when it ends; after a time without a loss it begins anew. One look
-names 8 connectors at the most. Where `connect` (`full`, `length`, `push`) or the port's own length chose what is lost,
-nothing is logged: the ledger has every count.
+A connector with default options drops the oldest sample when its reader is too slow, and any drops what its converter
+fails on. How many more it has dropped is logged after 10 s, after twice as long each time while it goes on, and when it
+ends; after a time without a loss it begins anew. One look names 8 connectors at the most. Where `connect` (`full`,
+`length`, `push`) or the port's own length chose what a slow reader loses, nothing is logged of that: the ledger has
+every count.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 from aiorts.errors import SLOW_READER
+from aiorts.kernel.loop.bus import ConversionFailed
 from aiorts.kernel.loop.guarded import KernelLog
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from aiorts.kernel.loop.timers import Cancellable
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
@@ -23,10 +27,14 @@ _FIRST_LOOK: Final = 10.0
 _LAST_LOOK: Final = 3600.0
 """Seconds of the kernel's clock between two looks at connectors that lose samples."""
 _MOST_NAMED: Final = 8
+_SUMMARISED: Final = "further losses are summarised here, all are counted in connector.statistics"
 
 
 class Losses:
     """What one kernel's connectors have lost and was not reported yet."""
+
+    reason: ClassVar[str] = "overwritten"
+    lost: ClassVar[str] = "lost"
 
     __slots__ = ("_kernel", "_named", "_reported", "_timer", "_unnamed", "_wait")
 
@@ -47,7 +55,11 @@ class Losses:
         """It has lost a sample, in this thread: report it soon, and those after it in summary."""
         connector._transport.losses = False
         connector.out._refresh()
-        self._kernel.loop.call_soon_threadsafe(self._begun, connector)
+        self._kernel.loop.call_soon_threadsafe(
+            self._begun,
+            connector,
+            f"the reader is slower than the writer; {_SUMMARISED}; {SLOW_READER}",
+        )
 
     def stop(self, connector: Connector) -> None:
         """Its user has chosen what is lost: report what was not reported yet, and nothing from now on."""
@@ -67,17 +79,18 @@ class Losses:
             self._timer.cancel()
         self._report_unnamed()
 
-    def _begun(self, connector: Connector) -> None:
-        self._reported[connector] = lost = _lost(connector)
+    def _begun(self, connector: Connector, why: str) -> None:
+        self._reported[connector] = lost = self._lost(connector)
         self._report(
-            "%s -> %s: %s lost so far: overwritten, the reader is slower than the writer; further losses are"
-            " summarised here, all are counted in connector.statistics; %s",
+            "%s -> %s: %s %s so far: %s, %s",
             connector.out.path,
             connector.in_.path,
             _samples(lost),
-            SLOW_READER,
+            self.lost,
+            self.reason,
+            why,
         )
-        if connector.closed or connector._transport.losses is None:
+        if self._is_over(connector):
             self.end(connector)
         elif self._timer is None and not self._kernel.closed:
             self._timer = self._kernel.call_later(self._wait, self._look)
@@ -97,9 +110,10 @@ class Losses:
             self._timer = self._kernel.call_later(self._wait, self._look)
 
     def _report_more(self, connector: Connector, reported: int) -> int:
-        lost = _lost(connector)
+        lost = self._lost(connector)
         if lost > reported:
-            self._report("%s -> %s: %s more lost", connector.out.path, connector.in_.path, _samples(lost - reported))
+            more = _samples(lost - reported)
+            self._report("%s -> %s: %s more %s", connector.out.path, connector.in_.path, more, self.lost)
         return lost
 
     def _report(self, line: str, *what: object) -> None:
@@ -114,9 +128,43 @@ class Losses:
         if unnamed:
             _LOG.warning("%s: %s more connectors lost samples; kernel.connectors has each", self._kernel.name, unnamed)
 
+    def _lost(self, connector: Connector) -> int:
+        return connector._transport.glance()[2].get(self.reason, 0)
 
-def _lost(connector: Connector) -> int:
-    return connector._transport.glance()[2].get("overwritten", 0)
+    def _is_over(self, connector: Connector) -> bool:
+        return connector.closed or connector._transport.losses is None
+
+
+class Unconverted(Losses):
+    """The samples that converters failed on: the first of a connector is an event, too."""
+
+    reason = "unconverted"
+    lost = "dropped"
+
+    def __init__(self, kernel: KernelSide) -> None:
+        super().__init__(kernel)
+        self._failing: set[Connector] = set()
+        """The connectors whose converter failed, and has not worked since the last look."""
+
+    def listen(self, connector: Connector) -> None:
+        self._failing.discard(connector)
+
+    def failed(self, connector: Connector, explain: Callable[[], str]) -> None:
+        """Its converter has failed, in this thread: report the first time, and those after it in summary."""
+        if connector not in self._failing:
+            self._failing.add(connector)
+            self._kernel.loop.call_soon_threadsafe(self._first, connector, explain())
+
+    def end(self, connector: Connector) -> None:
+        super().end(connector)
+        self._failing.discard(connector)
+
+    def _is_over(self, connector: Connector) -> bool:
+        return connector.closed
+
+    def _first(self, connector: Connector, fault: str) -> None:
+        self._kernel.bus.publish(ConversionFailed(connector.name, fault))
+        self._begun(connector, f"convert = {connector.profile.convert}: {fault}; {_SUMMARISED}")
 
 
 def _samples(count: int) -> str:

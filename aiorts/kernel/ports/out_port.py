@@ -494,7 +494,8 @@ class OutPort(Port[T]):
             self._fast, self._room, _, self._receiver = self._fan[0]
 
     def _shapes_now(self) -> tuple[tuple[Port[Any], tuple[int, ...]], ...]:
-        ports: tuple[Port[Any], ...] = (self, *(connector.in_ for connector in self._connectors))
+        readers = (connector.in_ for connector in self._connectors if connector.profile.convert is None)
+        ports: tuple[Port[Any], ...] = (self, *readers)
         return tuple((port, port.shape) for port in ports if port.shape is not None)
 
     def _vacate(self, leaving: bool = True) -> None:

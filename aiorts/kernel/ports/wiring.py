@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from threading import get_ident
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from aiorts.errors import WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
@@ -23,6 +24,7 @@ from aiorts.model.values import shown
 if TYPE_CHECKING:
     from aiorts.kernel.ports.host import KernelSide
     from aiorts.kernel.ports.receiver import Receiver
+    from aiorts.model.converter import Converter
 
 T = TypeVar("T")
 
@@ -51,7 +53,7 @@ def plan(
     pairs = [(out, in_) for out in outs for in_ in ins]
     seen: set[tuple[OutPort[Any], InPort[Any]]] = set()
     for out, in_ in pairs:
-        _check_pair(out, in_)
+        _check_pair(out, in_, base)
         if allow:
             continue
         if (out, in_) in seen or _connected(out, in_):
@@ -68,7 +70,7 @@ def plan(
     for in_ in ins:
         if in_.length is not None and in_.length not in profiles:
             profiles[in_.length], _ = connector_profile(where, options, "", paths, in_.length)
-    return [(out, in_, profiles[in_.length]) for out, in_ in pairs]
+    return [(out, in_, _between(out, in_, profiles[in_.length])) for out, in_ in pairs]
 
 
 def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> Connector:
@@ -150,13 +152,34 @@ def _connected(out: OutPort[Any], in_: InPort[Any]) -> bool:
     return any(connector.out is out for connector in in_.connectors)
 
 
-def _check_pair(out: OutPort[Any], in_: InPort[Any]) -> None:
-    for fault in pair_faults(out, in_):
+def _check_pair(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> None:
+    for fault in pair_faults(out, in_, converted=profile.convert is not None):
         raise WiringError(fault)
 
 
-def pair_faults(out: OutPort[Any], in_: InPort[Any]) -> Iterator[str]:
-    """Why samples of one port cannot be taken by the other; nothing where they fit."""
+def _between(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> ConnectorProfile:
+    """The options of one connector: with a converter of its own, where they have one."""
+    if profile.convert is None:
+        return profile
+    return replace(profile, convert=converter_between(out, in_, profile.convert))
+
+
+def converter_between(out: OutPort[Any], in_: InPort[Any], converter: str) -> str:
+    """The converter for a connector of these two ports.
+
+    Raises:
+        WiringError: it does not fit between them.
+    """
+    try:
+        return cast("Converter", converter).between(out.type, in_.type)
+    except WiringError as error:
+        raise WiringError(f"{out.path} -> {in_.path}: convert = {converter}: {error}") from error.__cause__
+
+
+def pair_faults(out: OutPort[Any], in_: InPort[Any], *, converted: bool = False) -> Iterator[str]:
+    """Why samples of one port cannot be taken by the other; nothing where they fit, or where they are converted."""
+    if converted:
+        return
     where = f"{out.path} -> {in_.path}"
     if not issubclass(out.type, in_.type):
         from aiorts.types import type_name
@@ -166,17 +189,17 @@ def pair_faults(out: OutPort[Any], in_: InPort[Any]) -> Iterator[str]:
         between = "a FlexiFilter" if single else "a component of your own"
         yield (
             f"{where}: types differ: {out.path} sends {type_name(out.type)}, {in_.path} takes {type_name(in_.type)}; "
-            f"connect ports of one type, or put {between} between them"
+            f"connect ports of one type, or put {between} between them, or give convert = a function"
         )
     if out.unit is not None and in_.unit is not None and out.unit != in_.unit:
         yield (
             f"{where}: units differ: {out.path} sends {out.unit!r}, {in_.path} takes {in_.unit!r}; "
-            "declare one unit at both, or put a component between them that converts"
+            "declare one unit at both, or give convert = a function"
         )
     if out.shape is not None and in_.shape is not None and not _shapes_agree(out.shape, in_.shape):
         yield (
             f"{where}: shapes differ: {out.path} sends {out.shape}, {in_.path} takes {in_.shape}; "
-            "declare one shape at both, or put a component between them that converts"
+            "declare one shape at both, or give convert = a function"
         )
 
 
@@ -190,10 +213,11 @@ def _check_stamp(profile: ConnectorProfile, pairs: Sequence[tuple[OutPort[Any], 
     if profile.stamp is None:
         return
     for out, in_ in pairs:
-        if not has_tm(out.type):
+        carried = out.type if profile.convert is None else in_.type
+        if not has_tm(carried):
             raise WiringError(
                 f"{out.path} -> {in_.path}: stamp = {Stamp(profile.stamp)}: "
-                f"{out.type.__name__} has no field tm to put it in"
+                f"{carried.__name__} has no field tm to put it in"
             )
 
 

@@ -25,7 +25,14 @@ def _rendezvous() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Rendezvous, Rendezvous  # of which none is periodic
 
 
+def _converting() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    from aiorts.kernel.quality.conversion import Converting, ConvertingPeriodic
+
+    return Converting, ConvertingPeriodic
+
+
 FEATURES: Final = (
+    Feature("convert", lambda profile: profile.convert is not None, _converting),
     Feature("lifespan", lambda profile: profile.lifespan is not None, _expiring, settles=True),
     Feature("length = 0", lambda profile: not profile.length, _rendezvous),
 )

@@ -8,7 +8,7 @@ from typing import Any
 
 from aiorts.errors import SystemFileError, WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
-from aiorts.kernel.ports.wiring import pair_faults
+from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.options import doubts, idle, transport_notice, without_effect
 from aiorts.services import ServicePort, fault_of
@@ -134,11 +134,19 @@ def _ends(
     if not isinstance(ports[0], OutPort):
         what = f"{ports[0].path} is an in-port; write the out-port under from"
         yield Said("warning", "W-TURNED", end_key(connection, 0), what)
+    profile = found.profiles[connection.number][0] if connection.number in found.profiles else None
+    converter = None if profile is None else profile.convert
     for out in outs:
         for in_ in ins:
             key = end_key(connection, ports.index(in_))
             told = False
-            for fault in pair_faults(out, in_):
+            if converter is not None:
+                try:
+                    converter_between(out, in_, converter)
+                except WiringError as error:
+                    text = str(error).removeprefix(f"{out.path} -> {in_.path}: ")
+                    yield Said("error", WiringError.code, (*_key(connection), "convert"), text)
+            for fault in pair_faults(out, in_, converted="convert" in connection.options):
                 # One filter mends all that is wrong between the two.
                 mended = None if told else adaptation(found, connection, out, in_)
                 text = fault.removeprefix(f"{out.path} -> {in_.path}: ")
@@ -146,10 +154,11 @@ def _ends(
                     told = True
                     text = f"{text.rpartition('; ')[0]}; {mended.remedy}"
                 yield Said("error", WiringError.code, key, text, suggestion="" if mended is None else mended.text)
-    stamp = found.profiles[connection.number][0].stamp if connection.number in found.profiles else None
-    for out in outs:
-        if stamp is not None and not has_tm(out.type):
-            what = f"{out.path} sends {out.type.__name__}, which has no field tm to put it in; take it away"
+    stamped = () if profile is None or profile.stamp is None else outs if converter is None else ins
+    for port in stamped:
+        if not has_tm(port.type):
+            does = "sends" if port in outs else "takes"
+            what = f"{port.path} {does} {port.type.__name__}, which has no field tm to put it in; take it away"
             yield Said("error", WiringError.code, (*_key(connection), "stamp"), what)
 
 

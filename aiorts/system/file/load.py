@@ -19,9 +19,11 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
+from aiorts.kernel.extensions.converters import converter_extension, converter_of
 from aiorts.kernel.extensions.type_names import extension_of, shown
 from aiorts.model.configuration.parameters import ParameterSpec, validate
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
+from aiorts.model.converter import Converter
 from aiorts.system.file.arguments import flag_of, parse_options
 from aiorts.system.file.parse import parse
 from aiorts.system.file.places import Key
@@ -57,6 +59,19 @@ def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalog
     extension = extension_of(entry.type, catalogue, system.plugin_paths, partial(_allow, system, entry.type))
     check_inside(system, extension)
     return extension.load_class(Component)
+
+
+def converter(system: SystemFile, text: str, catalogue: Catalogue) -> Converter:
+    """The converter that a connection names.
+
+    Raises:
+        SystemFileError: its file is not below the system file's folder.
+        PluginError: there is no such file, module, function or offer, it cannot be loaded, or it is no converter.
+    """
+    text = text.strip()
+    extension = converter_extension(text, catalogue, system.plugin_paths, partial(_allow, system, text))
+    check_inside(system, extension)
+    return converter_of(text, extension, extension.load())
 
 
 def context_type(system: SystemFile, kind: str, catalogue: Catalogue) -> type[Context]:

@@ -20,14 +20,14 @@ from aiorts.kernel.service import ServicePlan, load_service
 from aiorts.late import dataclass
 from aiorts.model.options import connector_profile
 from aiorts.model.profile import ConnectorProfile
-from aiorts.system.file.load import check_inside, component_type, context_type, parameters, setting
+from aiorts.system.file.load import check_inside, component_type, context_type, converter, parameters, setting
 from aiorts.system.file.parse import TOP, spelled
 from aiorts.system.file.places import Key
 from aiorts.system.file.reading import hint
 from aiorts.system.file.setting import Setting
 from aiorts.system.file.values import ComponentEntry, ConnectionEntry, ContextEntry, SystemFile
 
-_TEXTS: Final = ("name", "empty", "stamp")
+_TEXTS: Final = ("name", "empty", "stamp", "convert")
 """Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
 
 
@@ -123,10 +123,17 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
             wrong = True
             what = WiringError(str(error).removeprefix(": "))
             found.say((*key, *option.split(".")), what, spelled(key), of_key="unknown option" in str(error))
+    options = dict(entry.options)
+    if not wrong and "convert" in options:
+        try:
+            options["convert"] = converter(found.system, options["convert"], found.catalogue)
+        except (PluginError, SystemFileError) as error:
+            wrong = True
+            found.say((*key, "convert"), error)
     if wrong:
         return
     try:
-        found.profiles[entry.number] = connector_profile("", entry.options, "", entry.ports)
+        found.profiles[entry.number] = connector_profile("", options, "", entry.ports)
     except WiringError as error:
         found.say(key, WiringError(str(error).removeprefix(": ")), of_key=True)
 

@@ -80,6 +80,12 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         **_choice(Stamp, "on_send", "on_received", "on_read", "on_write", "none", ""),
         "description": "When the connector stamps samples; by default tm is what the writer said.",
     },
+    "convert": {
+        "type": "string",
+        "minLength": 1,
+        "description": "What makes samples of the in-port of those of the out-port: FILE.py:function (counted from the "
+        "file's folder), package.module:function, or a converter's name and its text, such as map 0>1000>0.",
+    },
     "measure": {**_whole(0, MAX_LENGTH), "default": 0, "description": "Sends over which the publisher is timed."},
     "lifespan": {
         **_number(SHORTEST_TIME, LONGEST_TIME),

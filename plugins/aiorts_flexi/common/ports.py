@@ -113,6 +113,20 @@ def parse_port(text: str, name: str) -> PortSpec:
     return PortSpec(name, cls, shape, element, _number(text, written, name, "a length", MOST_PINS))
 
 
+def port_of(cls: type, name: str, length: int) -> PortSpec:
+    """A port of this type; `length` is that of a sequence.
+
+    Raises:
+        ConfigurationError: the type has no pins, or not so many.
+    """
+    if cls not in _PLAIN and not hasattr(cls, "__dataclass_fields__"):
+        raise ConfigurationError(f"{name}: a {cls.__name__} has no pins; a record, bool, int, float or str has")
+    if length > MOST_PINS:
+        raise ConfigurationError(f"{name}: expected at most {MOST_PINS} pins, got {length}")
+    shape, element = _shape(cls)
+    return PortSpec(name, cls, shape, element, length if shape == "sequence" else 1, plain=cls in _PLAIN)
+
+
 def parse_counted(text: str, name: str) -> tuple[type, int]:
     """Parse several ports of one type, `TYPE:N`. TypedTextError marks the part that is wrong."""
     written, colon, _ = text.partition(":")
