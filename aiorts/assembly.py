@@ -85,6 +85,17 @@ class Kernel(Microkernel):
     ) -> Made: ...
 
     @overload
+    async def connect(  # type: ignore[overload-overlap]
+        self,
+        one: str,
+        two: Service,
+        three: Service | str,
+        /,
+        *more: Service | str,
+        **options: Unpack[ConnectOptions],
+    ) -> Made: ...
+
+    @overload
     async def connect(
         self, one: Port[Any] | str, two: Port[Any] | str, /, **options: Unpack[ConnectOptions]
     ) -> Connector: ...

@@ -34,7 +34,6 @@ from aiorts.kernel.pool import PoolMonitor
 from aiorts.kernel.ports import Port, PortDeclaration
 from aiorts.kernel.registry import Registry
 from aiorts.kernel.service import KernelService, notify, plan_service, report_fault
-from aiorts.kernel.targets import target
 from aiorts.model.names import check_name
 from aiorts.model.naming import NamePolicy
 from aiorts.model.numbering import Numbering
@@ -535,21 +534,21 @@ class Microkernel:
             StateError: the component is in no context, or in several and none is named, or not inactive.
                 What `Context.activate` raises.
         """
-        one, where = target(self, "activate", component, context)
+        one, where = start_context.target(self, "activate", component, context)
         await where.activate(one, timeout=timeout)
 
     async def deactivate(
         self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
     ) -> None:
         """Deactivate a component, given as for `activate`: see `Context.deactivate`."""
-        one, where = target(self, "deactivate", component, context)
+        one, where = start_context.target(self, "deactivate", component, context)
         await where.deactivate(one, timeout=timeout)
 
     async def reset(
         self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
     ) -> None:
         """Take a component, given as for `activate`, out of error into inactive: see `Context.reset`."""
-        one, where = target(self, "reset", component, context)
+        one, where = start_context.target(self, "reset", component, context)
         await where.reset(one, timeout=timeout)
 
     async def sleep(self, seconds: float) -> None:

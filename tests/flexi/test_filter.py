@@ -180,6 +180,22 @@ async def test_reset_sets_the_pins_that_got_nothing_new(harness: Harness) -> Non
     assert sample.tm == 20
 
 
+async def test_its_parameter_reset_and_the_reset_of_the_kernel_are_two_things(harness: Harness) -> None:
+    await harness.build(["TimedLong"], ["TimedShort"], "0>0", reset="-1")
+    kernel, name = harness.kernel, harness.filter.name
+    await harness.feed(0, TimedLong(0, 70_000))
+    for _ in range(100):
+        if harness.filter.state is LifecycleState.ERROR:
+            break
+        await kernel.sleep(0.01)
+    await kernel.reset(name)
+    assert harness.filter.state is LifecycleState.INACTIVE
+    await kernel.activate(name)
+    await harness.feed(0, TimedLong(1, 7))
+    assert (await harness.take(0))[0].data == 7
+    assert harness.filter.params["reset"].value == "-1"
+
+
 @pytest.mark.row(126)
 @pytest.mark.parametrize(("combine", "result"), [("sum", 5), ("min", 2), ("max", 3), ("newest", 2)])
 async def test_several_entries_to_one_pin_are_combined(harness: Harness, combine: str, result: int) -> None:

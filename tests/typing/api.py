@@ -126,6 +126,7 @@ async def services(kernel: Kernel, arm: Arm, brake: BrakeRtc) -> None:
     assert_type(await kernel.connect(arm.brake, brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, brake.service, mapping={"brake": "service"}), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, arm.brake, brake.service), Connection[ServiceConnector])
+    assert_type(await kernel.connect("arm0.brake", arm.brake, "brake0.service"), Connection[ServiceConnector])
     assert_type(await kernel.connect("arm0.brake", brake.service), ServiceConnector)
     assert_type(await kernel.connect(arm.brake, "brake0.service", strict=False), ServiceConnector)
     await kernel.connect(arm.brake, arm)  # error: a component is no port
@@ -203,6 +204,7 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     assert_type(rig.connect("pid0.command", pid.measured, full="reject"), Connector)
     assert_type(await kernel.connect("pid0.command", "pid1.measured", full="block"), Connector)
     assert_type(await kernel.connect(pid.command, "pid1.measured"), Connector)
+    assert_type(await kernel.connect(pid.command, "pid1.measured", "pid2.measured"), Connection[Connector])
     await kernel.connect("pid0.command", pid, full="block")  # error: a component is no port
     await kernel.activate("pid0", context="main")
     await kernel.reset(pid, context=PeriodicContext(rate=1.0), timeout=None)
