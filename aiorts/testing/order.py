@@ -39,15 +39,15 @@ class Shuffle:
         order: list[asyncio.Handle] = []
         first = 0
         """Where the first of those stands that may still change places."""
-        for handle in ready:
+        # One by one: a thread may append meanwhile, and what it appends is run after these.
+        for handle in [ready.popleft() for _ in range(len(ready))]:
             if _moves(handle):
                 order.insert(self._random.randint(first, len(order)), handle)
             else:
                 order.append(handle)
                 if _task_of(handle) is None:  # a task gave up its turn: others may come before it
                     first = len(order)
-        ready.clear()
-        ready.extend(order)
+        ready.extendleft(reversed(order))
 
 
 def _moves(handle: asyncio.Handle) -> bool:

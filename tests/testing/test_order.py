@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 
 from aiorts import Kernel
 from aiorts.testing import simulate
+from aiorts.testing.order import Shuffle
 from aiorts.testing.simulation import SimulatedLoop
 from campaign import cases
 
@@ -113,3 +116,19 @@ def test_what_fails_says_its_seed() -> None:
     with pytest.raises(ValueError, match="in this order") as caught:
         simulate(main())
     assert not hasattr(caught.value, "__notes__")
+
+
+def test_what_a_thread_asks_for_meanwhile_is_not_lost() -> None:
+    """It comes after what was ready before."""
+    ready: deque[Any] = deque()
+
+    class Handle:
+        @property
+        def _callback(self) -> None:  # asked for while the order is made
+            if len(ready) < 5:
+                ready.append(self)
+
+    ready.extend(handles := [Handle(), Handle()])
+    Shuffle(1)(ready)
+    assert list(ready)[:2] == handles
+    assert len(ready) > 2

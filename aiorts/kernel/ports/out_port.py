@@ -138,7 +138,8 @@ class OutPort(Port[T]):
             False when a connector with full = reject had no room (its statistics say which one), else True.
 
         Raises:
-            WouldBlock: a reader with full = block has no room; no reader got the sample.
+            WouldBlock: a reader with full = block has no room, or none waits at one with length = 0; no reader got the
+                sample.
             PortTypeError: the sample is not of the port's type or shape; nothing was sent.
             RecordError: a field of a dataclass is not what it says; nothing was sent.
             ThreadError: called in a foreign thread, which cannot wake a reader that sleeps; the sample lies unread.
