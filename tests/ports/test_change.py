@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import random
 import threading
 from typing import Any
 
@@ -19,6 +20,7 @@ from aiorts import (
     RealtimeContext,
     SimulatedClock,
     Supervision,
+    ThreadContext,
 )
 from aiorts.errors import ClosedError, StateError, ThreadError, WiringError, WriteTimeout
 from aiorts.events import ConnectorChanged
@@ -341,6 +343,64 @@ async def test_a_backlog_that_waits_for_room_goes_by_the_new_options() -> None:
         wire.change(full="overwrite")
         await kernel.sleep(0.1)
         assert data(sink.inp.drain()) == [2, 3, 4, 5]
+
+
+# -- threads -----------------------------------------------------------------------------------------------------------
+
+
+class Blocked(Component):
+    """Writes its numbers in its thread, waiting for room."""
+
+    out = OutPort(TimedLong)
+    count = 2_000
+
+    def on_activated(self) -> None:
+        self.written = 0
+
+    def on_execute(self) -> None:
+        for _ in range(50):
+            if self.written == self.count:
+                self.finish()
+                return
+            assert self.out.write_blocking(long(self.written), 30.0) is True
+            self.written += 1
+
+
+@pytest.mark.parametrize("fulls", [("block",), ("block", "overwrite")], ids=["block", "both"])
+async def test_a_writer_in_a_thread_loses_nothing_by_a_change(fulls: tuple[str, ...], anyio_backend: Any) -> None:
+    """In whatever moment of its write the options change."""
+    chosen = random.Random(7)
+    async with Kernel() as kernel:
+        writer, sink = await kernel.create(Blocked), await kernel.create(Sink)
+        wire = await kernel.connect(writer.out, sink.inp, full="block", length=2)
+        await kernel.start(ThreadContext(1000.0), writer, activate=True)
+        read: list[int] = []
+        async with asyncio.timeout(60):
+            while wire.statistics.written < writer.count or wire.statistics.buffered:
+                wire.change(length=chosen.randint(1, 4), full=chosen.choice(fulls))
+                read += data(sink.inp.drain() if chosen.random() < 0.5 else [])
+                await asyncio.sleep(0)
+        ledger = wire.statistics
+        assert (ledger.written, ledger.delivered) == (2_000, len(read))
+        assert set(ledger.dropped) <= ({"overwritten"} if "overwrite" in fulls else set())
+        assert read == sorted(set(read))
+        assert len(read) + sum(ledger.dropped.values()) == 2_000
+
+
+async def test_a_sample_of_a_foreign_thread_that_waits_for_room_comes_in_by_a_change(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        source, sink, wire = await connected(kernel, full="block", length=1, timeout=None)
+        thread = threading.Thread(target=lambda: [source.out.write_from_thread(long(number)) for number in range(5)])
+        thread.start()
+        thread.join(10)
+        async with asyncio.timeout(10):
+            while not source.out.thread_writes.written:
+                await asyncio.sleep(0.001)
+        wire.change(full="reject", length=5)
+        async with asyncio.timeout(10):
+            while source.out.thread_writes.waiting:
+                await asyncio.sleep(0.001)
+        assert data(sink.inp.drain()) == [0, 1, 2, 3, 4]
 
 
 # -- what follows ------------------------------------------------------------------------------------------------------
