@@ -29,7 +29,7 @@ from aiorts import (
     WouldBlock,
 )
 from aiorts.errors import StateError, WiringError, WriteTimeout
-from aiorts.events import ConnectorEvent, ConversionFailed
+from aiorts.events import ConnectorEvent, ConversionFailed, WriterSilent
 from aiorts.testing import simulated
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong
 from reload_files import Source as CodeFile
@@ -750,3 +750,57 @@ async def test_events_of_all_connectors_are_heard_of_it() -> None:
         source.out.write_nowait(m(1))
         await kernel.sleep(0)
         assert heard == ["connect", "unconverted"]
+
+
+# -- options that are changed, and kept promises -----------------------------------------------------------------------
+
+
+@simulated
+async def test_a_change_keeps_it_and_converts_nothing_again() -> None:
+    async with Kernel() as kernel:
+        counted = Counted()
+        source, sink, wire = await connected(kernel, counted, full="block", length=1, timeout=None)
+        writes = [asyncio.ensure_future(source.out.write(m(number))) for number in (1, 2, 3)]
+        await asyncio.sleep(0)
+        wire.change(length=4)
+        assert await asyncio.gather(*writes) == [True] * 3
+        wire.change(full="overwrite", length=2)
+        source.out.write_nowait(m(13))
+        assert counted.calls == [1, 2, 3, 13]
+        assert data(sink.inp.drain()) == [1000, 2000, 3000]
+        assert wire.profile.convert == "Counted"
+        assert counts(wire) == (4, 3, 0, {"unconverted": 1})
+
+
+@simulated
+async def test_a_rendezvous_gives_what_was_converted_and_waits_for_nothing_that_failed() -> None:
+    async with Kernel() as kernel:
+        counted = Counted()
+        source, sink, wire = await connected(kernel, counted, length=0)
+        read = asyncio.ensure_future(sink.inp.read())
+        await asyncio.sleep(0)
+        assert source.out.write_nowait(m(13))  # the read goes on waiting
+        assert source.out.write_nowait(m(1))
+        assert (await read).data == 1000
+        assert await source.out.write(m(14))
+        write = asyncio.ensure_future(source.out.write(m(2)))
+        await asyncio.sleep(0)
+        assert data(sink.inp.drain()) == [2000]
+        assert await write
+        assert counted.calls == [13, 1, 14, 2]
+        assert counts(wire) == (4, 2, 0, {"unconverted": 2})
+
+
+@simulated
+async def test_a_writer_whose_samples_fail_is_not_silent() -> None:
+    async with Kernel() as kernel:
+        heard: list[object] = []
+        kernel.bus.subscribe(WriterSilent, heard.append)
+        source, sink, _ = await connected(kernel, fails, max_gap=1.0)
+        await kernel.start(EventContext(), source, sink, activate=True)
+        for _ in range(8):
+            source.out.write_nowait(m(1))
+            await kernel.sleep(0.5)
+        assert not heard
+        await kernel.sleep(3.0)
+        assert len(heard) == 1
