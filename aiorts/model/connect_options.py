@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, TypedDict
+from collections.abc import Mapping
+from typing import Any, Literal, Protocol, TypedDict
 
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+
+
+class Converter(Protocol):
+    """A function of one sample. `Callable[[Any], Any]` would make the result of `connect` Any for mypy."""
+
+    def __call__(self, sample: Any, /) -> object: ...
 
 
 class ConnectOptions(TypedDict, total=False):
@@ -38,7 +44,7 @@ class ConnectOptions(TypedDict, total=False):
     """Seconds that an awaited write waits with full "block"; None is forever."""
     stamp: Literal["send", "received", "read"] | Stamp
     """When `tm` is set to the kernel's clock."""
-    convert: Callable[[Any], Any] | str | None
+    convert: Converter | str | None
     """What makes a sample of the in-port of one of the out-port: a plain function, or a text that finds one."""
     measure: int
     """n: time the last n sends; 0 times nothing."""

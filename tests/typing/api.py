@@ -204,12 +204,14 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     assert_type(rig.connect("pid0.command", pid.measured, full="reject"), Connector)
     assert_type(await kernel.connect("pid0.command", "pid1.measured", full="block"), Connector)
     assert_type(await kernel.connect(pid.command, "pid1.measured"), Connector)
+    assert_type(await kernel.connect(pid.command, pid.measured, convert=add), Connector)
     assert_type(await kernel.connect(pid.command, "pid1.measured", "pid2.measured"), Connection[Connector])
     await kernel.connect("pid0.command", pid, full="block")  # error: a component is no port
     await kernel.activate("pid0", context="main")
     await kernel.reset(pid, context=PeriodicContext(rate=1.0), timeout=None)
     await kernel.deactivate(pid.command)  # error: a port is no component
     await kernel.connect(pid.command, pid.measured, full="drop")  # error: no such word
+    await kernel.connect(pid.command, pid.measured, convert=4)  # error: not a function
     await kernel.connect(pid.command, pid.measured, lenght=4)  # error: no such option
     await kernel.connect(pid.command, pid.measured, length="4")  # error: not a number
     await link(kernel, pid, strict="no")  # error: not a bool
