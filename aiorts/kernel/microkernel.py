@@ -447,6 +447,7 @@ class Microkernel:
                 sample. out_length: the backlog of a periodic connector.
             full: "overwrite", "reject", "block". timeout: seconds an awaited write waits with block; None forever.
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
+            keep_last: True, offer the reader the sample that the writer wrote last before.
             lifespan: seconds after which a sample that was not read is dropped.
             max_gap: seconds between two writes at the most; after a longer gap there are `WriterSilent` and, at the
                 next write, `WriterBack` on the bus.

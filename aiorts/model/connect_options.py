@@ -48,6 +48,8 @@ class ConnectOptions(TypedDict, total=False):
     """What makes a sample of the in-port of one of the out-port: a plain function, or a text that finds one."""
     measure: int
     """n: time the last n sends; 0 times nothing."""
+    keep_last: bool
+    """Whether the connector begins with the sample that the writer wrote last before."""
     lifespan: float | None
     """Seconds of the kernel's clock after which a sample that was not read is dropped as expired."""
     max_gap: float | None

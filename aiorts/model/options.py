@@ -87,6 +87,7 @@ _AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
     "subscription": Subscription.FLUSH,
     "full": FullPolicy.BLOCK,
     "lifespan": None,
+    "keep_last": False,
 }
 """What the options say where a write waits until the reader has taken its sample."""
 
@@ -115,6 +116,7 @@ OWN_KEYS: Final = (
     "stamp",
     "convert",
     "measure",
+    "keep_last",
     "lifespan",
     "max_gap",
     "name",
@@ -177,6 +179,7 @@ def connector_profile(
         stamp=get.choice("stamp", Stamp, None),
         convert=get.converter("convert"),
         measure=_measured(where, own, get),
+        keep_last=is_yes(where, "keep_last", own.get("keep_last", False)),
         lifespan=get.number("lifespan", SHORTEST_TIME, LONGEST_TIME, None, may_be_none=True),
         max_gap=get.number("max_gap", SHORTEST_GAP, LONGEST_TIME, None, may_be_none=True),
         extra=MappingProxyType(extra) if extra else _NO_EXTRA,

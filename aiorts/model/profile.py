@@ -51,6 +51,8 @@ class ConnectorProfile:
     """What makes the reader's samples of the writer's: the text that finds it, or the qualified name of a function."""
     measure: int = 0
     """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
+    keep_last: bool = False
+    """Whether a new connector is offered the sample that the writer wrote last, also before it was made."""
     lifespan: float | None = None
     """Seconds after which a sample that was not read is dropped; None keeps it."""
     max_gap: float | None = None

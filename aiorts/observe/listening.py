@@ -28,7 +28,7 @@ from aiorts.model.policy import Push
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
-    from aiorts.kernel.ports.connector import Waiting
+    from aiorts.kernel.ports.queueing import Waiting
 
 
 _MOST_NOTES: Final = 10_000

@@ -51,6 +51,7 @@ class LockFreePeriodic(LockFreeTransport, PeriodicTransport):
     def offer(self, sample: Any) -> bool:
         if self.closed:
             return True
+        self.miss(sample)
         sides, backlog = self.extra, self.backlog
         sides.writing = True
         try:

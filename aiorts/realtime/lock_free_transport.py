@@ -18,8 +18,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import StateError
-from aiorts.kernel.ports.connector import Transport, Waiting
-from aiorts.kernel.ports.port import UNLOCKED, host_of
+from aiorts.kernel.ports.connector import Transport
+from aiorts.kernel.ports.port import NOTHING, UNLOCKED, host_of
+from aiorts.kernel.ports.queueing import Waiting
 from aiorts.model.buffer import Verdict, decide
 from aiorts.model.policy import Push
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -91,8 +92,15 @@ class LockFreeTransport(Transport):
         self.extra = _Sides()
         self.extra.wanted = bool(self.waiting)
         self.extra.places.extend(receiver.extra.unread.pop(old, ()))
+        if (newest := old.held()) is not NOTHING:
+            self.miss(newest)
+
+    def held(self) -> Any:
+        """Never here: what is in the queue may be gone in the next step. The out-port keeps each that is written."""
+        return NOTHING
 
     def hand_over(self) -> None:
+        self.missed = self.position
         sides = self.extra
         for side in (sides.by_reader, sides.by_loop):
             for reason, number in side.items():
@@ -144,6 +152,7 @@ class LockFreeTransport(Transport):
     def offer(self, sample: Any) -> bool:
         if self.closed:
             return True
+        self.miss(sample)
         sides = self.extra
         sides.writing = True
         try:
@@ -171,6 +180,7 @@ class LockFreeTransport(Transport):
             return None
         entry = Waiting(self.connector, sample, future)
         self.waiting.append(entry)
+        self.miss(sample)
         if future is not None:
             self.admit_waiting()
         return entry

@@ -15,7 +15,6 @@ method that has waited for the lock asks whether this is still the connector's t
 
 from __future__ import annotations
 
-import asyncio
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
@@ -23,8 +22,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Never, Protocol
 
 from aiorts.errors import ClosedError
-from aiorts.kernel.ports.port import OFF, UNLOCKED
-from aiorts.late import dataclass
+from aiorts.kernel.ports.last_sample import LastSample
+from aiorts.kernel.ports.port import NOTHING, UNLOCKED
+from aiorts.kernel.ports.queueing import Queueing
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
     from aiorts.kernel.ports.port import Port
+    from aiorts.kernel.ports.queueing import Waiting
     from aiorts.kernel.ports.receiver import Receiver
     from aiorts.model.timing import PublisherTiming
 
@@ -173,20 +174,7 @@ class LossListener(Protocol):
     def begin(self, connector: Connector) -> None: ...
 
 
-@dataclass(eq=False, slots=True)
-class Waiting:
-    """A sample whose writer waits for room: the reader that makes room moves it.
-
-    A writer in a thread has no future and waits on the receiver's lock.
-    """
-
-    connector: Connector
-    sample: Any
-    future: asyncio.Future[None] | None
-    done: bool = False
-
-
-class Transport:
+class Transport(Queueing, LastSample):
     """Carries the samples of one connector: a bounded queue, in which a sample is as soon as it is written.
 
     The classes of a `TransportKind` (`features.py`) derive from it. `replace` puts one of another kind in its place.
@@ -201,9 +189,12 @@ class Transport:
         "displaced",
         "dropped",
         "extra",
+        "last",
         "length",
         "listeners",
         "losses",
+        "missed",
+        "offered",
         "push",
         "queue",
         "receiver",
@@ -213,8 +204,6 @@ class Transport:
         "written",
     )
 
-    admits_plainly: ClassVar[bool] = True
-    """Whether who waits for room may be moved in without a call for each."""
     listenable: ClassVar[bool] = True
     """Whether it may have listeners: no real-time thread uses it."""
 
@@ -239,6 +228,12 @@ class Transport:
         self.times = SendTimes(profile.measure) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
         """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
+        self.last: Any = NOTHING
+        """The sample of this connector that was read last, where reading takes the general path."""
+        self.missed = 0
+        """The `position` at which the newest sample is not to be had here: the out-port keeps it."""
+        self.offered = 0
+        """How many of the samples written are the writer's last, offered by `keep_last`: no push policy counts them."""
         self.extra: Any = None
         """What another kind of transport, or a feature, keeps besides."""
         self.listeners: Any = None
@@ -433,7 +428,7 @@ class Transport:
 
     def admits_next(self) -> bool:
         """Whether the push policy sends the next sample that is written."""
-        return admits(self.push, self.connector.profile.skip, self.written + 1)
+        return admits(self.push, self.connector.profile.skip, self.written + 1 - self.offered)
 
     def offer(self, sample: Any) -> bool:
         """Take a sample that need not wait; False when it was rejected."""
@@ -445,9 +440,11 @@ class Transport:
             self.written += 1
             if not self.receiver.open:
                 self.drop("inactive")
+                self.miss(sample)
                 return True
-            if not admits(self.push, self.connector.profile.skip, self.written):
+            if not admits(self.push, self.connector.profile.skip, self.written - self.offered):
                 self.drop_these("skipped", (sample,))
+                self.miss(sample)
                 return True
             return self.store(sample)
 
@@ -461,24 +458,31 @@ class Transport:
 
     def take(self) -> Any:
         """The oldest sample of the queue, which has one; the caller holds the lock."""
-        sample = self.queue.popleft()
+        sample = self.last = self.queue.popleft()
         if self.waiting:
             self.admit_waiting()
-        # `stamp_out`, written out: this is the way of every sample that is not read directly.
-        return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock_ns())
+        # `stamp_out` in part, written out: this is the way of every sample that is not read directly.
+        return sample if self.connector.profile.stamp is not _READ else self.stamp_out(sample)
 
     def take_newest(self) -> Any:
         """The newest sample of the queue, which has one, older ones superseded; the caller holds the lock."""
-        sample = self.queue.pop()
-        self.discard("superseded")
+        sample = self.last = self.queue.pop()
+        if self.queue:
+            self.drop_these("superseded", self.queue)
+            self.queue.clear()
+        self.admit_waiting()
         return self.stamp_out(sample)
 
     def discard(self, reason: str) -> None:
         """Drop what is queued; the caller holds the lock."""
+        newest = NOTHING
         if self.queue:
+            newest = self.queue[-1]
             self.drop_these(reason, self.queue)
             self.queue.clear()
         self.admit_waiting()
+        if newest is not NOTHING and not self.queue:
+            self.lose(newest)
 
     def close(self) -> None:
         """Drop everything and let those who wait for room go on; idempotent."""
@@ -490,16 +494,21 @@ class Transport:
 
     def suspend(self) -> None:
         """The reader takes nothing any more: drop what is queued or waits; the caller holds the lock."""
+        if self.offered:
+            self.take_back()
         self.end_all("inactive")
 
     def end_all(self, reason: str) -> None:
         """Drop what is queued or waits; the caller holds the lock."""
+        newest = self.held()
         self.discard_all(reason)
         waiting, self.waiting = self.waiting, None
         for entry in waiting or ():
             self.written += 1
             self.drop(reason)
             self.resolve(entry)
+        if newest is not NOTHING:
+            self.miss(newest)
         self.receiver.room_made()
 
     # -- listeners -------------------------------------------------------------------------------------------------
@@ -511,97 +520,6 @@ class Transport:
         """Those who listened before hear again."""
         if self.listeners is not None:
             self.listeners.resume(self.connector)
-
-    # -- waiting for room ------------------------------------------------------------------------------------------
-
-    def wait_for_room(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting | None:
-        """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.wait_for_room(sample, future)
-            if self.must_wait():
-                return self.queue_up(sample, future)
-            self.offer(sample)
-            return None
-
-    def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
-        """Queue up for room that there is known not to be; across threads the caller holds the lock."""
-        entry = Waiting(self.connector, sample, future)
-        if self.waiting is None:
-            self.waiting = deque()
-        self.waiting.append(entry)
-        self.connector.in_._fast = OFF
-        return entry
-
-    def moved(self, entry: Waiting) -> bool:
-        """Whether the sample of a waiting thread is in; called in that thread."""
-        return entry.done
-
-    def give_up(self, entry: Waiting) -> bool:
-        """Stop waiting; False when the sample was moved in the meantime."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.give_up(entry)
-            waiting = self.waiting
-            if entry.done or not waiting or entry not in waiting:
-                return False
-            waiting.remove(entry)
-            if not waiting:
-                self.connector.in_._fast = self.receiver.direct
-            return True
-
-    def admit_waiting(self) -> None:
-        """Move in who waits, as far as there is room. A sample has its number when it comes in, not when it queued up:
-        one that gave up in the meantime was never written."""
-        waiting = self.waiting
-        if not waiting:
-            return
-        receiver, queue = self.receiver, self.queue
-        plain = (
-            self.admits_plainly
-            and self.times is None
-            and self.connector.profile.stamp is None
-            and self.push is not _SKIP
-            and receiver.lock is None
-        )
-        while plain and waiting and len(queue) < self.length:
-            # Written out: the writer and the reader of a full buffer do this once for each sample.
-            entry = waiting.popleft()
-            self.written += 1
-            queue.append(entry.sample)
-            receiver.arrived(self, False)
-            entry.done = True
-            if entry.future is not None and not entry.future.done():
-                entry.future.set_result(None)
-        if not plain:
-            self._admit_each(waiting)
-        if not waiting:
-            self.connector.in_._fast = receiver.direct
-        receiver.room_made()
-
-    def _admit_each(self, waiting: deque[Waiting]) -> None:
-        """Move in who waits, as far as there is room; those that the push policy leaves out need none."""
-        while waiting:
-            sent = self.admits_next()
-            if sent and len(self.queue) >= self.length:
-                break
-            entry = waiting.popleft()
-            self.written += 1
-            if sent:
-                self.push_in(self.stamp_in(entry.sample))
-            else:
-                self.drop_these("skipped", (entry.sample,))
-            self.resolve(entry)
-
-    def resolve(self, entry: Waiting) -> None:
-        """Let the writer go on; the caller holds the lock and calls `room_made`."""
-        entry.done = True
-        if entry.future is None:
-            return  # a thread: woken by `room_made` of whoever called
-        if self.receiver.lock is None:
-            _set_done(entry.future)
-        else:
-            entry.future.get_loop().call_soon_threadsafe(_set_done, entry.future)
 
     # -- storing ---------------------------------------------------------------------------------------------------
 
@@ -629,9 +547,11 @@ class Transport:
         verdict = decide(len(self.queue), self.length, self.connector.profile.full)
         if verdict is _REFUSE:
             self.drop("rejected")
+            self.lose(sample)
             return False
         if verdict is _WAIT and self.retired:
             self.drop("inactive")
+            self.miss(sample)
             return True
         # Else the options changed since `must_wait` has said no, in the loop's thread: it is stored, nothing is lost.
         replaces = verdict is _REPLACE_OLDEST
@@ -649,7 +569,10 @@ class Transport:
 
     def stamp_in(self, sample: Any) -> Any:
         """The sample as it goes into the queue."""
-        return stamped(sample, self.clock_ns()) if self.connector.profile.stamp in _ON_THE_WAY else sample
+        if self.connector.profile.stamp not in _ON_THE_WAY:
+            return sample
+        self.lose(sample)
+        return stamped(sample, self.clock_ns())
 
     def stamp_out(self, sample: Any) -> Any:
         """The sample as the reader gets it."""
@@ -677,12 +600,6 @@ class Transport:
         """Call back with what is the connector's transport then, on the kernel's loop: now if this is its thread."""
         connector = self.connector
         connector.out._on_loop(lambda: callback(connector._transport))
-
-
-def _set_done(future: asyncio.Future[None]) -> None:
-    """Wake the writer, unless it has given up."""
-    if not future.done():
-        future.set_result(None)
 
 
 def stamped(sample: Any, tm: int) -> Any:

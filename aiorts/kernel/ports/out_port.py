@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 from anyio import WouldBlock
 
 from aiorts.errors import ClosedError, DeclarationError, PortTypeError, RecordError, StateError, WriteTimeout
-from aiorts.kernel.ports.port import OFF, UNSUSPENDED, Port, give_turn
+from aiorts.kernel.ports.last_sample import NoReader
+from aiorts.kernel.ports.port import NOTHING, OFF, UNSUSPENDED, Port, give_turn
 from aiorts.kernel.ports.thread_writes import ThreadWrites, thread_writes_of
 from aiorts.model.profile import NO_THREAD_WRITES
 
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
     from collections import deque
     from collections.abc import Callable
 
-    from aiorts.kernel.ports.connector import Connector, LossListener, Transport, Waiting
+    from aiorts.kernel.ports.connector import Connector, LossListener, Transport
     from aiorts.kernel.ports.host import PortHost
+    from aiorts.kernel.ports.queueing import Waiting
     from aiorts.kernel.ports.receiver import Receiver
     from aiorts.model.profile import ThreadWriteStatistics
 
@@ -51,6 +53,7 @@ class OutPort(Port[T]):
         "_others",
         "_receiver",
         "_room",
+        "_saved",
         "_sent",
         "_shapes",
         "_shared",
@@ -82,6 +85,8 @@ class OutPort(Port[T]):
         """The only check that samples of the port's very class need; None while they need none, or another."""
         self._receiver: Receiver | None = None
         self._room = 0
+        self._saved: Any = NOTHING
+        """The sample written last, where no connector has it (`last_sample.py`)."""
         self._sent = 0
         """Samples written to all direct connectors at once; each of them counts them as its own."""
         self._stale = True
@@ -214,13 +219,12 @@ class OutPort(Port[T]):
         late = []
         try:
             for entry, limit, until_ns in waits:
-                if not self._wait_in_thread(entry, until_ns) and _give_up(entry):
-                    entry.connector._transport.time_out(entry.sample)
+                if not self._wait_in_thread(entry, until_ns) and _time_out(entry):
                     late.append((entry.connector, limit))
         finally:
             for entry in entries:
                 if not entry.done:
-                    _give_up(entry)
+                    self._give_up_all(entries, bool(late))
         _raise_late(self.path, late)
         return done
 
@@ -303,6 +307,7 @@ class OutPort(Port[T]):
                 transport.displaced += 1  # type: ignore[union-attr] # the only one there
                 if keeps:
                     if keeps is True:
+                        transport.miss(sample, 1)  # type: ignore[union-attr]
                         done = False
                         continue
                     keeps.begin(transport.connector)  # type: ignore[union-attr]
@@ -318,6 +323,7 @@ class OutPort(Port[T]):
                 transport.displaced += 1
                 if keeps:
                     if keeps is True:
+                        transport.miss(sample, 1)
                         done = False
                         continue
                     keeps.begin(transport.connector)
@@ -353,7 +359,7 @@ class OutPort(Port[T]):
                 await entry.future  # type: ignore[misc] # made by the loop
             finally:
                 if not entry.done:  # else the reader has moved it in: nothing is left to give up
-                    _give_up(entry)
+                    _give_up(entry, len(self._connectors) > 1)
         elif entries:
             await self._wait_for(entries)
         return done
@@ -378,8 +384,7 @@ class OutPort(Port[T]):
         late: list[tuple[Connector, float | None]] = []
 
         def expire(entry: Waiting, limit: float) -> None:
-            if _give_up(entry):
-                entry.connector._transport.time_out(entry.sample)
+            if _time_out(entry):
                 late.append((entry.connector, limit))
             if entry.future is not None and not entry.future.done():
                 entry.future.set_result(None)
@@ -398,8 +403,15 @@ class OutPort(Port[T]):
                 timer.cancel()
             for entry in entries:
                 if not entry.done:
-                    _give_up(entry)
+                    self._give_up_all(entries, bool(late))
         _raise_late(self.path, late)
+
+    def _give_up_all(self, entries: list[Waiting], counted: bool) -> None:
+        """Let none of these wait any more; `counted`: one has timed out, so the sample was written."""
+        written = counted or len(entries) < len(self._connectors) or any(entry.done for entry in entries)
+        for entry in entries:
+            if not entry.done:
+                _give_up(entry, written)
 
     def _wait_in_thread(self, entry: Waiting, until_ns: int | None) -> bool:
         """Block this thread until `entry` was moved; False when its time is over.
@@ -483,6 +495,9 @@ class OutPort(Port[T]):
         self._fan = tuple(way[:4] for way in ways if way[3].tokens is None)
         self._merged = tuple(way for way in ways if way[3].tokens is not None)
         self._others = tuple(transport for transport in transports if transport not in direct)
+        if not connectors:
+            nobody: Any = NoReader(self)
+            self._others = (nobody,)
         self._blocking = tuple(way for way in ways if way[4].blocks)
         self._shapes = self._shapes_now()
         if not connectors or self.stamp is not None or self._shapes or host.debug:
@@ -508,8 +523,32 @@ class OutPort(Port[T]):
             self._thread_writes.set_open(False)
 
 
-def _give_up(entry: Waiting) -> bool:
-    return entry.connector._transport.give_up(entry)
+def _give_up(entry: Waiting, written: bool) -> bool:
+    """Let it wait no more; `written`: other connectors have the sample, or its time is over."""
+    transport = entry.connector._transport
+    with transport.guard():
+        missed = transport.missed == transport.position
+        newest = transport.waiting and transport.waiting[-1] is entry
+        if not transport.give_up(entry):
+            return False
+        if missed:
+            transport.missed = transport.position
+        elif newest and written:
+            transport.miss(entry.sample)
+        return True
+
+
+def _time_out(entry: Waiting) -> bool:
+    """Its time is over; False when the sample was moved in the meantime."""
+    transport = entry.connector._transport
+    with transport.guard():
+        if not _give_up(entry, True):
+            return False
+        missed = transport.missed == transport.position
+        transport.time_out(entry.sample)
+        if missed:
+            transport.missed = transport.position
+        return True
 
 
 class _NoClass:

@@ -98,14 +98,16 @@ class PeriodicTransport(Transport):
             self.written += 1
             if not self.receiver.open:
                 self.drop("inactive")
+                self.miss(sample)
                 return True
             if len(self.backlog) >= self.connector.profile.out_length:
                 if self.connector.profile.full is FullPolicy.REJECT:
                     self.drop("rejected")
+                    self.miss(sample)
                     return False
                 self.leave("overwritten")
             if not self.backlog:
-                self.first = self.written
+                self.first = self.written - self.offered
             self.lay_by(sample)
             asked, self.timer_requested = self.timer_requested, True
         if self.timer is None and not asked:
@@ -123,6 +125,13 @@ class PeriodicTransport(Transport):
         if reason is not None:
             self.drop_these(reason, (sample,))
         return sample
+
+    def newest_here(self) -> Any:
+        return self.backlog[-1] if self.backlog else super().newest_here()
+
+    def lose(self, sample: Any) -> None:
+        if not self.backlog:
+            super().lose(sample)
 
     def set_timer(self) -> None:
         """Have the period that is running end."""
@@ -153,7 +162,7 @@ class PeriodicTransport(Transport):
                 return
             for choice in choose(self.push, self.connector.profile.skip, self.first, len(self.backlog)):
                 if choice is not Choice.SEND:
-                    self.leave(choice.value)
+                    self.lose(self.leave(choice.value))
                 elif self.connector.profile.full is FullPolicy.BLOCK and len(self.queue) >= self.length:
                     break
                 else:

@@ -19,6 +19,7 @@ from anyio import WouldBlock
 
 from aiorts.errors import BusyError, ThreadError
 from aiorts.kernel.loop.blocking import PortLock
+from aiorts.kernel.ports.last_sample import offer_all
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
 from aiorts.model.policy import Dataflow
 
@@ -175,13 +176,20 @@ class Receiver:
         """The oldest unread sample. WouldBlock: there is none."""
         if self.plain:
             # Several connectors, or somebody waits for room: still no lock and nothing to stamp.
-            transport = self.sole
+            transport: Transport | None
             if tokens := self.tokens:
                 transport = tokens.popleft()
                 while transport.dead:
                     transport.dead -= 1
                     transport = tokens.popleft()
                 self.source = transport.connector
+                if transport.waiting and get_ident() != self.thread:
+                    raise self._cannot_wake(_THE_WRITER)
+                sample = transport.last = transport.queue.popleft()
+                if transport.waiting:
+                    transport.admit_waiting()
+                return sample
+            transport = self.sole
             if transport is not None and (queue := transport.queue):
                 if transport.waiting and get_ident() != self.thread:
                     raise self._cannot_wake(_THE_WRITER)
@@ -499,6 +507,8 @@ class Receiver:
                 self.forget()
             self.refresh()
         self.refresh_writers()
+        if is_open:
+            offer_all(self.port)
 
     def forget(self) -> None:
         """Nothing has been read yet."""
@@ -519,7 +529,9 @@ class Receiver:
     def refresh(self) -> None:
         """The connectors or their options have changed."""
         connectors = self.port._connectors  # of ten thousand none is looked at
-        self.source = self.last_source
+        source = self.source = self.last_source
+        if self.plain and source is not None and not source.closed:
+            source._transport.last = self.last_read  # the port's own will be of another connector, maybe
         self.sole = connectors[0]._transport if len(connectors) == 1 else None
         self.sole_delivered = 0 if self.sole is None else self.sole.delivered()
         if len(connectors) > 1 and self.tokens is None:

@@ -16,6 +16,7 @@ from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.connector import Connector, unread_of
 from aiorts.kernel.ports.features import PLAIN, features_of, fit_receiver, settles
 from aiorts.kernel.ports.in_port import in_ports_at
+from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.policy import Stamp
 from aiorts.model.profile import ConnectorProfile
@@ -87,15 +88,18 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     receiver.fit(connector._transport)
     several = receiver.tokens is not None
     receiver.thread = get_ident()
+    alone = (connector,)  # one object for both ends, where neither has another
     with receiver.guard():
-        in_._connectors += (connector,)
+        in_._connectors += alone
         receiver.read_stamps += profile.stamp is Stamp.READ
         if settles(profile):
             receiver = fit_receiver(in_)
         receiver.refresh()
     shown = out.connectors  # without taps, which come last
-    out._connectors = (*shown, connector, *out._connectors[len(shown) :])
+    out._connectors = shown + alone + out._connectors[len(shown) :]
     _refresh_writers(out, receiver, several)
+    if profile.keep_last:
+        offer_last(connector)
     return connector
 
 
@@ -223,7 +227,7 @@ def _check_stamp(profile: ConnectorProfile, pairs: Sequence[tuple[OutPort[Any], 
 
 def check_features(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> None:
     """Raise WiringError when a real-time thread would be at an in-port with a connector that has features."""
-    found = features_of(profile)
+    found = _kept_from_threads(profile)
     reached = [in_._host, *(connector.out._host for connector in in_._connectors)] if found else [in_._host]
     threads = [host.name for host in (out._host, *reached) if host is not None and host.prepare is not None]
     if threads and (fault := _featured(in_, profile)):
@@ -240,9 +244,14 @@ def realtime_fault(port: Port[Any]) -> str:
 
 def _featured(in_: InPort[Any], *more: ConnectorProfile) -> str:
     for profile in (*more, *(connector.profile for connector in in_._connectors)):
-        for feature in features_of(profile):
-            return f"{profile.name or in_.path} has {feature.key}"
+        for key in _kept_from_threads(profile):
+            return f"{profile.name or in_.path} has {key}"
     return ""
+
+
+def _kept_from_threads(profile: ConnectorProfile) -> list[str]:
+    """The options of a connector that no real-time thread has at its ports."""
+    return [feature.key for feature in features_of(profile)] + ["keep_last"] * profile.keep_last
 
 
 def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:

@@ -20,8 +20,9 @@ from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 
 if TYPE_CHECKING:
-    from aiorts.kernel.ports.connector import Connector, Waiting
+    from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
+    from aiorts.kernel.ports.queueing import Waiting
     from aiorts.kernel.ports.receiver import Receiver
 
 _KEY: Final = "lifespan"
@@ -90,6 +91,8 @@ class Expiring(FeaturedTransport):
             expired.append(queue.popleft())
         if expired:
             self.drop_these(_EXPIRED, expired)
+            if not queue:
+                self.lose(expired[-1])
         return len(expired)
 
     def written_ns(self) -> int:
@@ -148,7 +151,7 @@ class ExpiringPeriodic(Expiring, PeriodicTransport):
             times = _times_of(ages.backlog, backlog)
             limit_ns = ages.now_ns() - ages.lifespan_ns
             while times and times[0] <= limit_ns:
-                self.leave(_EXPIRED)
+                self.lose(self.leave(_EXPIRED))
         return super()._expire()
 
     def lay_by(self, sample: Any) -> None:
@@ -159,6 +162,10 @@ class ExpiringPeriodic(Expiring, PeriodicTransport):
         ages = self.ages
         ages.left_ns = _times_of(ages.backlog, self.backlog).popleft()
         return super().leave(reason)
+
+    def put_last(self, sample: Any) -> None:
+        self.ages.left_ns = self.ages.now_ns()
+        super().put_last(sample)
 
     def written_ns(self) -> int:
         return self.ages.left_ns

@@ -12,9 +12,9 @@ from collections import deque
 from itertools import islice
 from typing import Any
 
-from aiorts.kernel.ports.connector import Waiting
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import OFF
+from aiorts.kernel.ports.queueing import Waiting
 from aiorts.kernel.ports.waiting import Looking
 from aiorts.late import dataclass
 
@@ -36,6 +36,10 @@ class Rendezvous(FeaturedTransport):
     @property
     def buffered(self) -> int:
         return sum(entry.done for entry in self.waiting or ())
+
+    @property
+    def position(self) -> int:
+        return self.total() + sum(not entry.done for entry in self.waiting or ())
 
     @property
     def is_awaited(self) -> bool:

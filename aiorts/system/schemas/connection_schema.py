@@ -87,6 +87,11 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         "file's folder), package.module:function, or a converter's name and its text, such as map 0>1000>0.",
     },
     "measure": {**_whole(0, MAX_LENGTH), "default": 0, "description": "Sends over which the publisher is timed."},
+    "keep_last": {
+        **_YES,
+        "default": False,
+        "description": "Whether a new connector is offered the sample that the writer wrote last before.",
+    },
     "lifespan": {
         **_number(SHORTEST_TIME, LONGEST_TIME),
         "description": "Seconds after which a sample that was not read is dropped; by default never.",
