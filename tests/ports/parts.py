@@ -44,6 +44,8 @@ class ModelConnector:
     backlog: deque[tuple[int, int]] = field(default_factory=deque)  # (number since the connection, sample)
     arrived: dict[int, int] = field(default_factory=dict)  # sample -> its place in the one sequence of the in-port
     closed: bool = False
+    offered: int = 0
+    """Of the samples written, those that the writer had written before."""
 
     def __post_init__(self) -> None:
         given = self.options
@@ -93,7 +95,7 @@ class Model:
             return True
         if connector.subscription is Subscription.PERIODIC:
             return self._write_periodic(connector, sample)
-        if not admits(connector.push, connector.skip, ledger.written + 1):
+        if not admits(connector.push, connector.skip, ledger.written + 1 - connector.offered):
             ledger.written += 1
             ledger.drop("skipped")
             return True
@@ -113,7 +115,7 @@ class Model:
                 return False
             connector.backlog.popleft()
             ledger.drop("overwritten")
-        connector.backlog.append((ledger.written, sample))
+        connector.backlog.append((ledger.written - connector.offered, sample))
         return True
 
     def period_over(self, connector: ModelConnector) -> None:
@@ -174,9 +176,27 @@ class Model:
             return
         self.is_open = is_open
         for connector in self.connectors:
+            self.take_back(connector)
             connector.drop_all("inactive")
         if is_open:
             self.last = self.source = None
+
+    def offer_last(self, connector: ModelConnector, sample: int) -> None:
+        """A sample from before the connection, or from while the reader took none."""
+        ledger = connector.ledger
+        if connector.options.get("keep_last") and self.is_open and not connector.expected[1]:
+            ledger.written += 1
+            connector.offered += 1
+            ledger.samples.append(sample)
+            self._arrived(connector, sample)
+
+    def take_back(self, connector: ModelConnector) -> None:
+        """It lies unread, and nothing was taken or lost: it was not written."""
+        written, _, buffered, _ = connector.expected
+        if connector.offered and connector.ledger.samples and written == buffered:
+            connector.ledger.samples.popleft()
+            connector.ledger.written -= 1
+            connector.offered -= 1
 
     def advance(self, from_ns: int, to_ns: int) -> None:
         """Let every period in (from, to] be over, in order."""

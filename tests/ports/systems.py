@@ -21,6 +21,8 @@ class Write:
     links: list[Link] = field(default_factory=list)
     late: bool = False
     """Whether a connector had no room in time."""
+    written: bool = False
+    """Whether a connector has it, or there was none."""
 
     @property
     def outcome(self) -> bool | str:
@@ -43,11 +45,24 @@ class World:
     def __init__(self, sinks: int) -> None:
         self.sinks = [Model() for _ in range(sinks)]
         self.links: list[Link] = []
+        self.written: dict[int, list[tuple[int, Write | None]]] = {}
+        """By source what was written, in order, and what waits for room or did."""
         self.reads: list[list[int] | None] = [None] * sinks
         """For each sink None, or what its awaited read got: nothing yet, or one sample."""
 
     def of_source(self, source: int) -> list[Link]:
         return [link for link in self.links if link.source == source]
+
+    def last(self, source: int) -> int | None:
+        """The sample written last; one whose write waits counts, one that was cancelled everywhere does not."""
+        for sample, write in reversed(self.written.get(source, [])):
+            if write is None or write.written or write.links:
+                return sample
+        return None
+
+    def offer_last(self, link: Link) -> None:
+        if (sample := self.last(link.source)) is not None:
+            self.sinks[link.sink].offer_last(link.model, sample)
 
     def of_sink(self, sink: int) -> list[Link]:
         return [link for link in self.links if link.sink == sink]
@@ -58,7 +73,7 @@ class World:
             return False
         if model.ledger.full is not FullPolicy.BLOCK or model.push is Push.NEW:
             return False
-        if not admits(model.push, model.skip, model.ledger.written + 1):
+        if not admits(model.push, model.skip, model.ledger.written + 1 - model.offered):
             return False
         return bool(link.waiting) or len(model.ledger.samples) >= model.ledger.length
 
@@ -67,6 +82,7 @@ class World:
         links = self.of_source(source)
         if any(self.must_wait(link) for link in links):
             return None
+        self.written.setdefault(source, []).append((sample, None))
         results = [self.sinks[link.sink].write(link.model, sample) for link in links]
         return all(results)
 
@@ -79,6 +95,8 @@ class World:
                 write.links.append(link)
             else:
                 write.result &= bool(self.sinks[link.sink].write(link.model, sample))
+        write.written = len(write.links) < len(self.of_source(source)) or not write.links
+        self.written.setdefault(source, []).append((sample, write))
         return write
 
     def cancel(self, write: Write) -> None:
@@ -90,10 +108,11 @@ class World:
         """Move in who waits, as far as there is room."""
         model, ledger = link.model, link.model.ledger
         while link.waiting:
-            sent = admits(model.push, model.skip, ledger.written + 1)
+            sent = admits(model.push, model.skip, ledger.written + 1 - model.offered)
             if sent and len(ledger.samples) >= ledger.length:
                 return
             _, write = link.waiting.pop(0)
+            write.written = True
             write.links.remove(link)
             self.sinks[link.sink].write(model, write.sample)
 
@@ -134,6 +153,7 @@ class World:
         for _, write in link.waiting:
             link.model.ledger.written += 1
             link.model.ledger.drop(reason)
+            write.written = True
             write.links.remove(link)
         link.waiting.clear()
 
@@ -146,6 +166,8 @@ class World:
         self.sinks[sink].set_open(is_open)
         for link in self.of_sink(sink):
             self.end(link, "inactive")
+        for link in self.of_sink(sink):
+            self.offer_last(link)
 
     def advance(self, from_ns: int, to_ns: int) -> None:
         """Let every period and every time-out in (from, to] be over, in order; reads happen as samples come."""
@@ -165,7 +187,7 @@ class World:
             elif link in write.links:
                 link.waiting = [entry for entry in link.waiting if entry[1] is not write]
                 write.links.remove(link)
-                write.late = True
+                write.late = write.written = True
                 link.model.ledger.written += 1
                 link.model.ledger.drop("timeout")
             self.settle()

@@ -15,6 +15,8 @@ import pytest
 from aiorts import Connector, ExternalContext, Kernel, SimulatedClock, WouldBlock
 from aiorts.errors import PortTypeError, WriteTimeout
 from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.last_sample import last_written
+from aiorts.kernel.ports.port import NOTHING
 from aiorts.testing.simulation import simulate
 from campaign import CAMPAIGN, ORDERS, cases
 from ports.parts import ModelConnector, Sink, Source, long
@@ -88,6 +90,9 @@ class System:
             got = (ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped))
             assert got == link.model.expected, (step, connector)
             assert ledger.balanced
+        for number, writer in enumerate(self.sources):
+            last = last_written(writer.out)
+            assert (None if last is NOTHING else last.data) == self.world.last(number), (step, writer)
         for number, sink in enumerate(self.sinks):
             model = self.world.sinks[number]
             assert sink.inp.is_new == bool(model.order), step
@@ -231,6 +236,8 @@ class System:
             options["length"] = self.random.choice((1, 2, 3, 5))
         if subscription == "periodic":
             options |= {"push_rate": self.random.choice((4, 10, 30)), "out_length": self.random.choice((1, 2, 4, 8))}
+        if self.random.random() < 0.3:
+            options["keep_last"] = True
         source, sink = self.random.randrange(SOURCES), self.random.randrange(SINKS)
         connector = await self.kernel.connect(
             self.sources[source].out,
@@ -243,6 +250,8 @@ class System:
         link = Link(source, sink, ModelConnector(options, self.clock.monotonic_ns()))
         self.world.links.append(link)
         self.world.sinks[sink].connectors.append(link.model)
+        self.world.offer_last(link)
+        self.hits["offered"] += link.model.offered
         self.live[link] = connector
         self.all.append((connector, link))
 
@@ -277,6 +286,7 @@ def test_random_systems_do_what_the_reference_model_does_and_take_the_fast_paths
         assert hits[f"write {what}"] > hits["write"] / 100, (what, hits)
     for what in ("fast", "merged", "with writers waiting", "waited", "cancelled"):
         assert hits[f"read {what}"] > 10, (what, hits)
+    assert hits["offered"] > 10, hits
     for what in ("waited", "timed out", "cancelled"):
         assert hits[f"write {what}"] > 10, (what, hits)
 

@@ -224,7 +224,7 @@ class OutPort(Port[T]):
         finally:
             for entry in entries:
                 if not entry.done:
-                    self._give_up_all(entries, bool(late))
+                    _give_up_all(entries, bool(late))
         _raise_late(self.path, late)
         return done
 
@@ -359,7 +359,7 @@ class OutPort(Port[T]):
                 await entry.future  # type: ignore[misc] # made by the loop
             finally:
                 if not entry.done:  # else the reader has moved it in: nothing is left to give up
-                    _give_up(entry, len(self._connectors) > 1)
+                    _give_up(entry, isinstance(entries, _Others))
         elif entries:
             await self._wait_for(entries)
         return done
@@ -367,7 +367,7 @@ class OutPort(Port[T]):
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
         """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""
         done = True
-        entries = []
+        entries: list[Waiting] = []
         for connector in self._connectors:
             transport = connector._transport
             if transport.must_wait():
@@ -376,7 +376,7 @@ class OutPort(Port[T]):
                     entries.append(entry)
             else:
                 done &= transport.offer(sample)
-        return done, entries
+        return done, entries if len(entries) == len(self._connectors) else _Others(entries)
 
     async def _wait_for(self, entries: list[Waiting]) -> None:
         """Wait until each entry was moved or its time is over; whatever happens, no entry is abandoned."""
@@ -403,15 +403,8 @@ class OutPort(Port[T]):
                 timer.cancel()
             for entry in entries:
                 if not entry.done:
-                    self._give_up_all(entries, bool(late))
+                    _give_up_all(entries, bool(late))
         _raise_late(self.path, late)
-
-    def _give_up_all(self, entries: list[Waiting], counted: bool) -> None:
-        """Let none of these wait any more; `counted`: one has timed out, so the sample was written."""
-        written = counted or len(entries) < len(self._connectors) or any(entry.done for entry in entries)
-        for entry in entries:
-            if not entry.done:
-                _give_up(entry, written)
 
     def _wait_in_thread(self, entry: Waiting, until_ns: int | None) -> bool:
         """Block this thread until `entry` was moved; False when its time is over.
@@ -521,6 +514,18 @@ class OutPort(Port[T]):
     def _wake_waiter(self) -> None:
         if self._thread_writes is not None and self._removed():
             self._thread_writes.set_open(False)
+
+
+class _Others(list["Waiting"]):
+    """Those where a write waits, while other connectors have taken its sample."""
+
+
+def _give_up_all(entries: list[Waiting], late: bool) -> None:
+    """Let none of these wait any more; `late`: one has timed out."""
+    written = late or isinstance(entries, _Others) or any(entry.done for entry in entries)
+    for entry in entries:
+        if not entry.done:
+            _give_up(entry, written)
 
 
 def _give_up(entry: Waiting, written: bool) -> bool:
