@@ -9,7 +9,8 @@ What can be named, with the kernel's own paths:
     connector.written             also delivered, buffered, dropped
     context.ticks                 also lateness, the greatest so far in seconds, overruns, skipped, rate
 
-Of an in-port that is the newest unread sample, else the one read last; of an out-port what its first reader can see.
+Of an in-port that is the newest unread sample, else the one read last; of an out-port the sample
+written last, also where nobody reads.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import ConfigurationError, WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.last_sample import last_written
+from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
 
 if TYPE_CHECKING:
@@ -171,7 +174,8 @@ def _of_component(component: Component, path: str, first: str, field: str) -> An
 def _seen(port: Port[Any]) -> Any:
     """A sample of the port, without an effect: it stays as unread as it is."""
     if isinstance(port, OutPort):
-        return next((seen for one in port.connectors if (seen := _seen(one.in_)) is not None), None)
+        sample = last_written(port)
+        return None if sample is NOTHING else sample
     if not isinstance(port, InPort):
         return None
     return receiver_of(port).look()

@@ -162,3 +162,29 @@ def test_it_ends_with_its_kernel() -> None:
             kernel.monitor(["loop.ticks"])
 
     simulate(main)
+
+
+@simulated
+async def test_an_out_port_shows_what_was_written_last_whoever_reads() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        seen: list[float | None] = []
+
+        async def look() -> None:
+            reading = await anext(kernel.monitor(["source.out.data", "source.out"], rate=10.0))
+            sample = reading.values["source.out"]
+            seen.append(reading.values["source.out.data"])
+            assert seen[-1] == (None if sample is None else sample.data)
+
+        await look()
+        source.out.write_nowait(TimedDouble(0, 1.0))
+        await look()
+        context = await kernel.start(PeriodicContext(10.0), sink)
+        wire = await kernel.connect(source.out, sink.into)
+        source.out.write_nowait(TimedDouble(0, 2.0))
+        await look()
+        await context.activate(sink)
+        await look()
+        await kernel.disconnect(wire)
+        await look()
+        assert seen == [None, 1.0, 2.0, 2.0, 2.0]

@@ -22,6 +22,7 @@ from aiorts import (
 )
 from aiorts.errors import StateError, WiringError, WriteTimeout
 from aiorts.testing import simulated
+from campaign import cases
 from ports.parts import Sink, Source, long
 
 
@@ -368,3 +369,34 @@ async def test_the_last_of_a_rendezvous(simulated_clock: SimulatedClock) -> None
             writing.cancel()
             await asyncio.sleep(0)
             assert await last_of(kernel, source) == number
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("blocking", [False, True])
+async def test_a_connector_made_while_a_thread_writes_misses_nothing_and_has_nothing_twice(blocking: bool) -> None:
+    class Writer(Component):
+        out = OutPort(type(long(0)))
+
+        def on_activated(self) -> None:
+            self.number = 0
+
+        def on_execute(self) -> None:
+            write = self.out.write_blocking if blocking else self.out.write_nowait
+            for _ in range(100):
+                self.number += 1
+                write(long(self.number))
+
+    async with Kernel() as kernel:
+        writer, plain = await kernel.create(Writer), await kernel.create(Sink)
+        await kernel.connect(writer.out, plain.inp)
+        sinks = [await kernel.create(Sink) for _ in range(3)]
+        await kernel.start(ThreadContext(500.0), writer, activate=True)
+        taken: list[list[int]] = []
+        for _ in range(cases(10_000)):
+            wires = [await kernel.connect(writer.out, sink.inp, keep_last=True, length=100_000) for sink in sinks]
+            await asyncio.sleep(0.002)
+            for wire, sink in zip(wires, sinks, strict=True):
+                taken.append([sample.data for sample in sink.inp.drain()])
+                await kernel.disconnect(wire)
+        for numbers in taken:
+            assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

@@ -8,6 +8,7 @@ connectors has a `NoReader` to keep it.
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Final
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.queueing import Waiting
     from aiorts.kernel.ports.receiver import Receiver
 
+_PATIENCE: Final = 1000
+"""Looks at an out-port that a thread is in the middle of writing at."""
 _OF_TRANSPORT: Final[tuple[str, ...]] = ()
 """The slots of the attributes below are those of `Transport`."""
 
@@ -105,27 +108,74 @@ def last_written(out: OutPort[Any]) -> Any:
     return out._saved
 
 
-def offer_last(connector: Connector) -> None:
-    """Offer the writer's last sample to a connector from which nothing was read yet, if its reader takes samples."""
-    transport = connector._transport
+def offer_last(connector: Connector, written: int) -> None:
+    """Offer the writer's last sample to a connector from which nothing was read yet, if its reader takes samples.
+
+    `written` were written when it began to take them: one that came since is the writer's last.
+    """
+    transport, out = connector._transport, connector.out
     if not transport.receiver.open or transport.delivered():
         return
-    written = transport.total()
-    sample = last_written(connector.out)
+    for _ in range(_PATIENCE):
+        if not out._writing:
+            break
+        time.sleep(50e-6)  # lets the thread end its write, which is at some connectors and not at others
+    sample = last_written(out)
     if sample is NOTHING:
         return
     with transport.guard():
         now = connector._transport
-        # Another thread may have written meanwhile: then the reader has that.
         if now.receiver.open and not now.closed and now.total() == written:
             now.put_last(sample)
 
 
-def offer_all(port: InPort[Any]) -> None:
-    """The in-port takes samples from now on."""
-    for connector in port._connectors:
-        if connector.profile.keep_last:
-            offer_last(connector)
+def to_be_offered(port: InPort[Any]) -> list[tuple[Connector, int]]:
+    """The arguments for `offer_last` of an in-port that takes samples from now on; the caller holds the lock."""
+    return [(one, one._transport.total()) for one in port._connectors if one.profile.keep_last]
+
+
+class Beginning:
+    """The first of the transports of an out-port that a thread writes at: says that a write is not everywhere yet.
+
+    A connector that came while the way was chosen has the sample, too: who made it may have looked before.
+    """
+
+    __slots__ = ("_connectors", "_out")
+
+    def __init__(self, out: OutPort[Any]) -> None:
+        self._out = out
+        self._connectors = out._connectors
+
+    def must_wait(self) -> bool:
+        """Nobody is to be waited for."""
+        return False
+
+    def offer(self, sample: Any) -> bool:
+        """A write begins."""
+        out = self._out
+        out._writing = True
+        if out._connectors is self._connectors:
+            return True
+        newcomers = [one for one in out._connectors if one not in self._connectors]
+        return sum(not one._transport.offer(sample) for one in newcomers) == 0
+
+
+class Ending:
+    """The last of them."""
+
+    __slots__ = ("_out",)
+
+    def __init__(self, out: OutPort[Any]) -> None:
+        self._out = out
+
+    def must_wait(self) -> bool:
+        """Nobody is to be waited for."""
+        return False
+
+    def offer(self, sample: Any) -> bool:
+        """It is everywhere."""
+        self._out._writing = False
+        return True
 
 
 class NoReader:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 from anyio import WouldBlock
 
 from aiorts.errors import ClosedError, DeclarationError, PortTypeError, RecordError, StateError, WriteTimeout
-from aiorts.kernel.ports.last_sample import NoReader
+from aiorts.kernel.ports.last_sample import Beginning, Ending, NoReader
 from aiorts.kernel.ports.port import NOTHING, OFF, UNSUSPENDED, Port, give_turn
 from aiorts.kernel.ports.thread_writes import ThreadWrites, thread_writes_of
 from aiorts.model.profile import NO_THREAD_WRITES
@@ -59,6 +59,7 @@ class OutPort(Port[T]):
         "_shared",
         "_stale",
         "_thread_writes",
+        "_writing",
         "stamp",
     )
 
@@ -87,6 +88,8 @@ class OutPort(Port[T]):
         self._room = 0
         self._saved: Any = NOTHING
         """The sample written last, where no connector has it (`last_sample.py`)."""
+        self._writing = False
+        """Whether a thread is in the middle of a write."""
         self._sent = 0
         """Samples written to all direct connectors at once; each of them counts them as its own."""
         self._stale = True
@@ -211,7 +214,10 @@ class OutPort(Port[T]):
             raise StateError(f"{self.path}: write_blocking is for components of a ThreadContext")
         if self._stale:
             self._update_fast_path()
-        done, entries = self._offer(self._checked(sample), None)
+        sample = self._checked(sample)
+        self._writing = True
+        done, entries = self._offer(sample, None)
+        self._writing = False
         waits = []
         for entry in entries:
             limit = entry.connector.profile.timeout if timeout is None else timeout
@@ -488,9 +494,14 @@ class OutPort(Port[T]):
         self._fan = tuple(way[:4] for way in ways if way[3].tokens is None)
         self._merged = tuple(way for way in ways if way[3].tokens is not None)
         self._others = tuple(transport for transport in transports if transport not in direct)
+        first: Any
+        last: Any
         if not connectors:
-            nobody: Any = NoReader(self)
-            self._others = (nobody,)
+            first = NoReader(self)
+            self._others = (first,)
+        elif host.locked:
+            first, last = Beginning(self), Ending(self)
+            self._others = (first, *self._others, last)
         self._blocking = tuple(way for way in ways if way[4].blocks)
         self._shapes = self._shapes_now()
         if not connectors or self.stamp is not None or self._shapes or host.debug:

@@ -19,7 +19,7 @@ from anyio import WouldBlock
 
 from aiorts.errors import BusyError, ThreadError
 from aiorts.kernel.loop.blocking import PortLock
-from aiorts.kernel.ports.last_sample import offer_all
+from aiorts.kernel.ports.last_sample import offer_last, to_be_offered
 from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
 from aiorts.model.policy import Dataflow
 
@@ -506,9 +506,10 @@ class Receiver:
             if is_open:
                 self.forget()
             self.refresh()
+            due = to_be_offered(self.port) if is_open else ()
         self.refresh_writers()
-        if is_open:
-            offer_all(self.port)
+        for connector, written in due:
+            offer_last(connector, written)
 
     def forget(self) -> None:
         """Nothing has been read yet."""

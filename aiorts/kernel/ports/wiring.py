@@ -99,7 +99,7 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     out._connectors = shown + alone + out._connectors[len(shown) :]
     _refresh_writers(out, receiver, several)
     if profile.keep_last:
-        offer_last(connector)
+        offer_last(connector, 0)
     return connector
 
 
