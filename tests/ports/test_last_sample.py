@@ -400,3 +400,30 @@ async def test_a_connector_made_while_a_thread_writes_misses_nothing_and_has_not
                 await kernel.disconnect(wire)
         for numbers in taken:
             assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+@pytest.mark.parametrize("options", [{}, {"subscription": "periodic", "push_rate": 10.0, "push": "all"}])
+@simulated
+async def test_a_conversion_is_the_connectors_own(simulated_clock: SimulatedClock, options: dict[str, Any]) -> None:
+    """Another connector is offered what the writer wrote, and converts it itself."""
+    async with Kernel() as kernel:
+        source, sink = await one_writer(kernel)
+
+        def double(sample: Any) -> Any:
+            return long(2 * sample.data)
+
+        wire = await kernel.connect(source.out, sink.inp, convert=double, **options)
+        for number in (1, 2):
+            source.out.write_nowait(long(number))
+            assert await last_of(kernel, source) == number
+            await asyncio.sleep(0.2)
+            assert sink.inp.read_nowait() == long(2 * number)
+            assert await last_of(kernel, source) == number
+        await kernel.disconnect(wire)
+        assert await last_of(kernel, source) == 2
+        wire = await kernel.connect(source.out, sink.inp, convert=double, keep_last=True, **options)
+        assert sink.inp.read_nowait() == long(4)
+        assert counts(wire) == (1, 1, 0, {})
+        failing = await kernel.create(Sink)
+        wire = await kernel.connect(source.out, failing.inp, convert=lambda _: 1 / 0, keep_last=True, **options)
+        assert counts(wire) == (1, 0, 0, {"unconverted": 1})

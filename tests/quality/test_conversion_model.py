@@ -99,6 +99,7 @@ class ConvertingSystem(System):
     """A random system in which two connectors of three convert."""
 
     world: ConvertingWorld
+    keeps_last = False
 
     def __init__(self, number: int, hits: Counter[str], **kernel_options: Any) -> None:
         super().__init__(number, hits, **kernel_options)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 from aiorts.errors import PortTypeError, format_error
 from aiorts.kernel.loop.origins import in_brackets, located, place
-from aiorts.kernel.ports.connector import Waiting, transport_of
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.kernel.ports.port_types import port_type
+from aiorts.kernel.ports.queueing import Waiting
 
 if TYPE_CHECKING:
     import asyncio
@@ -79,14 +80,39 @@ class _Conversion:
         return f"{format_error(error)}{in_brackets(where)}"
 
 
-class Converting(FeaturedTransport):
-    """A transport whose samples are converted when they are written. See `Transport`."""
+class _Writers(FeaturedTransport):
+    """What is buffered here is not what the writer wrote: its last sample is kept by the out-port alone."""
 
     __slots__ = ()
 
     def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
         super().__init__(connector, receiver, kernel)
         self.extra[_KEY] = _Conversion(connector, kernel)
+
+    def offer(self, sample: Any) -> bool:
+        if not self.closed:
+            self.connector.out._saved = sample
+        return super().offer(sample)
+
+    def held(self) -> Any:
+        return NOTHING
+
+    def miss(self, sample: Any, coming: int = 0) -> None:
+        """It was kept when it was written."""
+
+    def put_last(self, sample: Any) -> None:
+        made = self.extra[_KEY].of(sample)
+        if made is not NOTHING:
+            return super().put_last(made)
+        self.written += 1
+        self.offered += 1
+        self.drop_these(_UNCONVERTED, (sample,))
+
+
+class Converting(_Writers):
+    """A transport whose samples are converted when they are written. See `Transport`."""
+
+    __slots__ = ()
 
     def store(self, sample: Any) -> bool:
         made = self.extra[_KEY].of(sample)
@@ -100,6 +126,7 @@ class Converting(FeaturedTransport):
         return True
 
     def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
+        self.connector.out._saved = sample
         made = self.extra[_KEY].of(sample)
         if made is not NOTHING:
             return super().queue_up(made, future)
@@ -110,14 +137,10 @@ class Converting(FeaturedTransport):
         return Waiting(self.connector, sample, future, done=True)
 
 
-class ConvertingPeriodic(FeaturedTransport):
+class ConvertingPeriodic(_Writers):
     """A periodic transport whose samples are converted before they come into the backlog. See `PeriodicTransport`."""
 
     __slots__ = ()
-
-    def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
-        super().__init__(connector, receiver, kernel)
-        self.extra[_KEY] = _Conversion(connector, kernel)
 
     def offer(self, sample: Any) -> bool:
         with self.guard():
@@ -126,10 +149,11 @@ class ConvertingPeriodic(FeaturedTransport):
                 return now.offer(sample)
             if self.closed or not self.receiver.open:
                 return super().offer(sample)
+            self.connector.out._saved = sample
             made = self.extra[_KEY].of(sample)
             now = transport_of(self.connector)
             if made is not NOTHING:
-                return super(ConvertingPeriodic, cast("ConvertingPeriodic", now)).offer(made)
+                return super(_Writers, cast("ConvertingPeriodic", now)).offer(made)
             now.written += 1
             now.drop_these(_UNCONVERTED, (sample,))
             return True
