@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,12 @@ from aiorts import (
     Supervision,
     ThreadContext,
 )
-from aiorts.errors import AiortsError, ClosedError, StateError, ThreadError, WriteTimeout
+from aiorts.errors import AiortsError, ClosedError, ReadTimeout, StateError, ThreadError, WriteTimeout
 from aiorts.events import ConnectorEvent
 from aiorts.system import build, load, wait_finished
 from aiorts.testing import simulate, simulated
 from aiorts.types import TimedLong
+from campaign import CAMPAIGN
 from reload_files import Source as File
 
 pytestmark = pytest.mark.row(38)
@@ -391,3 +393,94 @@ kind = "periodic"
 rate = 20.0
 members = ["taking"]
 """
+
+
+def test_every_sample_of_threads_is_taken_or_timed_out() -> None:
+    """The writers' time-outs end while the reader takes: each sample is one or the other."""
+    count = 3_000 if CAMPAIGN else 300
+
+    class Impatient(Component):
+        out = OutPort(TimedLong)
+
+        def __init__(self, name: str) -> None:
+            super().__init__(name)
+            self.random = random.Random(name)
+            self.sent = 0
+            self.taken: list[int] = []
+            self.late = 0
+
+        def on_execute(self) -> None:
+            for _ in range(50):
+                if self.sent == count:
+                    return
+                self.sent += 1
+                try:
+                    self.out.write_blocking(long(self.sent), timeout=self.random.choice((0.0, 0.0001, 0.001, 0.01)))
+                    self.taken.append(self.sent)
+                except WriteTimeout:
+                    self.late += 1
+
+    class Greedy(Component):
+        inp = InPort(TimedLong)
+
+        def __init__(self, name: str) -> None:
+            super().__init__(name)
+            self.random = random.Random(name)
+            self.got: dict[str, list[int]] = {}
+
+        def on_execute(self) -> None:
+            with suppress(ReadTimeout, WouldBlock, ClosedError):
+                for _ in range(50):
+                    sample = self.inp.read_nowait() if self.random.random() < 0.5 else self.inp.read_blocking(0.002)
+                    source = self.inp.last_source
+                    assert source is not None
+                    self.got.setdefault(source.out.path, []).append(sample.data)
+
+    async def main() -> None:
+        async with Kernel() as kernel:
+            writers = [await kernel.add(Impatient(f"writer{number}")) for number in range(2)]
+            reader = await kernel.add(Greedy("reader"))
+            wires = [await kernel.connect(writer.out, reader.inp, length=0) for writer in writers]
+            for one in (reader, *writers):
+                await kernel.start(ThreadContext(rate=1000.0), one, activate=True)
+            async with asyncio.timeout(60):
+                while any(len(one.taken) + one.late < count for one in writers):
+                    await asyncio.sleep(0.01)
+            for context in tuple(kernel.contexts.values()):
+                await context.stop()
+            for writer, wire in zip(writers, wires, strict=True):
+                assert reader.got.get(writer.out.path, []) == writer.taken
+                lost = {"timeout": writer.late} if writer.late else {}
+                assert counts(wire) == (count, len(writer.taken), 0, lost)
+            assert any(writer.taken for writer in writers)
+
+    asyncio.run(main())
+
+
+@simulated
+async def test_samples_are_converted_when_they_are_written(simulated_clock: SimulatedClock) -> None:
+    """One that cannot be converted is lost at once, and its writer does not wait."""
+
+    def halved(sample: TimedLong) -> TimedLong:
+        if sample.data % 2:
+            raise ValueError("odd")
+        return long(sample.data // 2)
+
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        wire = await kernel.connect(source.out, sink.inp, length=0, timeout=None, convert=halved)
+        with pytest.raises(WouldBlock):
+            source.out.write_nowait(long(1))
+        assert await source.out.write(long(3)) is True
+        writes = [asyncio.create_task(source.out.write(long(number))) for number in (4, 6, 8)]
+        await asyncio.sleep(0)
+        writes[1].cancel()
+        await asyncio.sleep(0)
+        assert sink.inp.peek() == long(2)
+        assert data(sink.inp.drain()) == [2, 4]
+        read = asyncio.create_task(sink.inp.read())
+        await asyncio.sleep(0)
+        assert source.out.write_nowait(long(5)) is True
+        assert source.out.write_nowait(long(10)) is True
+        assert await read == long(5)
+        assert counts(wire) == (5, 3, 0, {"unconverted": 2})
