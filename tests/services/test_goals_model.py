@@ -20,7 +20,7 @@ from aiorts.errors import GoalCancelled, GoalFailed, InterfaceMismatch, ServiceE
 from aiorts.events import GoalAccepted, GoalEnded
 from aiorts.model.service_profile import GoalStatistics
 from aiorts.testing.simulation import simulate
-from campaign import LENGTH, cases, time_limit
+from campaign import CAMPAIGN, LENGTH, cases, time_limit
 from services.goal_parts import Car, Driver, Driving
 
 if TYPE_CHECKING:
@@ -371,10 +371,14 @@ OPS = (
 )
 
 
-@pytest.mark.timeout(time_limit(600))
+@pytest.mark.timeout(time_limit(1200))
 @settings(max_examples=cases(5000))
 @given(
-    st.lists(st.tuples(st.sampled_from(OPS), st.integers(0, 7), st.integers(0, 13)), min_size=1, max_size=4 * LENGTH),
+    st.lists(
+        st.tuples(st.sampled_from(OPS), st.integers(0, 7), st.integers(0, 13)),
+        min_size=LENGTH if CAMPAIGN else 1,
+        max_size=4 * LENGTH,
+    ),
     st.integers(0, 1000),
 )
 def test_goals_are_what_a_small_model_says(ops: list[tuple[str, int, int]], seed: int) -> None:
