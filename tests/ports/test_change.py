@@ -156,7 +156,7 @@ async def test_a_length_that_chooses_nothing_is_in_the_profile_and_warned_of(
 
 @pytest.mark.parametrize("full", ["overwrite", "reject"])
 @simulated
-async def test_from_block_writers_that_wait_are_let_in_first_in_order_also_beyond_the_length(full: str) -> None:
+async def test_from_block_writers_that_wait_are_let_in_first_in_order_also_beyond_the_length(full: Any) -> None:
     async with Kernel() as kernel:
         source, sink, wire = await connected(kernel, length=2, full="block", timeout=None)
         write(source, 1, 2)
@@ -564,6 +564,31 @@ async def test_another_thread_may_not_change_it() -> None:
         thread.join(10)
         assert "ask on the kernel's loop" in str(caught[0])
         assert wire.profile.length == 8
+
+
+class Once(Component):
+    """Writes 99 in its thread."""
+
+    out = OutPort(TimedLong)
+
+    def on_execute(self) -> None:
+        self.out.write_nowait(long(99))
+        self.finish()
+
+
+async def test_a_real_time_thread_overwrites_the_oldest_of_more_than_the_length(anyio_backend: Any) -> None:
+    async with Kernel() as kernel:
+        writer, sink = await kernel.create(Once), await kernel.create(Sink)
+        wire = await kernel.connect(writer.out, sink.inp, length=4)
+        for number in (1, 2, 3):
+            writer.out.write_nowait(long(number))
+        wire.change(length=1)
+        await kernel.start(RealtimeContext(100.0), writer, activate=True)
+        async with asyncio.timeout(10):
+            while wire.statistics.written < 4:
+                await asyncio.sleep(0.001)
+        assert counts(wire) == (4, 0, 3, {"overwritten": 1})
+        assert data(sink.inp.drain()) == [2, 3, 99]
 
 
 async def test_a_real_time_thread_keeps_its_options(anyio_backend: Any) -> None:

@@ -215,6 +215,11 @@ async def options(kernel: Kernel, pid: Pid, rig: Rig) -> None:
     await kernel.connect(pid.command, pid.measured, lenght=4)  # error: no such option
     await kernel.connect(pid.command, pid.measured, length="4")  # error: not a number
     await link(kernel, pid, strict="no")  # error: not a bool
+    wire = await kernel.connect(pid.command, pid.measured)
+    wire.change(push_rate=5, length=3, full="block")
+    wire.change(full="drop")  # error: no such word
+    wire.change(skip=2)  # error: cannot be changed
+    (await kernel.connect(pid.command, pid.measured, pid.measured)).close()
     rig.connect("pid0.command", pid.measured, subscription="always")  # error: no such word
 
 

@@ -116,7 +116,7 @@ class Connector:
         *,
         push_rate: float | None = None,
         length: int | None = None,
-        full: str | None = None,
+        full: Literal["overwrite", "reject", "block"] | FullPolicy | None = None,
         **others: Never,
     ) -> None:
         """Change options while connected: all that are given or, where one is refused, none. Nothing is lost by it.
