@@ -171,7 +171,7 @@ class Context:
         """
         runner = self.runner
         runner.check("add")
-        check_apart(flattened(components), self.members, self.name)
+        check_apart(flattened(components), (member.component for member in self._members), self.name)
         if (group := group_among(components)) is not None:
             await group.join(self, components, timeout)
             return

@@ -26,6 +26,7 @@ class KernelSide(Protocol):
     debug: bool
     name: str
     closed: bool
+    thread_id: int | None
     _clock_ns: Callable[[], int]
     _timers: Any
 

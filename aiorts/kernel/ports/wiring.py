@@ -87,7 +87,8 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     connector._transport = PLAIN.of(profile)(connector, receiver, kernel)
     receiver.fit(connector._transport)
     several = receiver.tokens is not None
-    receiver.thread = get_ident()
+    # The kernel's own number: each call of `get_ident` makes another, of 32 bytes.
+    receiver.thread = kernel.thread_id or get_ident()
     alone = (connector,)  # one object for both ends, where neither has another
     with receiver.guard():
         in_._connectors += alone
