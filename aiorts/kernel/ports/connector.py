@@ -182,7 +182,6 @@ class Transport(Queueing, LastSample):
 
     __slots__ = (
         "arrived_at",
-        "clock_ns",
         "closed",
         "connector",
         "dead",
@@ -224,7 +223,6 @@ class Transport(Queueing, LastSample):
         are unread."""
         self.waiting: deque[Waiting] | None = None
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
-        self.clock_ns = kernel._clock_ns
         self.times = SendTimes(profile.measure) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
         """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
@@ -572,11 +570,11 @@ class Transport(Queueing, LastSample):
         if self.connector.profile.stamp not in _ON_THE_WAY:
             return sample
         self.lose(sample)
-        return stamped(sample, self.clock_ns())
+        return stamped(sample, self._time_ns())
 
     def stamp_out(self, sample: Any) -> Any:
         """The sample as the reader gets it."""
-        return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock_ns())
+        return sample if self.connector.profile.stamp is not _READ else stamped(sample, self._time_ns())
 
     def push_in(self, sample: Any, *, displaced: bool = False) -> None:
         """Append; `displaced` when the oldest sample of this connector made room for it."""
@@ -588,6 +586,12 @@ class Transport(Queueing, LastSample):
         self.queue.append(sample)
         self.receiver.arrived(self, displaced)
         self.times.add(began_ns, self.monotonic_ns())
+
+    def _time_ns(self) -> int:
+        host = self.connector.out._host
+        assert host is not None  # noqa: S101 - connected
+        assert host.kernel is not None  # noqa: S101 - connected
+        return host.kernel._clock_ns()
 
     def monotonic_ns(self) -> int:
         """The time on the kernel's clock, for a connector that times each send."""

@@ -66,6 +66,8 @@ class PortHost:
     """Whether the component runs in a thread of its own."""
     locked: bool = False
     """Whether its ports have locks: such a thread uses them, or is about to."""
+    writing: bool = False
+    """Whether such a thread is in the middle of a write."""
     realtime: bool = False
     """Whether the component runs in a real-time thread, which never waits."""
     prepare: Callable[[Any], None] | None = None

@@ -17,6 +17,7 @@ from aiorts.kernel.ports.port import NOTHING
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.host import PortHost
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
     from aiorts.kernel.ports.queueing import Waiting
@@ -116,8 +117,9 @@ def offer_last(connector: Connector, written: int) -> None:
     transport, out = connector._transport, connector.out
     if not transport.receiver.open or transport.delivered():
         return
+    host = out._host
     for _ in range(_PATIENCE):
-        if not out._writing:
+        if host is None or not host.writing:
             break
         time.sleep(50e-6)  # lets the thread end its write, which is at some connectors and not at others
     sample = last_written(out)
@@ -140,10 +142,10 @@ class Beginning:
     A connector that came while the way was chosen has the sample, too: who made it may have looked before.
     """
 
-    __slots__ = ("_connectors", "_out")
+    __slots__ = ("_connectors", "_host", "_out")
 
-    def __init__(self, out: OutPort[Any]) -> None:
-        self._out = out
+    def __init__(self, out: OutPort[Any], host: PortHost) -> None:
+        self._out, self._host = out, host
         self._connectors = out._connectors
 
     def must_wait(self) -> bool:
@@ -153,7 +155,7 @@ class Beginning:
     def offer(self, sample: Any) -> bool:
         """A write begins."""
         out = self._out
-        out._writing = True
+        self._host.writing = True
         if out._connectors is self._connectors:
             return True
         newcomers = [one for one in out._connectors if one not in self._connectors]
@@ -163,10 +165,10 @@ class Beginning:
 class Ending:
     """The last of them."""
 
-    __slots__ = ("_out",)
+    __slots__ = ("_host",)
 
-    def __init__(self, out: OutPort[Any]) -> None:
-        self._out = out
+    def __init__(self, host: PortHost) -> None:
+        self._host = host
 
     def must_wait(self) -> bool:
         """Nobody is to be waited for."""
@@ -174,7 +176,7 @@ class Ending:
 
     def offer(self, sample: Any) -> bool:
         """It is everywhere."""
-        self._out._writing = False
+        self._host.writing = False
         return True
 
 

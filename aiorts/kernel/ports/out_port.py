@@ -59,7 +59,6 @@ class OutPort(Port[T]):
         "_shared",
         "_stale",
         "_thread_writes",
-        "_writing",
         "stamp",
     )
 
@@ -88,8 +87,6 @@ class OutPort(Port[T]):
         self._room = 0
         self._saved: Any = NOTHING
         """The sample written last, where no connector has it (`last_sample.py`)."""
-        self._writing = False
-        """Whether a thread is in the middle of a write."""
         self._sent = 0
         """Samples written to all direct connectors at once; each of them counts them as its own."""
         self._stale = True
@@ -215,9 +212,9 @@ class OutPort(Port[T]):
         if self._stale:
             self._update_fast_path()
         sample = self._checked(sample)
-        self._writing = True
+        host.writing = True
         done, entries = self._offer(sample, None)
-        self._writing = False
+        host.writing = False
         waits = []
         for entry in entries:
             limit = entry.connector.profile.timeout if timeout is None else timeout
@@ -500,7 +497,7 @@ class OutPort(Port[T]):
             first = NoReader(self)
             self._others = (first,)
         elif host.locked:
-            first, last = Beginning(self), Ending(self)
+            first, last = Beginning(self, host), Ending(host)
             self._others = (first, *self._others, last)
         self._blocking = tuple(way for way in ways if way[4].blocks)
         self._shapes = self._shapes_now()
