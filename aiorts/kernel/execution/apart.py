@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from aiorts.errors import StateError, WiringError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.port import host_of
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
 def check_connection(out: OutPort[Any], in_: InPort[Any]) -> None:
     """Raise WiringError when a write of `out` that waits for a read of `in_` would wait for itself."""
-    writer: Any = out._host
-    reader: Any = in_._host
+    writer: Any = host_of(out)
+    reader: Any = host_of(in_)
     shared = [one.context.name for one in writer.members if one.context in {other.context for other in reader.members}]
     if writer is reader:
         where = f"both are ports of {writer.name}"
@@ -42,7 +43,7 @@ def check_apart(components: Sequence[ComponentSide], others: Iterable[ComponentS
     for component in components:
         for connector in _rendezvous_of(component):
             hosts = hosts or {cell(one) for one in (*components, *others)}
-            if connector.out._host in hosts and connector.in_._host in hosts:
+            if host_of(connector.out) in hosts and host_of(connector.in_) in hosts:
                 raise StateError(
                     f"{component.name}: cannot run in {where}: the connector {connector.name} has length = 0, so a "
                     f"write of {connector.out.path} would wait for a read of {connector.in_.path}, which cannot begin "

@@ -28,7 +28,7 @@ class KernelSide(Protocol):
     closed: bool
     thread_id: int | None
     _clock_ns: Callable[[], int]
-    _timers: Any
+    call_at: Callable[[int, Callable[[], None]], Cancellable]
 
     @property
     def clock(self) -> Clock: ...

@@ -32,6 +32,7 @@ class PeriodicTransport(Transport):
 
     __slots__ = (
         "backlog",
+        "call_at",
         "denominator",
         "first",
         "now_ns",
@@ -40,7 +41,6 @@ class PeriodicTransport(Transport):
         "start_ns",
         "timer",
         "timer_requested",
-        "timers",
     )
 
     def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
@@ -52,7 +52,7 @@ class PeriodicTransport(Transport):
         """Whether the period that is over has sent anything."""
         self.timer_requested = False
         """Whether a timer was requested that the loop has not set yet."""
-        self.timers = kernel._timers
+        self.call_at = kernel.call_at
         self.now_ns: Callable[[], int] = kernel.clock.monotonic_ns
         self.begin_periods(connector.profile)
         self.timer: Any = None
@@ -140,7 +140,7 @@ class PeriodicTransport(Transport):
         elapsed = self.now_ns() - self.start_ns
         period = elapsed * self.numerator // (1_000_000_000 * self.denominator) + 1
         deadline = self.start_ns + -(-period * 1_000_000_000 * self.denominator // self.numerator)
-        self.timer = self.timers.call_at(deadline, partial(self.on_loop, methodcaller("end_period")))
+        self.timer = self.call_at(deadline, partial(self.on_loop, methodcaller("end_period")))
 
     def end_period(self) -> None:
         """A period is over: send, and measure how long that took where `measure` was given."""

@@ -32,12 +32,12 @@ _EXPIRED: Final = "expired"
 class _Ages:
     """When the samples of one connector were written."""
 
-    __slots__ = ("backlog", "left_ns", "lifespan_ns", "now_ns", "queue", "timer", "timers")
+    __slots__ = ("backlog", "call_at", "left_ns", "lifespan_ns", "now_ns", "queue", "timer")
 
     def __init__(self, lifespan: float, kernel: KernelSide) -> None:
         self.lifespan_ns = to_ns(lifespan)
         self.now_ns: Callable[[], int] = kernel.clock.monotonic_ns
-        self.timers = kernel._timers
+        self.call_at = kernel.call_at
         self.timer: Any = None
         """While a writer waits for room."""
         self.queue: deque[int] = deque()
@@ -137,7 +137,7 @@ class Expiring(FeaturedTransport):
                     ages.timer.cancel()
                     ages.timer = None
             elif ages.timer is None and (times := _times_of(ages.queue, self.queue)):
-                ages.timer = ages.timers.call_at(times[0] + ages.lifespan_ns, partial(self.on_loop, _look_again))
+                ages.timer = ages.call_at(times[0] + ages.lifespan_ns, partial(self.on_loop, _look_again))
 
 
 class ExpiringPeriodic(Expiring, PeriodicTransport):

@@ -12,6 +12,7 @@ from collections import deque
 from itertools import islice
 from typing import Any
 
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import OFF
 from aiorts.kernel.ports.queueing import Waiting
@@ -67,7 +68,7 @@ class Rendezvous(FeaturedTransport):
 
     def give_up(self, entry: Waiting) -> bool:
         with self.guard():
-            if (now := self.connector._transport) is not self:
+            if (now := transport_of(self.connector)) is not self:
                 return now.give_up(entry)
             waiting = self.waiting
             if entry.done or not waiting or entry not in waiting:
