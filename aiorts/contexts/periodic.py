@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -71,16 +72,21 @@ class PeriodicContext(Context):
         plan = self._schedule
         if plan is None:
             return super().statistics
-        return ContextStatistics(
-            self.ticks,
-            plan.skipped,
-            plan.overruns,
-            plan.lateness_max_ns,
-            plan.lateness_total_ns,
-            self._hook_statistics(),
-            plan.overrun,
-            {} if self._missed is None else self._missed.counts,
-            None if self._missed is None else self._missed.last,
+        late = plan.lateness
+        p50, p99 = late.percentiles(50, 99)
+        return replace(
+            super().statistics,
+            skipped=plan.skipped,
+            overruns=plan.overruns,
+            lateness_max_ns=late.max_ns,
+            lateness_total_ns=late.total_ns - plan.own_ns,
+            policy=plan.overrun,
+            missed={} if self._missed is None else self._missed.counts,
+            last_blame=None if self._missed is None else self._missed.last,
+            lateness_stdev_ns=late.stdev_ns,
+            lateness_p50_ns=p50,
+            lateness_p99_ns=p99,
+            lateness_histogram=late.histogram,
         )
 
     async def set_rate(self, rate: float, *, timeout: float | None = 5.0) -> None:
@@ -135,18 +141,18 @@ class PeriodicContext(Context):
     def _begin_cycle(self) -> Sequence[Member]:
         plan, timer = self._schedule, self._deadline_timer
         if plan is not None:
-            due_ns, now_ns = plan.due_ns, self._now_ns()
+            now_ns = self._now_ns()
             missed = plan.begin(now_ns)
             if missed is not None:
-                self._report_overrun(missed, due_ns, now_ns)
+                self._report_overrun(missed, now_ns)
             if timer is not None:
                 timer.arm(plan.due_ns + plan.period_ns)
         return super()._begin_cycle()
 
-    def _report_overrun(self, missed: tuple[int, int], due_ns: int, now_ns: int) -> None:
+    def _report_overrun(self, missed: tuple[int, int], now_ns: int) -> None:
         """Count, publish and log who made this cycle late."""
         plan, timer = self._schedule, self._deadline_timer
-        blame = None if timer is None else timer.blame(now_ns, due_ns)
+        blame = None if timer is None else timer.blame(now_ns, now_ns - missed[1])
         policy = "skip" if plan is None else plan.overrun
         if self._missed is None:
             self._missed = MissedDeadlines()

@@ -112,7 +112,6 @@ class Microkernel:
         self._summary: Cancellable | None = None
         self._timers: Any = None
         self._pool = PoolMonitor(self)
-        self._clock_ns: Callable[[], int]
         self.call_at: Callable[[int, Callable[[], None]], Cancellable]
         """Call back at a time of the kernel's clock in nanoseconds (`clock.monotonic_ns`). On the loop only."""
         self._call_later: Callable[[float, Callable[[], None]], Cancellable]
@@ -138,7 +137,7 @@ class Microkernel:
         self._timers = timers_for(clock)
         self._loop, self._clock, self.thread_id = loop, clock, threading.get_ident()
         # Made once: each look-up of a method makes another, and every connector and context keeps them.
-        self._clock_ns, self.call_at, self._call_later = clock.time_ns, self._timers.call_at, self.call_later
+        self.call_at, self._call_later = self._timers.call_at, self.call_later
         self.closing = loop.create_future()
         self.opened_ns = clock.monotonic_ns()
         self._timers.acquire()
@@ -454,7 +453,7 @@ class Microkernel:
             convert: a plain function that makes a sample of the in-port of one of the out-port, called once for each
                 sample in the write; or a text: "FILE.py:function", "package.module:function" or the name of a converter
                 that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
-            measure: n, time the last n sends (`Connector.timing`); 0 times nothing.
+            measure: n, time the last n sends (`Connector.timing`) and the last n reads (`statistics.latency`, `.age`).
             name: the connector's. allow_duplicate: a second connector between the same two ports.
             openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type

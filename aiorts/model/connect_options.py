@@ -47,7 +47,7 @@ class ConnectOptions(TypedDict, total=False):
     convert: Converter | str | None
     """What makes a sample of the in-port of one of the out-port: a plain function, or a text that finds one."""
     measure: int
-    """n: time the last n sends; 0 times nothing."""
+    """n: time the last n sends and the last n reads; 0 times nothing."""
     keep_last: bool
     """Whether the connector begins with the sample that the writer wrote last before."""
     lifespan: float | None

@@ -9,14 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+from aiorts.model.rates import Counted
+from aiorts.model.timing import Spans
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
+_NO_CYCLES: Final[Mapping[int, int]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,8 @@ class ConnectorProfile:
     convert: str | None = None
     """What makes the reader's samples of the writer's: the text that finds it, or the qualified name of a function."""
     measure: int = 0
-    """Sends over which the publisher is timed (`Connector.timing`); 0 times nothing and costs nothing."""
+    """Sends (`Connector.timing`) and reads (`ConnectorStatistics.latency`, `age`) that are timed; 0 times nothing and
+    costs nothing."""
     keep_last: bool = False
     """Whether a new connector is offered the sample that the writer wrote last, also before it was made."""
     lifespan: float | None = None
@@ -62,7 +66,7 @@ class ConnectorProfile:
 
 
 @dataclass(frozen=True, slots=True)
-class ConnectorStatistics:
+class ConnectorStatistics(Counted):
     """The ledger of a connector at one moment: written = delivered + sum(dropped.values()) + buffered."""
 
     written: int
@@ -77,6 +81,16 @@ class ConnectorStatistics:
     """How often the writer was silent for longer than `max_gap`."""
     silent: bool = False
     """Whether it is."""
+    at_ns: int = field(default=0, compare=False, repr=False)
+    """When, on the kernel's monotonic clock. Statistics with equal counts are equal, whenever they were taken."""
+    mean_rate: float = field(default=0.0, compare=False, repr=False)
+    """Samples written a second since the connector was made."""
+    latency: Spans | None = field(default=None, compare=False, repr=False)
+    """From the write to the read, on the kernel's clock, of the last `measure` samples read; None without `measure`."""
+    age: Spans | None = field(default=None, compare=False, repr=False)
+    """How old these were when they were read: the kernel's time less their stamp `tm`; a `tm` of 0 is none. None
+    without `measure`, and for a type without `tm`."""
+    counted: ClassVar[str] = "written"
 
     @property
     def balanced(self) -> bool:
@@ -85,7 +99,7 @@ class ConnectorStatistics:
 
 
 @dataclass(frozen=True, slots=True)
-class ThreadWriteStatistics:
+class ThreadWriteStatistics(Counted):
     """What became of `write_from_thread` at one out-port: accepted = written + waiting + sum(dropped.values())."""
 
     accepted: int
@@ -99,6 +113,11 @@ class ThreadWriteStatistics:
     sample), "closed" (the port or the kernel was closed first)."""
     refused: int
     """Samples that were not accepted, since 1,024 waited."""
+    at_ns: int = field(default=0, compare=False, repr=False)
+    """When, on the kernel's monotonic clock."""
+    mean_rate: float = field(default=0.0, compare=False, repr=False)
+    """Samples accepted a second since the first call."""
+    counted: ClassVar[str] = "accepted"
 
 
 NO_THREAD_WRITES: Final = ThreadWriteStatistics(0, 0, 0, MappingProxyType({}), 0)
@@ -200,7 +219,7 @@ class HookStatistics:
 
 
 @dataclass(frozen=True, slots=True)
-class ContextStatistics:
+class ContextStatistics(Counted):
     """What an execution context has done so far; times in nanoseconds."""
 
     cycles: int
@@ -221,6 +240,20 @@ class ContextStatistics:
     """Overruns by who is to blame (`Blame.place`), at most 32 and "others"."""
     last_blame: Blame | None = None
     """Who made the newest overrun late."""
+    at_ns: int = field(default=0, compare=False, repr=False)
+    """When, on the kernel's monotonic clock. Statistics with equal counts are equal, whenever they were taken."""
+    mean_rate: float = field(default=0.0, compare=False, repr=False)
+    """Cycles a second since the first start."""
+    lateness_stdev_ns: float = 0.0
+    """Standard deviation over all cycles of how late each began, counted as in `lateness_max_ns`."""
+    lateness_p50_ns: int = 0
+    """What half of the last 1,000 cycles were not later than."""
+    lateness_p99_ns: int = 0
+    """What 99 % of the last 1,000 cycles were not later than."""
+    lateness_histogram: Mapping[int, int] = field(default_factory=lambda: _NO_CYCLES)
+    """All cycles by how late each began: each key is a power of two in nanoseconds, its count that of the cycles that
+    were less late and not in a smaller key; 1 is of those in time. Keys without cycles are left out."""
+    counted: ClassVar[str] = "cycles"
 
 
 @dataclass(frozen=True, slots=True)

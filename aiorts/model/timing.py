@@ -1,10 +1,10 @@
-"""Spans of time of the last n sends of a publisher: how long each took, how far apart they began. It asks no clock."""
+"""Spans of time of the last n sends and reads of a connector: how long, how far apart, how old. It asks no clock."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Self
 
 from aiorts.late import dataclass
@@ -12,7 +12,7 @@ from aiorts.late import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """Count, minimum, maximum, mean and deviation of some spans of time; all zero when there is none."""
+    """Count, minimum, maximum, mean, deviation and percentiles of some spans of time; all zero when there is none."""
 
     count: int = 0
     min_ns: int = 0
@@ -20,15 +20,26 @@ class Spans:
     mean_ns: float = 0.0
     stdev_ns: float = 0.0
     """Of the population."""
+    p50_ns: int = 0
+    """The smallest of these spans that at least half of them do not exceed."""
+    p99_ns: int = 0
+    """The smallest of these spans that at least 99 % of them do not exceed."""
 
     @classmethod
     def of(cls, spans: Collection[int]) -> Self:
         """What these spans have in common."""
         if not spans:
             return cls()
-        mean = sum(spans) / len(spans)
-        variance = sum((span - mean) ** 2 for span in spans) / len(spans)
-        return cls(len(spans), min(spans), max(spans), mean, math.sqrt(variance))
+        ordered = sorted(spans)
+        mean = sum(ordered) / len(ordered)
+        variance = sum((span - mean) ** 2 for span in ordered) / len(ordered)
+        p50, p99 = percentile(ordered, 50), percentile(ordered, 99)
+        return cls(len(ordered), ordered[0], ordered[-1], mean, math.sqrt(variance), p50, p99)
+
+
+def percentile(ordered: Sequence[int], percent: int) -> int:
+    """The smallest that at least so many percent of these do not exceed; they are in order and there is one."""
+    return ordered[-(-percent * len(ordered) // 100) - 1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +55,16 @@ class PublisherTiming:
     period: Spans
 
 
-class SendTimes:
-    """The last `length` sends."""
+class ConnectorTimes:
+    """The last `length` sends and reads of a connector."""
 
-    __slots__ = ("_execs", "_last_ns", "_periods")
+    __slots__ = ("_execs", "_last_ns", "_periods", "ages", "latencies")
 
     def __init__(self, length: int) -> None:
+        self.ages: deque[int] = deque(maxlen=length)
+        """Of samples as they were read, by their stamps."""
+        self.latencies: deque[int] = deque(maxlen=length)
+        """From write to read."""
         self._execs: deque[int] = deque(maxlen=length)
         self._periods: deque[int] = deque(maxlen=length)
         self._last_ns: int | None = None

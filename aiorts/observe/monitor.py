@@ -7,7 +7,13 @@ What can be named, with the kernel's own paths:
     component.parameter           the value in force
     component.state               lifecycle state, by context where there are several
     connector.written             also delivered, buffered, dropped
-    context.ticks                 also lateness, the greatest so far in seconds, overruns, skipped, rate
+    connector.rate                samples written a second since the last reading; in the first one since it was made
+    connector.latency             from write to read, the median in seconds; also latency_p99, latency_max
+    connector.age                 when read, by the stamp, the median in seconds; also age_p99, age_max
+    context.ticks                 also overruns, skipped, rate
+    context.lateness              the greatest so far in seconds; also lateness_p50, lateness_p99, of the last cycles
+
+A connector is its name, or its ports: a.out->b.in.latency. Latency and age need its option `measure`.
 
 Of an in-port that is the newest unread sample, else the one read last; of an out-port the sample
 written last, also where nobody reads.
@@ -27,25 +33,37 @@ from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
+from aiorts.model.profile import ConnectorStatistics
 
 if TYPE_CHECKING:
+    from types import TracebackType
     from typing import Self
 
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.timing import Spans
 
 _LEDGER: Final[Mapping[str, Callable[[Connector], Any]]] = {
     "written": lambda connector: connector.statistics.written,
     "delivered": lambda connector: connector.statistics.delivered,
     "buffered": lambda connector: connector.statistics.buffered,
     "dropped": lambda connector: sum(connector.statistics.dropped.values()),
+    "rate": lambda connector: connector.statistics,
+    "latency": lambda connector: _seconds(connector, "latency", "p50_ns"),
+    "latency_p99": lambda connector: _seconds(connector, "latency", "p99_ns"),
+    "latency_max": lambda connector: _seconds(connector, "latency", "max_ns"),
+    "age": lambda connector: _seconds(connector, "age", "p50_ns"),
+    "age_p99": lambda connector: _seconds(connector, "age", "p99_ns"),
+    "age_max": lambda connector: _seconds(connector, "age", "max_ns"),
 }
 _CONTEXT: Final[Mapping[str, Callable[[Context], Any]]] = {
     "ticks": lambda context: context.statistics.cycles,
     "rate": lambda context: context.rate,
     "lateness": lambda context: context.statistics.lateness_max_ns / 1e9,
+    "lateness_p50": lambda context: context.statistics.lateness_p50_ns / 1e9,
+    "lateness_p99": lambda context: context.statistics.lateness_p99_ns / 1e9,
     "overruns": lambda context: context.statistics.overruns,
     "skipped": lambda context: context.statistics.skipped,
 }
@@ -65,7 +83,10 @@ class Reading:
 
 
 class Monitor:
-    """An async iterator of `Reading`, `rate` times a second on the kernel's clock; ends with its kernel."""
+    """An async iterator of `Reading`, `rate` times a second on the kernel's clock; ends with its kernel, or `close()`.
+
+    `async with` closes it.
+    """
 
     def __init__(self, kernel: Microkernel, paths: Sequence[str], rate: float) -> None:
         if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0.0 < rate <= 10_000.0:
@@ -76,11 +97,28 @@ class Monitor:
         self._paths = tuple(paths)
         self._period_ns = round(1e9 / rate)
         self._due_ns: int | None = None
+        self._closed = False
+        self._waiter: asyncio.Future[None] | None = None
+        self._before: dict[str, ConnectorStatistics] = {}
+        """Of connectors whose rate is asked for, at the last reading."""
         for path in self._paths:
             _look(kernel, path)
 
+    def close(self) -> None:
+        """End the stream; idempotent."""
+        self._closed = True
+        self._wake()
+
     def __aiter__(self) -> Self:
         return self
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     async def __anext__(self) -> Reading:
         kernel, missed = self._kernel, 0
@@ -91,9 +129,9 @@ class Monitor:
             late = max(0, now_ns - self._due_ns) // self._period_ns
             missed = max(0, late - 1)
             self._due_ns += (missed + 1) * self._period_ns
-            if not kernel.closed:
+            if not (kernel.closed or self._closed):
                 await self._wait(self._due_ns - now_ns)
-        if kernel.closed:
+        if kernel.closed or self._closed:
             raise StopAsyncIteration
         values = {path: self._value(path) for path in self._paths}
         clock = kernel.clock
@@ -103,25 +141,32 @@ class Monitor:
         if duration_ns <= 0:
             await asyncio.sleep(0)
             return
-        over = self._kernel.loop.create_future()
-
-        def wake(*_: object) -> None:
-            if not over.done():
-                over.set_result(None)
-
-        timer = self._kernel.call_later(duration_ns / 1e9, wake)
-        self._kernel.closing.add_done_callback(wake)
+        self._waiter = self._kernel.loop.create_future()
+        timer = self._kernel.call_later(duration_ns / 1e9, self._wake)
+        self._kernel.closing.add_done_callback(self._wake)
         try:
-            await over
+            await self._waiter
         finally:
             timer.cancel()
-            self._kernel.closing.remove_done_callback(wake)
+            self._kernel.closing.remove_done_callback(self._wake)
+
+    def _wake(self, *_: object) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
 
     def _value(self, path: str) -> Any:
         try:
-            return _look(self._kernel, path)
-        except WiringError:
+            found = _look(self._kernel, path)
+        except (ConfigurationError, WiringError):
             return None  # it was there when it was asked for, and may be again
+        if not isinstance(found, ConnectorStatistics):
+            return found
+        # Asked for its rate.
+        before, self._before[path] = self._before.get(path), found
+        try:
+            return found.mean_rate if before is None else found.rate_since(before)
+        except ConfigurationError:
+            return found.mean_rate  # another connector of this name, or in virtual time the same moment
 
 
 def _look(kernel: Microkernel, path: str) -> Any:
@@ -134,6 +179,9 @@ def _look(kernel: Microkernel, path: str) -> Any:
     first, _, field = rest.partition(".")
     name, _, what = path.rpartition(".")
     component, context, connector = kernel.components.get(owner), kernel.contexts.get(name), kernel.connectors.get(name)
+    if "->" in name:
+        connector = _between(kernel, path, *name.split("->", 1))
+        context = component = None
     if connector is not None and what in _LEDGER and "." in name:
         return _LEDGER[what](connector)  # named by its ports: its name begins with that of a component
     if component is not None and first:
@@ -151,6 +199,28 @@ def _look(kernel: Microkernel, path: str) -> Any:
     near = get_close_matches(owner, known, 1)
     advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:20]) or 'none'}"
     raise WiringError(f"{path}: there is no component, context or connector {owner!r}; {advice}")
+
+
+def _between(kernel: Microkernel, path: str, out: str, in_: str) -> Connector:
+    """The first connector from one port to the other."""
+    ports = (out.strip(), in_.strip())
+    for connector in kernel.connectors.values():
+        if (connector.out.path, connector.in_.path) == ports:
+            return connector
+    there = ", ".join(f"{one.out.path}->{one.in_.path}" for one in tuple(kernel.connectors.values())[:20])
+    raise WiringError(f"{path}: there is no connector from {ports[0]} to {ports[1]}; there are {there or 'none'}")
+
+
+def _seconds(connector: Connector, what: str, figure: str) -> float | None:
+    """A figure of what was measured; None where nothing has been."""
+    spans: Spans | None = getattr(connector.statistics, what)
+    if spans is not None:
+        return getattr(spans, figure) / 1e9 if spans.count else None
+    if not connector.profile.measure:
+        raise WiringError(
+            f"{connector.name}.{what}: is not measured; connect with measure=1000, the samples over which it is taken"
+        )
+    raise WiringError(f"{connector.name}.{what}: {connector.in_.path} has a type without a time stamp tm")
 
 
 def _of_component(component: Component, path: str, first: str, field: str) -> Any:

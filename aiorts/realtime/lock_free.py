@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anyio import WouldBlock
 
@@ -21,6 +21,9 @@ from aiorts.kernel.ports.port import NOTHING, UNLOCKED
 from aiorts.kernel.ports.receiver import Receiver
 from aiorts.realtime.lock_free_periodic import LockFreePeriodic
 from aiorts.realtime.lock_free_transport import LockFreeTransport, Numbers
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
 
 
 class LockFreeReceiver(Receiver):
@@ -70,14 +73,18 @@ class LockFreeReceiver(Receiver):
         return self.last_read if oldest is None else oldest
 
     def drain(self) -> list[Any]:
-        samples: list[Any] = []
+        return [sample for _, sample in self.drain_sources()]
+
+    def drain_sources(self) -> list[tuple[Connector, Any]]:
+        pairs: list[tuple[Connector, Any]] = []
         try:
             # What is written meanwhile is for the next time: a fast writer must not keep the reader here.
             for _ in range(sum(len(transport.queue) for transport in self.extra.transports)):
-                samples.append(self.read())  # noqa: PERF401 - what was read before an end counts
+                sample = self.port._last = self.read()
+                pairs.append((self.source, sample))  # type: ignore[arg-type] # it was read
         except WouldBlock:
             pass
-        return samples
+        return pairs
 
     def fit(self, transport: Transport) -> None:
         transport.replace(LOCK_FREE, self)
@@ -173,7 +180,7 @@ class LockFreeReceiver(Receiver):
         self.update_fast_path()
 
 
-LOCK_FREE = TransportKind(LockFreeReceiver, LockFreeTransport, LockFreePeriodic)
+LOCK_FREE = TransportKind(LockFreeReceiver, LockFreeTransport, LockFreePeriodic, featured=False)
 """What carries samples where a real-time thread is."""
 
 

@@ -14,11 +14,11 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from itertools import count
 from operator import methodcaller
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import StateError
 from aiorts.kernel.ports.connector import Transport
+from aiorts.kernel.ports.figures import statistics_of
 from aiorts.kernel.ports.port import NOTHING, UNLOCKED, host_of
 from aiorts.kernel.ports.queueing import Waiting
 from aiorts.model.buffer import Verdict, decide
@@ -125,7 +125,7 @@ class LockFreeTransport(Transport):
                 break
             time.sleep(0 if look < _EAGER else 50e-6)  # lets who is in the middle of a step end it
         delivered = written - sum(dropped.values()) - buffered
-        return ConnectorStatistics(written, delivered, buffered, MappingProxyType(dropped))
+        return statistics_of(self, written, delivered, buffered, dropped)
 
     def glance(self) -> tuple[int, int, Mapping[str, int]]:
         return self._look()
@@ -260,7 +260,7 @@ class LockFreeTransport(Transport):
     def replace_newest(self, sample: Any, reason: str, dropped: dict[str, int]) -> bool:
         """In one step, so that the reader never finds nothing; False when it has taken everything."""
         times = self.times if self.times_each else None
-        began_ns = 0 if times is None else self.monotonic_ns()
+        began_ns = 0 if times is None else self.clock.monotonic_ns()
         try:
             self.queue[-1] = sample
         except IndexError:
@@ -273,18 +273,18 @@ class LockFreeTransport(Transport):
             pass  # the reader has taken it meanwhile, and its place
         self._settle(dropped)
         if times is not None:
-            times.add(began_ns, self.monotonic_ns())
+            times.add(began_ns, self.clock.monotonic_ns())
         return True
 
     def append(self, sample: Any, dropped: dict[str, int]) -> None:
         times = self.times if self.times_each else None
-        began_ns = 0 if times is None else self.monotonic_ns()
+        began_ns = 0 if times is None else self.clock.monotonic_ns()
         self.arrived_at = place = next(self.receiver.extra.numbers)
         self.extra.places.append(place)
         self.queue.append(sample)
         self._settle(dropped)
         if times is not None:
-            times.add(began_ns, self.monotonic_ns())
+            times.add(began_ns, self.clock.monotonic_ns())
 
     def _settle(self, dropped: dict[str, int]) -> None:
         """The sample is in: notify the reader, or take it back if the end came while it was put in."""

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from dataclasses import field
+from typing import Any, ClassVar, Final
 
 from aiorts.late import dataclass
+from aiorts.model.rates import Counted
 
 
 @dataclass(frozen=True, slots=True)
-class SynchronizerStatistics:
+class SynchronizerStatistics(Counted):
     """What became of one port's samples: taken = matched + sum(dropped.values()) + held."""
 
     taken: int
@@ -26,6 +28,9 @@ class SynchronizerStatistics:
     """Samples that are in no match, by reason: unmatched, late, overflow, inactive."""
     held: int
     """Samples that wait for those of other ports."""
+    at_ns: int = field(default=0, compare=False, repr=False)
+    """When, on the kernel's monotonic clock; 0 while the component is in no kernel."""
+    counted: ClassVar[str] = "taken"
 
     @property
     def balanced(self) -> bool:

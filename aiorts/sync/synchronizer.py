@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, Final, Generic, TypeVar, cast, overload
 
 from anyio import WouldBlock
@@ -12,6 +13,7 @@ from aiorts.clock import to_ns
 from aiorts.errors import ConfigurationError
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.kernel.ports.port import host_of
 from aiorts.kernel.ports.waiting import wait_until
 from aiorts.model.values import shown
 from aiorts.sync.matching import POLICIES, Matching, SynchronizerStatistics
@@ -143,7 +145,13 @@ class Synchronizer(Generic[M]):
     def statistics(self) -> Mapping[str, SynchronizerStatistics]:
         """What became of the samples, by the name of the port."""
         cleared = self._reopened()
-        return {port.name: self._matching.statistics(number, cleared=cleared) for number, port in enumerate(self.ports)}
+        host = host_of(self.ports[0])
+        kernel = None if host is None else host.kernel
+        now_ns = 0 if kernel is None else kernel.clock.monotonic_ns()
+        return {
+            port.name: replace(self._matching.statistics(number, cleared=cleared), at_ns=now_ns)
+            for number, port in enumerate(self.ports)
+        }
 
     def __repr__(self) -> str:
         return f"<Synchronizer {self._where} policy={self.policy} tolerance={self.tolerance} length={self.length}>"

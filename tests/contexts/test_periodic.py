@@ -37,6 +37,7 @@ def test_a_periodic_context_ticks_at_start_plus_n_over_rate_exactly(rate: float,
     assert abs(len(ticker.begun) - expected) <= 1
     assert ticker.begun == [math.ceil(n * S / Fraction(rate)) for n in range(len(ticker.begun))]
     assert context.statistics.overruns == context.statistics.skipped == context.statistics.lateness_max_ns == 0
+    assert dict(context.statistics.lateness_histogram) == {1: context.ticks}
 
 
 @pytest.mark.row(24)

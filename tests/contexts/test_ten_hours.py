@@ -94,4 +94,4 @@ def test_ticks_counted_one_by_one_neither_drift_nor_get_lost(rate: float, hour: 
         schedule.end(due)
     assert schedule._tick == last
     assert schedule.due_ns == 7 + -(-last * 1_000_000_000 * denominator // numerator)
-    assert schedule.skipped == schedule.overruns == schedule.lateness_total_ns == 0
+    assert schedule.skipped == schedule.overruns == schedule.lateness.total_ns == 0

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from aiorts.errors import WiringError
 from aiorts.model.options import connector_profile
-from aiorts.model.timing import SendTimes, Spans
+from aiorts.model.timing import ConnectorTimes, Spans
 
 pytestmark = pytest.mark.row(61)
 
@@ -22,13 +22,13 @@ def measure(**options: object) -> int:
 
 def test_nothing_is_measured_unless_asked_for() -> None:
     assert measure() == 0
-    assert SendTimes(3).timing.exec == Spans()
-    assert SendTimes(3).timing.period == Spans()
+    assert ConnectorTimes(3).timing.exec == Spans()
+    assert ConnectorTimes(3).timing.period == Spans()
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**9), st.integers(0, 10**6)), max_size=30), st.integers(1, 10))
 def test_the_last_sends_are_described_as_statistics_does(gaps: list[tuple[int, int]], length: int) -> None:
-    times, began, starts, execs = SendTimes(length), 0, [], []
+    times, began, starts, execs = ConnectorTimes(length), 0, [], []
     for gap, took in gaps:
         began += gap
         times.add(began, began + took)

@@ -66,10 +66,11 @@ def test_values_come_at_the_rate_with_the_time_and_no_sample_is_taken() -> None:
             await clock.advance(0.05)
             begun = clock.monotonic_ns()
             readings = []
-            async for reading in kernel.monitor(PATHS, rate=2.0):
-                readings.append(reading)
-                if len(readings) == 5:
-                    break
+            async with kernel.monitor(PATHS, rate=2.0) as monitor:
+                async for reading in monitor:
+                    readings.append(reading)
+                    if len(readings) == 5:
+                        break
             assert [r.monotonic_ns - begun for r in readings] == [n * SECOND // 2 for n in range(5)]
             assert [r.values["loop.ticks"] for r in readings] == [r.values["wire.written"] for r in readings]
             assert [r.values["source.out.data"] for r in readings] == [float(r.values["loop.ticks"]) for r in readings]
@@ -188,3 +189,58 @@ async def test_an_out_port_shows_what_was_written_last_whoever_reads() -> None:
         await kernel.disconnect(wire)
         await look()
         assert seen == [None, 1.0, 2.0, 2.0, 2.0]
+
+
+@pytest.mark.row(60)
+@simulated
+async def test_a_connector_between_two_ports_shows_latency_age_and_rate() -> None:
+    async with Kernel() as kernel:
+        await kernel.sleep(1.0)
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        await kernel.connect(source.out, sink.into, name="wire", measure=10)
+        wire = "source.out->sink.into"
+        figures = ("latency", "latency_p99", "latency_max", "age", "age_p99", "age_max", "rate")
+        async with kernel.monitor([f"{wire}.{figure}" for figure in figures], rate=2.0) as monitor:
+            assert tuple((await anext(monitor)).values.values()) == (None,) * 6 + (0.0,)
+            for wait in (0.001, 0.002, 0.003):
+                source.out.write_nowait(TimedDouble(kernel.time_ns() - 1_000_000, 1.0))
+                await kernel.sleep(wait)
+                sink.into.read_nowait()
+            assert tuple((await anext(monitor)).values.values()) == (0.002, 0.003, 0.003, 0.003, 0.004, 0.004, 6.0)
+            assert (await anext(monitor)).values[f"{wire}.rate"] == 0.0
+        async with kernel.monitor(["wire.rate", "wire.latency"], rate=2.0) as monitor:
+            assert tuple((await anext(monitor)).values.values()) == (3.0, 0.002)  # since it was made, 1 s ago
+
+
+@pytest.mark.row(60)
+@simulated
+async def test_what_a_connector_does_not_measure_is_refused() -> None:
+    async with Kernel() as kernel:
+        await system(kernel)
+        with pytest.raises(WiringError, match=r"wire\.latency: is not measured; connect with measure=1000"):
+            kernel.monitor(["source.out->sink.into.latency"])
+        with pytest.raises(WiringError, match=r"no connector from source\.in to sink\.into; there are source"):
+            kernel.monitor(["source.in->sink.into.age"])
+
+
+@pytest.mark.row(33)
+@simulated
+async def test_the_lateness_of_a_context_is_seen() -> None:
+    async with Kernel() as kernel:
+        await system(kernel)
+        async with kernel.monitor(["loop.lateness_p50", "loop.lateness_p99"]) as monitor:
+            assert set((await anext(monitor)).values.values()) == {0.0}
+
+
+@simulated
+async def test_it_is_closed_where_its_block_ends() -> None:
+    async with Kernel() as kernel:
+        await system(kernel)
+        async with kernel.monitor(["loop.ticks"], rate=0.01) as monitor:
+            await anext(monitor)
+            waiting = asyncio.create_task(anext(monitor, None))
+            await asyncio.sleep(0)
+        assert await waiting is None
+        assert [reading async for reading in monitor] == []
+        monitor.close()
+        assert kernel.clock.monotonic_ns() < 10 * SECOND

@@ -108,6 +108,10 @@ def test_one_document_has_the_whole_system() -> None:
                 "dropped": {"inactive": 1},
                 "missed_gaps": 0,
                 "silent": False,
+                "at_ns": wire.statistics.at_ns,
+                "mean_rate": 0.5,
+                "latency": None,
+                "age": None,
             }, wire.statistics
             assert told["contexts"]["loop"]["members"] == ["sensor0", "arm0"]
             assert told["contexts"]["loop"]["statistics"]["cycles"] == 1

@@ -52,6 +52,24 @@ async def test_samples_are_read_in_order_of_arrival_and_each_tells_its_source(an
 
 
 @pytest.mark.row(43)
+@pytest.mark.parametrize("others", [0, 2])
+async def test_a_drain_tells_the_source_of_each_sample(anyio_backend: Any, others: int) -> None:
+    async with Kernel() as kernel:
+        sources, inp = await fan_in(kernel, *({"length": 100},) * (1 + others))
+        assert inp.drain(sources=True) == []
+        chance, written = random.Random(5), []
+        for number in range(30):
+            source = chance.choice(sources)
+            source.out.write_nowait(long(number))
+            written.append((source.out.connectors[0], number))
+        assert [(connector, sample.data) for connector, sample in inp.drain(sources=True)] == written
+        assert (inp.last_source, data(inp.drain())) == (written[-1][0], [])
+        assert inp.latest == long(29)
+        sources[0].out.write_nowait(long(30))
+        assert data(inp.drain(sources=False)) == [30]
+
+
+@pytest.mark.row(43)
 async def test_the_last_source_is_right_while_connectors_come_and_go(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         [first, second], inp = await fan_in(kernel, {}, {})

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -29,7 +30,7 @@ from aiorts import (
     WouldBlock,
 )
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.ports.connector import unread_of
+from aiorts.kernel.ports.connector import transport_of, unread_of
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.realtime.lock_free import LockFreeReceiver, let_go, make_all_lock_free, make_lock_free
 from aiorts.testing.simulation import simulate
@@ -235,7 +236,8 @@ async def test_a_ledger_is_not_read_in_the_middle_of_a_write() -> None:
             assert seen == []
             return 1
 
-        kernel._clock_ns = in_the_middle
+        transport: Any = transport_of(connector)
+        transport.clock = SimpleNamespace(time_ns=in_the_middle, monotonic_ns=kernel.clock.monotonic_ns)
         source.out.write_nowait(long(1))
         looker.join()
         assert seen == [0]
@@ -251,7 +253,8 @@ async def test_a_sample_that_comes_in_while_its_connector_ends_is_dropped_as_dis
             kernel.connections.end(connector)
             return 1
 
-        kernel._clock_ns = in_the_middle
+        transport: Any = transport_of(connector)
+        transport.clock = SimpleNamespace(time_ns=in_the_middle, monotonic_ns=kernel.clock.monotonic_ns)
         assert source.out.write_nowait(long(1)) is True
         ledger = connector.statistics
         assert (ledger.written, ledger.buffered, dict(ledger.dropped)) == (1, 0, {"disconnected": 1})

@@ -22,13 +22,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Never, Protocol
 
 from aiorts.errors import ClosedError
+from aiorts.kernel.ports.figures import statistics_of
 from aiorts.kernel.ports.last_sample import LastSample
 from aiorts.kernel.ports.port import NOTHING, UNLOCKED
 from aiorts.kernel.ports.queueing import Queueing
 from aiorts.model.buffer import FullPolicy, Verdict, decide
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
-from aiorts.model.timing import SendTimes
+from aiorts.model.timing import ConnectorTimes
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.features import TransportKind
@@ -64,9 +65,11 @@ class Connector:
         in_: the in-port.
     """
 
-    __slots__ = ("_transport", "in_", "out", "profile")
+    __slots__ = ("_since_ns", "_transport", "in_", "out", "profile")
 
     _transport: Transport
+    _since_ns: int
+    """When it was made, on the kernel's monotonic clock."""
 
     def __init__(self, profile: ConnectorProfile, out: OutPort[Any], in_: InPort[Any]) -> None:
         self.profile = profile
@@ -182,6 +185,7 @@ class Transport(Queueing, LastSample):
 
     __slots__ = (
         "arrived_at",
+        "clock",
         "closed",
         "connector",
         "dead",
@@ -223,7 +227,9 @@ class Transport(Queueing, LastSample):
         are unread."""
         self.waiting: deque[Waiting] | None = None
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
-        self.times = SendTimes(profile.measure) if profile.measure else None
+        self.clock = kernel.clock
+        connector._since_ns = kernel.clock.monotonic_ns()
+        self.times = ConnectorTimes(profile.measure) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
         """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
         self.last: Any = NOTHING
@@ -294,7 +300,7 @@ class Transport(Queueing, LastSample):
                 return now.statistics()
             self.settle()
             delivered = self.delivered()
-            return ConnectorStatistics(self.total(), delivered, self.buffered, MappingProxyType(dict(self.dropped)))
+            return statistics_of(self, self.total(), delivered, self.buffered, self.dropped)
 
     def delivered(self) -> int:
         """Samples that were read: what was written, less what was dropped and what is still buffered."""
@@ -570,11 +576,11 @@ class Transport(Queueing, LastSample):
         if self.connector.profile.stamp not in _ON_THE_WAY:
             return sample
         self.lose(sample)
-        return stamped(sample, self._time_ns())
+        return stamped(sample, self.clock.time_ns())
 
     def stamp_out(self, sample: Any) -> Any:
         """The sample as the reader gets it."""
-        return sample if self.connector.profile.stamp is not _READ else stamped(sample, self._time_ns())
+        return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock.time_ns())
 
     def push_in(self, sample: Any, *, displaced: bool = False) -> None:
         """Append; `displaced` when the oldest sample of this connector made room for it."""
@@ -582,23 +588,10 @@ class Transport(Queueing, LastSample):
             self.queue.append(sample)
             self.receiver.arrived(self, displaced)
             return
-        began_ns = self.monotonic_ns()
+        began_ns = self.clock.monotonic_ns()
         self.queue.append(sample)
         self.receiver.arrived(self, displaced)
-        self.times.add(began_ns, self.monotonic_ns())
-
-    def _time_ns(self) -> int:
-        host = self.connector.out._host
-        assert host is not None  # noqa: S101 - connected
-        assert host.kernel is not None  # noqa: S101 - connected
-        return host.kernel._clock_ns()
-
-    def monotonic_ns(self) -> int:
-        """The time on the kernel's clock, for a connector that times each send."""
-        host = self.connector.out._host
-        kernel = None if host is None else host.kernel
-        assert kernel is not None  # noqa: S101 - connected
-        return kernel.clock.monotonic_ns()
+        self.times.add(began_ns, self.clock.monotonic_ns())
 
     def on_loop(self, callback: Callable[[Any], object]) -> None:
         """Call back with what is the connector's transport then, on the kernel's loop: now if this is its thread."""

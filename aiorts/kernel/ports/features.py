@@ -34,7 +34,9 @@ class Feature:
     mixins: Callable[[], tuple[type[FeaturedTransport], type[FeaturedTransport]]]
     """The classes for connectors that carry samples at once, and at each period; asked for where it is wanted first."""
     settles: bool = False
-    """Whether the reader's queue is settled (`Transport.settle`) before anybody looks at it."""
+    """Whether the reader's queue is settled (`Transport.settle`) before anybody looks at it, and `take` called."""
+    lock_free: bool = False
+    """Whether a real-time thread may be at such a connector: as long as it is, the connector is without the feature."""
 
 
 _FEATURES: Final[list[Feature]] = []
@@ -61,21 +63,30 @@ class TransportKind:
         receiver: of the in-port.
         at_once: of a connector whose samples can be read as soon as they are written.
         periodic: of one whose samples move at each period of its `push_rate`.
+        featured: whether features are added.
     """
 
-    def __init__(self, receiver: type[Receiver], at_once: type[Transport], periodic: type[Transport]) -> None:
-        self.receiver, self.at_once, self.periodic = receiver, at_once, periodic
+    def __init__(
+        self,
+        receiver: type[Receiver],
+        at_once: type[Transport],
+        periodic: type[Transport],
+        *,
+        featured: bool = True,
+    ) -> None:
+        self.receiver, self.at_once, self.periodic, self.featured = receiver, at_once, periodic, featured
         receiver.kind = self
 
     def of(self, profile: ConnectorProfile) -> type[Transport]:
         """The class for connectors with these options."""
         periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
         plain = self.periodic if periodic else self.at_once
-        return _composed(plain, tuple(feature.mixins()[periodic] for feature in features_of(profile)))
+        found = features_of(profile) if self.featured else ()
+        return _composed(plain, tuple(feature.mixins()[periodic] for feature in found))
 
     def receiver_of(self, connectors: Iterable[Connector]) -> type[Receiver]:
         """The class for an in-port with these connectors."""
-        return _composed(self.receiver, _receiver_mixins(connectors))
+        return _composed(self.receiver, _receiver_mixins(connectors) if self.featured else ())
 
 
 class FeaturedTransport(Transport):
@@ -91,7 +102,7 @@ class FeaturedTransport(Transport):
 
     def take_over(self, old: Transport, receiver: Receiver) -> None:
         super().take_over(old, receiver)
-        self.extra = old.extra
+        self.extra = old.extra if isinstance(old, FeaturedTransport) else {}
 
     @property
     def direct(self) -> bool:
@@ -104,6 +115,10 @@ class FeaturedTransport(Transport):
     def offer(self, sample: Any) -> bool:
         self.settle()
         return super().offer(sample)
+
+    def take_out(self, place: int) -> None:
+        """Take a sample out of the middle of the reader's queue: its writer gave up."""
+        del self.queue[place]
 
 
 class SettlingReceiver(Receiver):

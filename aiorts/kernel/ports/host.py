@@ -27,7 +27,6 @@ class KernelSide(Protocol):
     name: str
     closed: bool
     thread_id: int | None
-    _clock_ns: Callable[[], int]
     call_at: Callable[[int, Callable[[], None]], Cancellable]
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from math import inf
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, cast, overload
 
 from anyio import WouldBlock
 
@@ -134,9 +134,18 @@ class InPort(Port[T]):
         """The oldest unread sample, which stays unread; None when there is none."""
         return cast("T | None", self._receiver.peek())
 
-    def drain(self) -> list[T]:
-        """Every unread sample, oldest first."""
+    @overload
+    def drain(self, *, sources: Literal[False] = False) -> list[T]: ...
+    @overload
+    def drain(self, *, sources: Literal[True]) -> list[tuple[Connector, T]]: ...
+    @overload
+    def drain(self, *, sources: bool) -> list[T] | list[tuple[Connector, T]]: ...
+    def drain(self, *, sources: bool = False) -> list[T] | list[tuple[Connector, T]]:
+        """Every unread sample, oldest first; with `sources`, pairs of the connector it came through and the sample."""
         self._bound()
+        if sources:
+            pairs: list[tuple[Connector, T]] = self._receiver.drain_sources()
+            return pairs
         if queue := self._fast:
             samples = list(queue)
             queue.clear()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.receiver import Receiver
-    from aiorts.model.timing import SendTimes
+    from aiorts.model.timing import ConnectorTimes
 
 # Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
 _SKIP: Final = Push.SKIP
@@ -56,7 +56,7 @@ class Queueing:
         written: int
         length: int
         push: Push
-        times: SendTimes | None
+        times: ConnectorTimes | None
 
         def guard(self) -> AbstractContextManager[Any]: ...
         def must_wait(self) -> bool: ...

@@ -249,6 +249,18 @@ class Receiver:
                 samples.append(self.port.read_nowait())
         return samples
 
+    def drain_sources(self) -> list[tuple[Connector, Any]]:
+        """Every unread sample, oldest first, with the connector that it came through."""
+        pairs: list[tuple[Connector, Any]] = []
+        with self.guard():
+            if (now := self.port._receiver) is not self:
+                return now.drain_sources()
+            while self.unread():
+                sample, source = self.port.read_nowait(), self.last_source
+                assert source is not None  # noqa: S101 - it was read
+                pairs.append((source, sample))
+        return pairs
+
     def look(self) -> Any:
         """The newest unread sample, which stays unread, else the one read last; None before the first."""
         with self.guard():

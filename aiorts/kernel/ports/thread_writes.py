@@ -17,6 +17,7 @@ from typing import Any, Final
 from aiorts.errors import ClosedError, ConfigurationError, StateError, ThreadError, WriteTimeout
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.profile import ThreadWriteStatistics
+from aiorts.model.rates import mean_rate
 
 LIMIT: Final = 1024
 """Samples that wait at one out-port at the most."""
@@ -33,6 +34,8 @@ class ThreadWrites:
     def __init__(self, port: Any) -> None:
         self._port = port
         self._open = True
+        self._since_ns: int | None = None
+        """When the first sample came."""
         self._samples: deque[Any] = deque()
         self._free = deque(repeat(None, LIMIT))
         self._idle = deque((None,))
@@ -51,7 +54,12 @@ class ThreadWrites:
         self._host().check_loop_thread(f"{self._port.path}: thread_writes")
         waiting, dropped = len(self._samples) + self._held, {why: n for why, n in self._dropped.items() if n}
         accepted = self._written + waiting + sum(dropped.values())
-        return ThreadWriteStatistics(accepted, self._written, waiting, MappingProxyType(dropped), self._refused)
+        kernel = self._host().kernel
+        now_ns = 0 if kernel is None else kernel.clock.monotonic_ns()
+        rate = 0.0 if self._since_ns is None else mean_rate(accepted, self._since_ns, now_ns)
+        return ThreadWriteStatistics(
+            accepted, self._written, waiting, MappingProxyType(dropped), self._refused, now_ns, rate
+        )
 
     # -- in any thread ---------------------------------------------------------------------------------------------
 
@@ -67,6 +75,8 @@ class ThreadWrites:
         if full == "block" and host.on_loop_thread():
             raise ThreadError(f'{path}: write_from_thread(full="block") would block the event loop; await write() here')
         self._raise_if_closed()
+        if self._since_ns is None:
+            self._since_ns = host.kernel.clock.monotonic_ns()
         sample = self._port._checked(sample, host)
         while not _took(self._free):
             if full == "reject":

@@ -252,7 +252,9 @@ def _featured(in_: InPort[Any], *more: ConnectorProfile) -> str:
 
 def _kept_from_threads(profile: ConnectorProfile) -> list[str]:
     """The options of a connector that no real-time thread has at its ports."""
-    return [feature.key for feature in features_of(profile)] + ["keep_last"] * profile.keep_last
+    return [feature.key for feature in features_of(profile) if not feature.lock_free] + [
+        "keep_last"
+    ] * profile.keep_last
 
 
 def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:

@@ -31,9 +31,16 @@ def _converting() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Converting, ConvertingPeriodic
 
 
+def _measured() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    from aiorts.kernel.quality.measured import Measured, MeasuredPeriodic
+
+    return Measured, MeasuredPeriodic
+
+
 FEATURES: Final = (
     Feature("convert", lambda profile: profile.convert is not None, _converting),
     Feature("lifespan", lambda profile: profile.lifespan is not None, _expiring, settles=True),
     Feature("length = 0", lambda profile: not profile.length, _rendezvous),
+    Feature("measure", lambda profile: profile.measure > 0, _measured, settles=True, lock_free=True),
 )
 """The first stands outermost: it sees a sample before the others do."""

@@ -7,8 +7,6 @@ look that finds nothing costs one look at the clock. Only while a writer waits f
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import Callable
 from functools import partial
 from operator import methodcaller
 from threading import get_ident
@@ -16,8 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import to_ns
 from aiorts.kernel.ports.connector import transport_of
-from aiorts.kernel.ports.features import FeaturedTransport
-from aiorts.kernel.ports.periodic_transport import PeriodicTransport
+from aiorts.kernel.quality.dated import Dated, DatedPeriodic, times_of
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
@@ -29,26 +26,19 @@ _KEY: Final = "lifespan"
 _EXPIRED: Final = "expired"
 
 
-class _Ages:
-    """When the samples of one connector were written."""
+class _Life:
+    """How long samples may be read, and who looks for that."""
 
-    __slots__ = ("backlog", "call_at", "left_ns", "lifespan_ns", "now_ns", "queue", "timer")
+    __slots__ = ("call_at", "lifespan_ns", "timer")
 
     def __init__(self, lifespan: float, kernel: KernelSide) -> None:
         self.lifespan_ns = to_ns(lifespan)
-        self.now_ns: Callable[[], int] = kernel.clock.monotonic_ns
         self.call_at = kernel.call_at
         self.timer: Any = None
         """While a writer waits for room."""
-        self.queue: deque[int] = deque()
-        """Of each sample in the reader's queue; of those that have left it in front, until somebody looks."""
-        self.backlog: deque[int] = deque()
-        """Of each sample in the backlog, as above."""
-        self.left_ns = 0
-        """Of the sample that left the backlog last."""
 
 
-class Expiring(FeaturedTransport):
+class Expiring(Dated):
     """A transport whose samples expire. See `Transport`."""
 
     __slots__ = ()
@@ -57,13 +47,13 @@ class Expiring(FeaturedTransport):
         super().__init__(connector, receiver, kernel)
         lifespan = connector.profile.lifespan
         assert lifespan is not None  # noqa: S101 - it is why this class was chosen
-        self.extra[_KEY] = _Ages(lifespan, kernel)
+        self.extra[_KEY] = _Life(lifespan, kernel)
 
     @property
-    def ages(self) -> _Ages:
-        """When the samples were written."""
-        ages: _Ages = self.extra[_KEY]
-        return ages
+    def life(self) -> _Life:
+        """How long samples may be read."""
+        life: _Life = self.extra[_KEY]
+        return life
 
     def settle(self) -> None:
         super().settle()
@@ -80,11 +70,11 @@ class Expiring(FeaturedTransport):
 
     def _expire(self) -> int:
         """Drop what is too old in the reader's queue; how much that was."""
-        ages, queue = self.ages, self.queue
+        moments, queue = self.moments, self.queue
         if not queue:
             return 0
-        times = _times_of(ages.queue, queue)
-        limit_ns = ages.now_ns() - ages.lifespan_ns
+        times = times_of(moments.queue, queue)
+        limit_ns = moments.now_ns() - self.life.lifespan_ns
         expired = []
         while times and times[0] <= limit_ns:
             times.popleft()
@@ -94,14 +84,6 @@ class Expiring(FeaturedTransport):
             if not queue:
                 self.lose(expired[-1])
         return len(expired)
-
-    def written_ns(self) -> int:
-        """When the sample was written that comes into the reader's queue now."""
-        return self.ages.now_ns()
-
-    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
-        _times_of(self.ages.queue, self.queue).append(self.written_ns())
-        super().push_in(sample, displaced=displaced)
 
     # -- a timer while a writer waits for room ---------------------------------------------------------------------
 
@@ -125,68 +107,42 @@ class Expiring(FeaturedTransport):
         self._tend_soon()
 
     def _tend_soon(self) -> None:
-        if bool(self.waiting) is (self.ages.timer is None):
+        if bool(self.waiting) is (self.life.timer is None):
             self.on_loop(methodcaller("tend"))
 
     def tend(self) -> None:
         """Have a timer exactly while a writer waits for room; on the loop."""
         with self.guard():
-            ages = self.ages
+            life = self.life
             if not self.waiting:
-                if ages.timer is not None:
-                    ages.timer.cancel()
-                    ages.timer = None
-            elif ages.timer is None and (times := _times_of(ages.queue, self.queue)):
-                ages.timer = ages.call_at(times[0] + ages.lifespan_ns, partial(self.on_loop, _look_again))
+                if life.timer is not None:
+                    life.timer.cancel()
+                    life.timer = None
+            elif life.timer is None and (times := times_of(self.moments.queue, self.queue)):
+                life.timer = life.call_at(times[0] + life.lifespan_ns, partial(self.on_loop, _look_again))
 
 
-class ExpiringPeriodic(Expiring, PeriodicTransport):
+class ExpiringPeriodic(Expiring, DatedPeriodic):
     """A periodic transport whose samples expire, in the backlog too. See `PeriodicTransport`."""
 
     __slots__ = ()
 
     def _expire(self) -> int:
-        ages, backlog = self.ages, self.backlog
+        moments, backlog = self.moments, self.backlog
         if backlog:
-            times = _times_of(ages.backlog, backlog)
-            limit_ns = ages.now_ns() - ages.lifespan_ns
+            times = times_of(moments.backlog, backlog)
+            limit_ns = moments.now_ns() - self.life.lifespan_ns
             while times and times[0] <= limit_ns:
                 self.lose(self.leave(_EXPIRED))
         return super()._expire()
-
-    def lay_by(self, sample: Any) -> None:
-        _times_of(self.ages.backlog, self.backlog).append(self.ages.now_ns())
-        super().lay_by(sample)
-
-    def leave(self, reason: str | None = None) -> Any:
-        ages = self.ages
-        ages.left_ns = _times_of(ages.backlog, self.backlog).popleft()
-        return super().leave(reason)
-
-    def put_last(self, sample: Any) -> None:
-        self.ages.left_ns = self.ages.now_ns()
-        super().put_last(sample)
-
-    def written_ns(self) -> int:
-        return self.ages.left_ns
 
     def work_off(self) -> None:
         self.settle()
         super().work_off()
 
-    def takes_all(self) -> bool:
-        return False
-
-
-def _times_of(times: deque[int], samples: deque[Any]) -> deque[int]:
-    """The times of just these samples: what has left went in front."""
-    while len(times) > len(samples):
-        times.popleft()
-    return times
-
 
 def _look_again(transport: Any) -> None:
     """The timer is over: the oldest sample has expired, or was taken meanwhile."""
-    transport.ages.timer = None
+    transport.life.timer = None
     transport.settle()
     transport.tend()

@@ -74,7 +74,8 @@ class Rendezvous(FeaturedTransport):
             if entry.done or not waiting or entry not in waiting:
                 return False
             place = waiting.index(entry)
-            del waiting[place], self.queue[place]
+            del waiting[place]
+            self.take_out(place)
             tokens = self.receiver.tokens
             if tokens is not None:
                 mine = (index for index, token in enumerate(tokens) if token is self)

@@ -86,7 +86,11 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         "description": "What makes samples of the in-port of those of the out-port: FILE.py:function (counted from the "
         "file's folder), package.module:function, or a converter's name and its text, such as map 0>1000>0.",
     },
-    "measure": {**_whole(0, MAX_LENGTH), "default": 0, "description": "Sends over which the publisher is timed."},
+    "measure": {
+        **_whole(0, MAX_LENGTH),
+        "default": 0,
+        "description": "How many of the last sends and reads are timed.",
+    },
     "keep_last": {
         **_YES,
         "default": False,

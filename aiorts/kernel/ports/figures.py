@@ -1,0 +1,36 @@
+"""The statistics of a connector: the counts of its transport with their moment, and what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from aiorts.kernel.ports.port_types import port_type
+from aiorts.model.profile import ConnectorStatistics
+from aiorts.model.rates import mean_rate
+from aiorts.model.timing import Spans
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Transport
+
+
+def statistics_of(
+    transport: Transport, written: int, delivered: int, buffered: int, dropped: Mapping[str, int]
+) -> ConnectorStatistics:
+    """These counts, which are of this moment, with what was measured."""
+    now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times
+    latency = age = None
+    if times is not None:
+        latency = Spans.of(tuple(times.latencies))
+        age = Spans.of(tuple(times.ages)) if port_type(connector.in_.type).has_tm else None
+    return ConnectorStatistics(
+        written,
+        delivered,
+        buffered,
+        MappingProxyType(dict(dropped)),
+        at_ns=now_ns,
+        mean_rate=mean_rate(written, connector._since_ns, now_ns),
+        latency=latency,
+        age=age,
+    )

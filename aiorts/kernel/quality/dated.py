@@ -1,0 +1,92 @@
+"""When the samples of a connector were written, beside its queue: what samples that expire and samples that are
+measured have in common."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from itertools import repeat
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.kernel.ports.features import FeaturedTransport
+from aiorts.kernel.ports.periodic_transport import PeriodicTransport
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Transport
+
+_KEY: Final = "dated"
+
+
+class Moments:
+    """When the samples of one connector were written, on the kernel's monotonic clock."""
+
+    __slots__ = ("backlog", "left_ns", "now_ns", "queue")
+
+    def __init__(self, transport: Transport) -> None:
+        self.now_ns: Callable[[], int] = transport.clock.monotonic_ns
+        # What came while a real-time thread was at the connector has no other moment.
+        self.queue: deque[int] = deque(repeat(self.now_ns(), len(transport.queue)))
+        """Of each sample in the reader's queue; of those that have left it in front, until somebody looks."""
+        self.backlog: deque[int] = deque(repeat(self.now_ns(), transport.buffered - len(transport.queue)))
+        """Of each sample in the backlog, as above."""
+        self.left_ns = 0
+        """Of the sample that left the backlog last."""
+
+
+class Dated(FeaturedTransport):
+    """A transport that knows when its samples were written. See `Transport`."""
+
+    __slots__ = ()
+
+    @property
+    def moments(self) -> Moments:
+        """When the samples were written."""
+        found: Moments | None = self.extra.get(_KEY)
+        if found is None:
+            found = self.extra[_KEY] = Moments(self)
+        return found
+
+    def written_ns(self) -> int:
+        """When the sample was written that comes into the reader's queue now."""
+        return self.moments.now_ns()
+
+    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+        times_of(self.moments.queue, self.queue).append(self.written_ns())
+        super().push_in(sample, displaced=displaced)
+
+    def take_out(self, place: int) -> None:
+        del times_of(self.moments.queue, self.queue)[place]
+        super().take_out(place)
+
+
+class DatedPeriodic(Dated, PeriodicTransport):
+    """A periodic transport that knows when its samples were written. See `PeriodicTransport`."""
+
+    __slots__ = ()
+
+    def lay_by(self, sample: Any) -> None:
+        moments = self.moments
+        times_of(moments.backlog, self.backlog).append(moments.now_ns())
+        super().lay_by(sample)
+
+    def leave(self, reason: str | None = None) -> Any:
+        moments = self.moments
+        moments.left_ns = times_of(moments.backlog, self.backlog).popleft()
+        return super().leave(reason)
+
+    def put_last(self, sample: Any) -> None:
+        self.moments.left_ns = self.moments.now_ns()
+        super().put_last(sample)
+
+    def written_ns(self) -> int:
+        return self.moments.left_ns
+
+    def takes_all(self) -> bool:
+        return False
+
+
+def times_of(times: deque[int], samples: deque[Any]) -> deque[int]:
+    """The times of just these samples: what has left went in front."""
+    while len(times) > len(samples):
+        times.popleft()
+    return times
