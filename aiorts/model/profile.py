@@ -242,8 +242,6 @@ class ContextStatistics(Counted):
     """Who made the newest overrun late."""
     at_ns: int = field(default=0, compare=False, repr=False)
     """When, on the kernel's monotonic clock. Statistics with equal counts are equal, whenever they were taken."""
-    mean_rate: float = field(default=0.0, compare=False, repr=False)
-    """Cycles a second since the first start."""
     lateness_stdev_ns: float = 0.0
     """Standard deviation over all cycles of how late each began, counted as in `lateness_max_ns`."""
     lateness_p50_ns: int = 0

@@ -29,7 +29,6 @@ from aiorts.model.lifecycle import Event as Transition
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import check_name
 from aiorts.model.profile import ContextProfile, ContextStatistics, HookStatistics
-from aiorts.model.rates import mean_rate
 
 if TYPE_CHECKING:
     from aiorts.kernel.execution.cell import ComponentSide, KernelSide
@@ -68,8 +67,6 @@ class Context:
     """Faults of the kernel's own, about no member, that it went on after."""
     _ended_by: BaseException | None = None
     """The one that it ends for."""
-    _since_ns: int | None = None
-    """When it was started first."""
 
     def __init__(self, *, name: str = "", deadline: float | None = None, timing: bool = False) -> None:
         self.name = check_name(name, "context") if name else ""
@@ -118,8 +115,7 @@ class Context:
     def statistics(self) -> ContextStatistics:
         """What this context has done so far."""
         ticks, now_ns = self.ticks, 0 if self._kernel is None else self._now_ns()
-        rate = 0.0 if self._since_ns is None else mean_rate(ticks, self._since_ns, now_ns)
-        return ContextStatistics(ticks, hooks=self._hook_statistics(), at_ns=now_ns, mean_rate=rate)
+        return ContextStatistics(ticks, hooks=self._hook_statistics(), at_ns=now_ns)
 
     def _hook_statistics(self) -> Mapping[str, HookStatistics]:
         """Of the members there are; once the context has stopped, of those it had then."""

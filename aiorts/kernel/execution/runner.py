@@ -335,8 +335,6 @@ class Runner:
         context = self._context
         context._kernel = kernel
         context._now_ns = kernel.clock.monotonic_ns
-        if context._since_ns is None:
-            context._since_ns = kernel.clock.monotonic_ns()
         context._stopping = False
         if context._faults:
             context._faults, context._ended_by = 0, None
