@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from aiorts.kernel.connections import Connections
-
 
 class _Ends(Protocol):
     """A connector of any kind."""
@@ -23,6 +21,12 @@ class _Ends(Protocol):
 C = TypeVar("C", bound=_Ends)
 
 
+class _Owner(Protocol):
+    """The connectors of the kernel (`Connections`)."""
+
+    def end_whole(self, connection: Connection[Any]) -> None: ...
+
+
 class Connection(tuple[C, ...]):
     """The connectors of one `Kernel.connect`, in the order in which they were made: a tuple that is ended as one.
 
@@ -30,7 +34,7 @@ class Connection(tuple[C, ...]):
     restart is in `Kernel.connectors`, by the same name, and not in here.
     """
 
-    _owner: Connections
+    _owner: _Owner
 
     @property
     def connectors(self) -> tuple[C, ...]:
@@ -58,7 +62,7 @@ class Connection(tuple[C, ...]):
         return f"<Connection {names}{mark}>"
 
 
-def joined(made: Sequence[Any], owner: Connections) -> Connection[Any]:
+def joined(made: Sequence[Any], owner: _Owner) -> Connection[Any]:
     """These connectors as one handle."""
     connection: Connection[Any] = Connection(made)
     connection._owner = owner

@@ -5,17 +5,25 @@ Members of a context run one after the other, so a write that waits for its read
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
 from aiorts.errors import StateError, WiringError
-from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.port import host_of
 
 if TYPE_CHECKING:
-    from aiorts.kernel.execution.cell import ComponentSide
+    from aiorts.kernel.ports import Port
     from aiorts.kernel.ports.connector import Connector
+
+
+class Ported(Protocol):
+    """A component: a name and ports."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def ports(self) -> Mapping[str, Port[Any]]: ...
 
 
 def check_connection(out: OutPort[Any], in_: InPort[Any]) -> None:
@@ -37,12 +45,12 @@ def check_connection(out: OutPort[Any], in_: InPort[Any]) -> None:
     )
 
 
-def check_apart(components: Sequence[ComponentSide], others: Iterable[ComponentSide], where: str) -> None:
+def check_apart(components: Sequence[Ported], others: Iterable[Ported], where: str) -> None:
     """Raise StateError when one of these meets another, or one of the others, at a connector with `length = 0`."""
     hosts: set[object] = set()
     for component in components:
         for connector in _rendezvous_of(component):
-            hosts = hosts or {cell(one) for one in (*components, *others)}
+            hosts = hosts or {host_of(port) for one in (*components, *others) for port in one.ports.values()}
             if host_of(connector.out) in hosts and host_of(connector.in_) in hosts:
                 raise StateError(
                     f"{component.name}: cannot run in {where}: the connector {connector.name} has length = 0, so a "
@@ -51,7 +59,7 @@ def check_apart(components: Sequence[ComponentSide], others: Iterable[ComponentS
                 )
 
 
-def _rendezvous_of(component: ComponentSide) -> Iterator[Connector]:
+def _rendezvous_of(component: Ported) -> Iterator[Connector]:
     for port in component.ports.values():
         if isinstance(port, InPort | OutPort):
             for connector in port.connectors:
