@@ -16,19 +16,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import StateError
 from aiorts.kernel.loop.bus import Event, Observer
-from aiorts.kernel.ports.connector import Connector, Transport, transport_of
+from aiorts.kernel.ports.connector import Connector, transport_of
 from aiorts.kernel.ports.features import PLAIN, TransportKind
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 from aiorts.kernel.ports.port import host_of
 from aiorts.kernel.ports.receiver import Receiver
+from aiorts.kernel.ports.transport import Transport
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Push
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
-    from aiorts.kernel.ports.queueing import Waiting
+    from aiorts.kernel.ports.transport import Waiting
 
 
 _MOST_NOTES: Final = 10_000

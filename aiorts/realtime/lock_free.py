@@ -14,11 +14,12 @@ from anyio import WouldBlock
 
 from aiorts.kernel.loop.blocking import PortLock
 from aiorts.kernel.ports import InPort, Port
-from aiorts.kernel.ports.connector import Transport, transport_of
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import PLAIN, TransportKind
 from aiorts.kernel.ports.in_port import in_ports_at, receiver_of
 from aiorts.kernel.ports.port import NOTHING, UNLOCKED
 from aiorts.kernel.ports.receiver import Receiver
+from aiorts.kernel.ports.transport import Transport
 from aiorts.realtime.lock_free_periodic import LockFreePeriodic
 from aiorts.realtime.lock_free_transport import LockFreeTransport, Numbers
 

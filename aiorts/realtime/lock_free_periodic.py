@@ -8,8 +8,8 @@ from __future__ import annotations
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.kernel.ports.connector import Transport
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
+from aiorts.kernel.ports.transport import Transport
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Choice, choose
 from aiorts.realtime.lock_free_transport import EMPTY, LockFreeTransport, add, take_one

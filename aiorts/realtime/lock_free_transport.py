@@ -17,10 +17,9 @@ from operator import methodcaller
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import StateError
-from aiorts.kernel.ports.connector import Transport
 from aiorts.kernel.ports.figures import statistics_of
 from aiorts.kernel.ports.port import NOTHING, UNLOCKED, host_of
-from aiorts.kernel.ports.queueing import Waiting
+from aiorts.kernel.ports.transport import Transport, Waiting
 from aiorts.model.buffer import Verdict, decide
 from aiorts.model.policy import Push
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics

@@ -20,7 +20,7 @@ from aiorts import (
 from aiorts.errors import ComponentError, StateError
 from aiorts.kernel.loop import guarded
 from aiorts.kernel.loop.bus import ContextStarted, ContextStopped, HookBefore
-from aiorts.kernel.ports.connector import Transport
+from aiorts.kernel.ports.transport import Transport
 from aiorts.model.lifecycle import HOOKS, LifecycleState
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedLong

@@ -27,10 +27,11 @@ from aiorts import (
 )
 from aiorts.errors import ReadTimeout, StateError, WriteTimeout
 from aiorts.events import StateChanged
-from aiorts.kernel.ports.connector import Transport, transport_of
+from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 from aiorts.kernel.ports.receiver import Receiver
+from aiorts.kernel.ports.transport import Transport
 from aiorts.observe.listening import ConnectorEvent, ConnectorEventKind
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from aiorts.kernel.ports.connector import Connector, Transport
+from aiorts.kernel.ports.connector import Connector
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 from aiorts.kernel.ports.receiver import Receiver
+from aiorts.kernel.ports.transport import Transport
 from aiorts.late import dataclass
 from aiorts.model.policy import Dataflow, Subscription
 

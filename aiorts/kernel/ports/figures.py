@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from aiorts.kernel.ports.port_types import port_type
 from aiorts.model.profile import ConnectorStatistics
@@ -12,11 +12,20 @@ from aiorts.model.rates import mean_rate
 from aiorts.model.timing import Spans
 
 if TYPE_CHECKING:
-    from aiorts.kernel.ports.connector import Transport
+    from aiorts.clock import Clock
+    from aiorts.model.timing import ConnectorTimes
+
+
+class Counted(Protocol):
+    """A transport, as far as its statistics need it."""
+
+    clock: Clock
+    connector: Any
+    times: ConnectorTimes | None
 
 
 def statistics_of(
-    transport: Transport, written: int, delivered: int, buffered: int, dropped: Mapping[str, int]
+    transport: Counted, written: int, delivered: int, buffered: int, dropped: Mapping[str, int]
 ) -> ConnectorStatistics:
     """These counts, which are of this moment, with what was measured."""
     now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times

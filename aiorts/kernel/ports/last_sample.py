@@ -9,8 +9,6 @@ connectors has a `NoReader` to keep it.
 from __future__ import annotations
 
 import time
-from collections import deque
-from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.kernel.ports.port import NOTHING
@@ -20,85 +18,9 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.host import PortHost
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
-    from aiorts.kernel.ports.queueing import Waiting
-    from aiorts.kernel.ports.receiver import Receiver
 
 _PATIENCE: Final = 1000
 """Looks at an out-port that a thread is in the middle of writing at."""
-_OF_TRANSPORT: Final[tuple[str, ...]] = ()
-"""The slots of the attributes below are those of `Transport`."""
-
-
-class LastSample:
-    """What a transport knows of the writer's last sample: a base of `Transport`, which has the rest."""
-
-    __slots__ = _OF_TRANSPORT
-
-    if TYPE_CHECKING:
-        connector: Connector
-        receiver: Receiver
-        queue: deque[Any]
-        waiting: deque[Waiting] | None
-        written: int
-        last: Any
-        missed: int
-        offered: int
-
-        @property
-        def buffered(self) -> int: ...
-        def total(self) -> int: ...
-        def guard(self) -> AbstractContextManager[Any]: ...
-        def push_in(self, sample: Any, *, displaced: bool = False) -> None: ...
-        def stamp_in(self, sample: Any) -> Any: ...
-
-    @property
-    def position(self) -> int:
-        """Samples written, with those that wait for room."""
-        return self.total() + (len(self.waiting) if self.waiting else 0)
-
-    def held(self) -> Any:
-        """The last sample that the writer wrote, if it is to be had here; else NOTHING."""
-        with self.guard():
-            if (now := self.connector._transport) is not self:
-                return now.held()
-            if self.missed == self.position:
-                return NOTHING
-            return self.waiting[-1].sample if self.waiting else self.newest_here()
-
-    def newest_here(self) -> Any:
-        """The newest sample that came in, read or unread; NOTHING if there was none."""
-        if self.queue:
-            return self.queue[-1]
-        receiver = self.receiver
-        if receiver.plain and receiver.last_source is self.connector:
-            return receiver.last_read
-        return self.last
-
-    def lose(self, sample: Any) -> None:
-        """This sample came in last, or was to come in now, and is not to be had here any more."""
-        if not self.waiting and self.missed != self.position:
-            self.miss(sample)
-
-    def miss(self, sample: Any, coming: int = 0) -> None:
-        """The writer's last sample is not to be had here: the out-port keeps it; so many are not counted yet."""
-        self.connector.out._saved = sample
-        self.missed = self.position + coming
-
-    def put_last(self, sample: Any) -> None:
-        """Take the sample that the writer wrote last, before this connector asked for it; the caller holds the lock."""
-        self.written += 1
-        self.offered += 1
-        self.push_in(self.stamp_in(sample))
-
-    def take_back(self) -> None:
-        """What was offered and lies unread, with nothing taken or lost, was not written; the caller holds the lock."""
-        if self.queue and self.total() == self.buffered:
-            newest = self.held()
-            self.queue.popleft()
-            self.written -= 1
-            self.offered -= 1
-            if newest is not NOTHING and not self.position:
-                self.miss(newest)
 
 
 def last_written(out: OutPort[Any]) -> Any:

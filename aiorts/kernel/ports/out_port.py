@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from collections import deque
     from collections.abc import Callable
 
-    from aiorts.kernel.ports.connector import Connector, LossListener, Transport
+    from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import PortHost
-    from aiorts.kernel.ports.queueing import Waiting
     from aiorts.kernel.ports.receiver import Receiver
+    from aiorts.kernel.ports.transport import LossListener, Transport, Waiting
     from aiorts.model.profile import ThreadWriteStatistics
 
 T = TypeVar("T")

@@ -13,8 +13,9 @@ from functools import partial
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any
 
-from aiorts.kernel.ports.connector import Connector, Transport
+from aiorts.kernel.ports.connector import Connector
 from aiorts.kernel.ports.receiver import Receiver
+from aiorts.kernel.ports.transport import Transport
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Choice, Push, choose
 

@@ -16,7 +16,7 @@ from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import NOTHING
 from aiorts.kernel.ports.port_types import port_type
-from aiorts.kernel.ports.queueing import Waiting
+from aiorts.kernel.ports.transport import Waiting
 
 if TYPE_CHECKING:
     import asyncio

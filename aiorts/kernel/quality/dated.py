@@ -12,7 +12,7 @@ from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
 
 if TYPE_CHECKING:
-    from aiorts.kernel.ports.connector import Transport
+    from aiorts.kernel.ports.transport import Transport
 
 _KEY: Final = "dated"
 

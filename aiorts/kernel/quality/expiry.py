@@ -19,8 +19,8 @@ from aiorts.kernel.quality.dated import Dated, DatedPeriodic, times_of
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
-    from aiorts.kernel.ports.queueing import Waiting
     from aiorts.kernel.ports.receiver import Receiver
+    from aiorts.kernel.ports.transport import Waiting
 
 _KEY: Final = "lifespan"
 _EXPIRED: Final = "expired"

@@ -15,7 +15,7 @@ from typing import Any
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import OFF
-from aiorts.kernel.ports.queueing import Waiting
+from aiorts.kernel.ports.transport import Waiting
 from aiorts.kernel.ports.waiting import Looking
 from aiorts.late import dataclass
 

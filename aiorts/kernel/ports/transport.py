@@ -1,0 +1,654 @@
+"""The transport of a connector: one bounded queue at the reader, and the ledger.
+
+`OutPort` and `InPort` inline the common case (`out_port.py`, `in_port.py`) and come here for everything else.
+
+Only `written` and drops are counted; what was delivered follows from them, so the ledger balances at any moment it is
+read. What an out-port gives to all of its direct connectors alike it counts once, for all of them (`OutPort._sent`),
+and what a full buffer displaces on that way in one number (`displaced`): both are put in their place when somebody
+asks. `model/policy.py` and `model/buffer.py` decide; this file carries out.
+
+Across threads the receiver has a lock, and every path here that touches its queues takes it: its fast path is off. A
+method that has waited for the lock asks whether this is still the connector's transport (of a receiver: the port's).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import AbstractContextManager
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, Protocol
+
+from aiorts.kernel.ports.figures import statistics_of
+from aiorts.kernel.ports.port import NOTHING, OFF, UNLOCKED
+from aiorts.late import dataclass
+from aiorts.model.buffer import FullPolicy, Verdict, decide
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, admits
+from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
+from aiorts.model.timing import ConnectorTimes
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.host import KernelSide
+    from aiorts.kernel.ports.receiver import Receiver
+
+
+# Looked up once: on CPython 3.11 a member costs eight times as much through its Enum class as through a module.
+_NEW = Push.NEW
+_SKIP = Push.SKIP
+_BLOCK = FullPolicy.BLOCK
+_PULL = Dataflow.PULL
+_READ = Stamp.READ
+_ON_THE_WAY = (Stamp.SEND, Stamp.RECEIVED)
+_REFUSE = Verdict.REFUSE
+_REPLACE_OLDEST = Verdict.REPLACE_OLDEST
+_WAIT = Verdict.WAIT
+_DISPLACED: Final = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
+_NO_DROPS: Final[Mapping[str, int]] = MappingProxyType({})
+
+
+class Kind(Protocol):
+    """What a row of the table of transports is to those it names: see `TransportKind` in `features.py`."""
+
+    def of(self, profile: ConnectorProfile) -> type[Transport]: ...
+    def receiver_of(self, connectors: Iterable[Connector]) -> type[Receiver]: ...
+
+
+class LossListener(Protocol):
+    """Who hears of the first sample that a transport loses."""
+
+    def begin(self, connector: Connector) -> None: ...
+
+
+@dataclass(eq=False, slots=True)
+class Waiting:
+    """A sample whose writer waits for room: the reader that makes room moves it.
+
+    A writer in a thread has no future and waits on the receiver's lock.
+    """
+
+    connector: Connector
+    sample: Any
+    future: asyncio.Future[None] | None
+    done: bool = False
+
+
+class Transport:
+    """Carries the samples of one connector: a bounded queue, in which a sample is as soon as it is written.
+
+    The classes of a `TransportKind` (`features.py`) derive from it. `replace` puts one of another kind in its place.
+    """
+
+    __slots__ = (
+        "arrived_at",
+        "clock",
+        "closed",
+        "connector",
+        "dead",
+        "displaced",
+        "dropped",
+        "extra",
+        "last",
+        "length",
+        "listeners",
+        "losses",
+        "missed",
+        "offered",
+        "push",
+        "queue",
+        "receiver",
+        "shared",
+        "times",
+        "waiting",
+        "written",
+    )
+
+    admits_plainly: ClassVar[bool] = True
+    """Whether who waits for room may be moved in without a call for each."""
+    listenable: ClassVar[bool] = True
+    """Whether it may have listeners: no real-time thread uses it."""
+
+    def __init__(self, connector: Connector, receiver: Receiver, kernel: KernelSide) -> None:
+        profile = connector.profile
+        self.connector = connector
+        self.receiver = receiver
+        self.closed = False
+        self.queue: deque[Any] = deque()
+        self.length = profile.length
+        # Pull: the writer keeps its latest unread sample, the reader asks for it; nobody is woken by data.
+        chosen = Push.ALL if profile.subscription is Subscription.FLUSH else profile.push
+        self.push = _NEW if profile.dataflow is _PULL else chosen
+        self.arrived_at = 0
+        """When the newest sample arrived, counted at a receiver with several connectors."""
+        self.dead = 0
+        """Tokens that such a receiver still has for samples that were overwritten: `length` at the most, or as many as
+        are unread."""
+        self.waiting: deque[Waiting] | None = None
+        """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
+        self.clock = kernel.clock
+        connector._since_ns = kernel.clock.monotonic_ns()
+        self.times = ConnectorTimes(profile.measure) if profile.measure else None
+        self.losses: LossListener | Literal[False] | None = None
+        """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
+        self.last: Any = NOTHING
+        """The sample of this connector that was read last, where reading takes the general path."""
+        self.missed = 0
+        """The `position` at which the newest sample is not to be had here: the out-port keeps it."""
+        self.offered = 0
+        """How many of the samples written are the writer's last, offered by `keep_last`: no push policy counts them."""
+        self.extra: Any = None
+        """What another kind of transport, or a feature, keeps besides."""
+        self.listeners: Any = None
+        """Who listens (`observe/listening.py`), even while a real-time thread is there and they cannot hear."""
+        self.written = 0
+        """Samples written, without those that the out-port counts for all of its direct connectors."""
+        self.shared = False
+        """Whether the out-port's count goes for this connector too."""
+        self.displaced = 0
+        """Samples that a full buffer displaced or refused and `dropped` does not have yet."""
+        self.dropped: Mapping[str, int] = _NO_DROPS
+
+    def replace(self, kind: Kind, receiver: Receiver) -> None:
+        """Put a transport of another kind in the place of this one, with all that waits in it and its counts.
+
+        On the loop; the caller holds the lock, and has the ports update their fast path afterwards.
+        """
+        # What the out-port counts for several connectors it cannot count for one that is not direct.
+        self.share(False, self.connector.out._sent)
+        self.count_displaced()
+        self.hand_over()
+        new_class = kind.of(self.connector.profile)
+        new = new_class.__new__(new_class)
+        new.take_over(self, receiver)
+        self.connector._transport = new
+        receiver.exchange(self, new)
+
+    def hand_over(self) -> None:
+        """Bring what this holds into the form that every kind takes over."""
+
+    def take_over(self, old: Transport, receiver: Receiver) -> None:
+        """Be in the state of another transport, which carries nothing any more."""
+        for name in Transport.__slots__:
+            setattr(self, name, getattr(old, name))
+        self.receiver = receiver
+        self.extra = None
+
+    def change(self, profile: ConnectorProfile) -> None:
+        """Have other options in force: on the loop. Who waits for room and need not any more is let in before."""
+        with self.guard():
+            self.settle()
+            self.count_displaced()
+            if self.waiting and profile.full is not _BLOCK:
+                self.length = len(self.queue) + len(self.waiting)
+                self.admit_waiting()
+            self.connector.profile = profile
+            self.length = profile.length
+            self.admit_waiting()
+        self.connector.out._refresh()
+
+    # -- the ledger ------------------------------------------------------------------------------------------------
+
+    def statistics(self) -> ConnectorStatistics:
+        """See `Connector.statistics`."""
+        host = self.connector.in_._host
+        if self.receiver.lock is None and host is not None:
+            host.check_loop_thread(f"{self.connector.name}: statistics")
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.statistics()
+            self.settle()
+            delivered = self.delivered()
+            return statistics_of(self, self.total(), delivered, self.buffered, self.dropped)
+
+    def delivered(self) -> int:
+        """Samples that were read: what was written, less what was dropped and what is still buffered."""
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.delivered()
+            self.count_displaced()
+            return self.total() - sum(self.dropped.values()) - self.buffered
+
+    def glance(self) -> tuple[int, int, Mapping[str, int]]:
+        """Written, buffered, and dropped by reason, from any thread, without a lock and without counting anything.
+
+        For a look into a process that is stuck; torn when the connector is being used at this moment. `statistics` is
+        exact.
+        """
+        dropped = dict(self.dropped)
+        if displaced := self.displaced:
+            reason = "superseded" if self.push is _NEW else _DISPLACED[self.connector.profile.full]
+            dropped[reason] = dropped.get(reason, 0) + displaced
+        return self.total(), self.buffered, dropped
+
+    @property
+    def buffered(self) -> int:
+        """Samples that are neither read nor dropped."""
+        return len(self.queue)
+
+    def total(self) -> int:
+        """Samples written."""
+        return self.written + self.connector.out._sent if self.shared else self.written
+
+    def share(self, shared: bool, sent: int) -> None:
+        """From now on the out-port counts for this connector, or no longer: it has counted `sent`."""
+        if shared is not self.shared:
+            self.shared = shared
+            self.written += -sent if shared else sent
+
+    def count_displaced(self) -> None:
+        """Count what a full buffer has displaced since the last call."""
+        if displaced := self.displaced:
+            reason = "superseded" if self.push is _NEW else _DISPLACED[self.connector.profile.full]
+            self.displaced = 0
+            self._note_drop(reason, displaced)
+
+    def settle(self) -> None:
+        """Have what is queued be what may still be read: somebody looks."""
+
+    def drop(self, reason: str, count: int = 1) -> None:
+        """Count so many samples as dropped."""
+        self.count_displaced()
+        self._note_drop(reason, count)
+
+    def _note_drop(self, reason: str, count: int) -> None:
+        dropped = self.dropped
+        if not isinstance(dropped, dict):
+            dropped = self.dropped = {}
+        dropped[reason] = dropped.get(reason, 0) + count
+
+    # -- what ports ask --------------------------------------------------------------------------------------------
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the reader takes samples."""
+        return self.receiver.open
+
+    @property
+    def pulls(self) -> bool:
+        """Whether the reader asks for samples and is not woken by them."""
+        return self.connector.profile.dataflow is _PULL
+
+    @property
+    def direct(self) -> bool:
+        """Whether a write may go straight into the queue: nothing to choose, stamp or lock."""
+        profile, receiver = self.connector.profile, self.receiver
+        return (
+            not self.closed
+            and profile.dataflow is not _PULL
+            and self.push is not _SKIP
+            and profile.stamp is None
+            and self.times is None
+            and receiver.open
+            and receiver.lock is None
+            and not (self.blocks and self.retired)
+        )
+
+    @property
+    def room(self) -> int:
+        """How many unread samples fit."""
+        return 1 if self.push is _NEW else self.length
+
+    @property
+    def keeps(self) -> bool:
+        """Whether a full buffer keeps what it has."""
+        return self.push is not _NEW and self.connector.profile.full is not FullPolicy.OVERWRITE
+
+    @property
+    def when_full(self) -> bool | LossListener:
+        """Whether a full buffer keeps what it has; or who is to hear that it does not."""
+        return self.keeps or self.losses or False
+
+    @property
+    def blocks(self) -> bool:
+        """Whether a writer waits while the buffer is full."""
+        return self.push is not _NEW and self.connector.profile.full is _BLOCK
+
+    @property
+    def retired(self) -> bool:
+        """Whether no context runs the reader any more: what has no room is dropped{inactive}, and no writer waits."""
+        host = self.connector.in_._host
+        return host is not None and host.retired
+
+    def must_wait(self) -> bool:
+        """Whether a sample written now would have to wait for room."""
+        if (
+            self.connector.profile.full is not _BLOCK
+            or self.push is _NEW
+            or self.closed
+            or not self.receiver.open
+            or self.retired
+        ):
+            return False
+        if len(self.queue) < self.length and not self.waiting:
+            return False
+        return self.admits_next()
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether a write that must not wait may be made though `must_wait`: a read waits that will take the sample."""
+        return False
+
+    def admits_next(self) -> bool:
+        """Whether the push policy sends the next sample that is written."""
+        return admits(self.push, self.connector.profile.skip, self.written + 1 - self.offered)
+
+    def offer(self, sample: Any) -> bool:
+        """Take a sample that need not wait; False when it was rejected."""
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.offer(sample)
+            if self.closed:
+                return True
+            self.written += 1
+            if not self.receiver.open:
+                self.drop("inactive")
+                self.miss(sample)
+                return True
+            if not admits(self.push, self.connector.profile.skip, self.written - self.offered):
+                self.drop_these("skipped", (sample,))
+                self.miss(sample)
+                return True
+            return self.store(sample)
+
+    def time_out(self, sample: Any) -> None:
+        """Count a sample that was written and had no room in time."""
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.time_out(sample)
+            self.written += 1
+            self.drop("timeout")
+
+    def take(self) -> Any:
+        """The oldest sample of the queue, which has one; the caller holds the lock."""
+        sample = self.last = self.queue.popleft()
+        if self.waiting:
+            self.admit_waiting()
+        # `stamp_out` in part, written out: this is the way of every sample that is not read directly.
+        return sample if self.connector.profile.stamp is not _READ else self.stamp_out(sample)
+
+    def take_newest(self) -> Any:
+        """The newest sample of the queue, which has one, older ones superseded; the caller holds the lock."""
+        sample = self.last = self.queue.pop()
+        if self.queue:
+            self.drop_these("superseded", self.queue)
+            self.queue.clear()
+        self.admit_waiting()
+        return self.stamp_out(sample)
+
+    def discard(self, reason: str) -> None:
+        """Drop what is queued; the caller holds the lock."""
+        newest = NOTHING
+        if self.queue:
+            newest = self.queue[-1]
+            self.drop_these(reason, self.queue)
+            self.queue.clear()
+        self.admit_waiting()
+        if newest is not NOTHING and not self.queue:
+            self.lose(newest)
+
+    def close(self) -> None:
+        """Drop everything and let those who wait for room go on; idempotent."""
+        with self.guard():
+            if self.closed:
+                return
+            self.closed = True
+            self.end_all("disconnected")
+
+    def suspend(self) -> None:
+        """The reader takes nothing any more: drop what is queued or waits; the caller holds the lock."""
+        if self.offered:
+            self.take_back()
+        self.end_all("inactive")
+
+    def end_all(self, reason: str) -> None:
+        """Drop what is queued or waits; the caller holds the lock."""
+        newest = self.held()
+        self.discard_all(reason)
+        waiting, self.waiting = self.waiting, None
+        for entry in waiting or ():
+            self.written += 1
+            self.drop(reason)
+            self.resolve(entry)
+        if newest is not NOTHING:
+            self.miss(newest)
+        self.receiver.room_made()
+
+    # -- listeners -------------------------------------------------------------------------------------------------
+
+    def mute(self) -> None:
+        """Nobody can listen from now on."""
+
+    def unmute(self) -> None:
+        """Those who listened before hear again."""
+        if self.listeners is not None:
+            self.listeners.resume(self.connector)
+
+    # -- waiting for room ----------------------------------------------------------------------------------------------
+
+    def wait_for_room(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting | None:
+        """Queue up for room; None when there is room after all (across threads) and the sample was taken."""
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.wait_for_room(sample, future)
+            if self.must_wait():
+                return self.queue_up(sample, future)
+            self.offer(sample)
+            return None
+
+    def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
+        """Queue up for room that there is known not to be; across threads the caller holds the lock."""
+        entry = Waiting(self.connector, sample, future)
+        if self.waiting is None:
+            self.waiting = deque()
+        self.waiting.append(entry)
+        self.connector.in_._fast = OFF
+        return entry
+
+    def moved(self, entry: Waiting) -> bool:
+        """Whether the sample of a waiting thread is in; called in that thread."""
+        return entry.done
+
+    def give_up(self, entry: Waiting) -> bool:
+        """Stop waiting; False when the sample was moved in the meantime."""
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.give_up(entry)
+            waiting = self.waiting
+            if entry.done or not waiting or entry not in waiting:
+                return False
+            waiting.remove(entry)
+            if not waiting:
+                self.connector.in_._fast = self.receiver.direct
+            return True
+
+    def admit_waiting(self) -> None:
+        """Move in who waits, as far as there is room. A sample has its number when it comes in, not when it queued up:
+        one that gave up in the meantime was never written."""
+        waiting = self.waiting
+        if not waiting:
+            return
+        receiver, queue = self.receiver, self.queue
+        plain = (
+            self.admits_plainly
+            and self.times is None
+            and self.connector.profile.stamp is None
+            and self.push is not _SKIP
+            and receiver.lock is None
+        )
+        while plain and waiting and len(queue) < self.length:
+            # Written out: the writer and the reader of a full buffer do this once for each sample.
+            entry = waiting.popleft()
+            self.written += 1
+            queue.append(entry.sample)
+            receiver.arrived(self, False)
+            entry.done = True
+            if entry.future is not None and not entry.future.done():
+                entry.future.set_result(None)
+        if not plain:
+            self._admit_each(waiting)
+        if not waiting:
+            self.connector.in_._fast = receiver.direct
+        receiver.room_made()
+
+    def _admit_each(self, waiting: deque[Waiting]) -> None:
+        """Move in who waits, as far as there is room; those that the push policy leaves out need none."""
+        while waiting:
+            sent = self.admits_next()
+            if sent and len(self.queue) >= self.length:
+                break
+            entry = waiting.popleft()
+            self.written += 1
+            if sent:
+                self.push_in(self.stamp_in(entry.sample))
+            else:
+                self.drop_these("skipped", (entry.sample,))
+                self.lose(entry.sample)
+            self.resolve(entry)
+
+    def resolve(self, entry: Waiting) -> None:
+        """Let the writer go on; the caller holds the lock and calls `room_made`."""
+        entry.done = True
+        if entry.future is None:
+            return  # a thread: woken by `room_made` of whoever called
+        if self.receiver.lock is None:
+            _set_done(entry.future)
+        else:
+            entry.future.get_loop().call_soon_threadsafe(_set_done, entry.future)
+
+    # -- the writer's last sample --------------------------------------------------------------------------------------
+
+    @property
+    def position(self) -> int:
+        """Samples written, with those that wait for room."""
+        return self.total() + (len(self.waiting) if self.waiting else 0)
+
+    def held(self) -> Any:
+        """The last sample that the writer wrote, if it is to be had here; else NOTHING."""
+        with self.guard():
+            if (now := self.connector._transport) is not self:
+                return now.held()
+            if self.missed == self.position:
+                return NOTHING
+            return self.waiting[-1].sample if self.waiting else self.newest_here()
+
+    def newest_here(self) -> Any:
+        """The newest sample that came in, read or unread; NOTHING if there was none."""
+        if self.queue:
+            return self.queue[-1]
+        receiver = self.receiver
+        if receiver.plain and receiver.last_source is self.connector:
+            return receiver.last_read
+        return self.last
+
+    def lose(self, sample: Any) -> None:
+        """This sample came in last, or was to come in now, and is not to be had here any more."""
+        if not self.waiting and self.missed != self.position:
+            self.miss(sample)
+
+    def miss(self, sample: Any, coming: int = 0) -> None:
+        """The writer's last sample is not to be had here: the out-port keeps it; so many are not counted yet."""
+        self.connector.out._saved = sample
+        self.missed = self.position + coming
+
+    def put_last(self, sample: Any) -> None:
+        """Take the sample that the writer wrote last, before this connector asked for it; the caller holds the lock."""
+        self.written += 1
+        self.offered += 1
+        self.push_in(self.stamp_in(sample))
+
+    def take_back(self) -> None:
+        """What was offered and lies unread, with nothing taken or lost, was not written; the caller holds the lock."""
+        if self.queue and self.total() == self.buffered:
+            newest = self.held()
+            self.queue.popleft()
+            self.written -= 1
+            self.offered -= 1
+            if newest is not NOTHING and not self.position:
+                self.miss(newest)
+
+    # -- storing ---------------------------------------------------------------------------------------------------
+
+    def guard(self) -> AbstractContextManager[Any]:
+        """The lock, where there is one."""
+        return self.receiver.lock or UNLOCKED
+
+    def discard_all(self, reason: str) -> None:
+        """Count as dropped all that is buffered."""
+        if self.queue:
+            self.drop(reason, len(self.queue))
+            self.queue.clear()
+
+    def store(self, sample: Any) -> bool:
+        """Take a sample that the push policy sends, as the policies say; False when it was rejected."""
+        if self.push is _NEW and self.queue:
+            self.drop_these("superseded", self.queue)
+            self.queue.clear()
+            self.push_in(self.stamp_in(sample), displaced=True)
+            return True
+        return self.store_bounded(sample)
+
+    def store_bounded(self, sample: Any) -> bool:
+        """Take a sample as the full policy says; False when it was rejected."""
+        verdict = decide(len(self.queue), self.length, self.connector.profile.full)
+        if verdict is _REFUSE:
+            self.drop("rejected")
+            self.lose(sample)
+            return False
+        if verdict is _WAIT and self.retired:
+            self.drop("inactive")
+            self.miss(sample)
+            return True
+        # Else the options changed since `must_wait` has said no, in the loop's thread: it is stored, nothing is lost.
+        replaces = verdict is _REPLACE_OLDEST
+        if replaces:
+            self.queue.popleft()
+            self.drop("overwritten")
+            if self.losses:
+                self.losses.begin(self.connector)
+        self.push_in(self.stamp_in(sample), displaced=replaces)
+        return True
+
+    def drop_these(self, reason: str, samples: Collection[Any]) -> None:
+        """Count these samples as dropped."""
+        self.drop(reason, len(samples))
+
+    def stamp_in(self, sample: Any) -> Any:
+        """The sample as it goes into the queue."""
+        if self.connector.profile.stamp not in _ON_THE_WAY:
+            return sample
+        self.lose(sample)
+        return stamped(sample, self.clock.time_ns())
+
+    def stamp_out(self, sample: Any) -> Any:
+        """The sample as the reader gets it."""
+        return sample if self.connector.profile.stamp is not _READ else stamped(sample, self.clock.time_ns())
+
+    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+        """Append; `displaced` when the oldest sample of this connector made room for it."""
+        if self.times is None:
+            self.queue.append(sample)
+            self.receiver.arrived(self, displaced)
+            return
+        began_ns = self.clock.monotonic_ns()
+        self.queue.append(sample)
+        self.receiver.arrived(self, displaced)
+        self.times.add(began_ns, self.clock.monotonic_ns())
+
+    def on_loop(self, callback: Callable[[Any], object]) -> None:
+        """Call back with what is the connector's transport then, on the kernel's loop: now if this is its thread."""
+        connector = self.connector
+        connector.out._on_loop(lambda: callback(connector._transport))
+
+
+def _set_done(future: asyncio.Future[None]) -> None:
+    """Wake the writer, unless it has given up."""
+    if not future.done():
+        future.set_result(None)
+
+
+def stamped(sample: Any, tm: int) -> Any:
+    """A copy of the sample with another time stamp."""
+    from aiorts.types import with_tm
+
+    return with_tm(sample, tm)
