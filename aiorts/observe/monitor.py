@@ -7,7 +7,7 @@ What can be named, with the kernel's own paths:
     component.parameter           the value in force
     component.state               lifecycle state, by context where there are several
     connector.written             also delivered, buffered, dropped
-    connector.rate                samples written a second since the last reading; in the first one since it was made
+    connector.rate                samples written a second since the last reading; at first the mean, with `measure`
     connector.latency             from write to read, the median in seconds; also latency_p99, latency_max
     connector.age                 when read, by the stamp, the median in seconds; also age_p99, age_max
     context.ticks                 also overruns, skipped, rate
@@ -166,7 +166,7 @@ class Monitor:
         try:
             return found.mean_rate if before is None else found.rate_since(before)
         except ConfigurationError:
-            return found.mean_rate  # another connector of this name, or in virtual time the same moment
+            return None  # another connector of this name, or in virtual time the same moment
 
 
 def _look(kernel: Microkernel, path: str) -> Any:

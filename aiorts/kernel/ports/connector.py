@@ -29,11 +29,9 @@ class Connector:
         in_: the in-port.
     """
 
-    __slots__ = ("_since_ns", "_transport", "in_", "out", "profile")
+    __slots__ = ("_transport", "in_", "out", "profile")
 
     _transport: Transport
-    _since_ns: int
-    """When it was made, on the kernel's monotonic clock."""
 
     def __init__(self, profile: ConnectorProfile, out: OutPort[Any], in_: InPort[Any]) -> None:
         self.profile = profile

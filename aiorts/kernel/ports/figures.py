@@ -29,8 +29,9 @@ def statistics_of(
 ) -> ConnectorStatistics:
     """These counts, which are of this moment, with what was measured."""
     now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times
-    latency = age = None
+    latency = age = rate = None
     if times is not None:
+        rate = mean_rate(written, times.since_ns, now_ns)
         latency = Spans.of(tuple(times.latencies))
         age = Spans.of(tuple(times.ages)) if port_type(connector.in_.type).has_tm else None
     return ConnectorStatistics(
@@ -39,7 +40,7 @@ def statistics_of(
         buffered,
         MappingProxyType(dict(dropped)),
         at_ns=now_ns,
-        mean_rate=mean_rate(written, connector._since_ns, now_ns),
+        mean_rate=rate,
         latency=latency,
         age=age,
     )

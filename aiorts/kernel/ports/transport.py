@@ -127,8 +127,7 @@ class Transport:
         self.waiting: deque[Waiting] | None = None
         """The writers that wait for room; the buffer is full as long as there is one. None before the first."""
         self.clock = kernel.clock
-        connector._since_ns = kernel.clock.monotonic_ns()
-        self.times = ConnectorTimes(profile.measure) if profile.measure else None
+        self.times = ConnectorTimes(profile.measure, kernel.clock.monotonic_ns()) if profile.measure else None
         self.losses: LossListener | Literal[False] | None = None
         """What is notified of the next sample that is overwritten, where `full` was not chosen; False: it has been."""
         self.last: Any = NOTHING
