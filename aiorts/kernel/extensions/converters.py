@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from aiorts.errors import PluginError
 from aiorts.kernel.extensions.catalogue import Catalogue, Extension
@@ -18,6 +18,7 @@ from aiorts.model.converter import Converter, function_fault
 
 if TYPE_CHECKING:
     from aiorts.clock import Clock
+    from aiorts.model.converter import Maker
 
 _KIND: Final = "converters"
 _IN_CODE: Final = re.compile(r"(.*\.py|[\w.]+):[\w.]+")
@@ -72,7 +73,7 @@ def converter_of(text: str, extension: Extension, found: Any) -> Converter:
         if not callable(found):
             kind = type(found).__name__
             raise PluginError(f"{extension.described}: a {kind} makes no converter; offer a function of text and types")
-        return Converter(text, of_text=True, make=found)
+        return Converter(text, of_text=True, make=cast("Maker", found))
     if fault := function_fault(found):
         raise PluginError(f"{extension.described}: {fault}")
     return Converter(text, found, of_text=True)

@@ -25,6 +25,7 @@ class KernelSide(Protocol):
 
     debug: bool
     name: str
+    bus: Any
     closed: bool
     thread_id: int | None
     call_at: Callable[[int, Callable[[], None]], Cancellable]
@@ -40,9 +41,6 @@ class KernelSide(Protocol):
     """The loop it was opened on."""
 
     def time_ns(self) -> int: ...
-
-    @property
-    def bus(self) -> Any: ...
 
     @property
     def connections(self) -> Any: ...
