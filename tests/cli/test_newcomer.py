@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aiorts import Component, InPort, Kernel, OutPort
+from aiorts import Component, Kernel
 from aiorts.cli.console.report import LONGEST, shortened
-from aiorts.errors import ComponentError, DeclarationError, WiringError
+from aiorts.errors import ComponentError, DeclarationError
 from aiorts.testing import simulated
-from aiorts.types import TimedLong, record
+from aiorts.types import record
 from run_parts import here
 
 PARTS = """
@@ -239,18 +239,6 @@ def test_the_message_of_a_field_that_cannot_travel_is_whole() -> None:
     text = f"aiorts: E-PLUGIN: scan.py:Watch cannot be loaded: DeclarationError: {caught.value} (scan.py:7)"
     assert len(text) > 300
     assert shortened(text) == text
-
-
-@simulated
-async def test_connect_given_texts_says_where_ports_come_from() -> None:
-    class Both(Component):
-        out = OutPort(TimedLong)
-        inp = InPort(TimedLong)
-
-    async with Kernel() as kernel:
-        await kernel.create(Both, "a")
-        with pytest.raises(WiringError, match=r"give the port itself: kernel\.find\('a\.out'\)"):
-            await kernel.connect("a.out", "a.inp")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
