@@ -475,16 +475,17 @@ class Transport:
             and self.push is not _SKIP
             and receiver.lock is None
         )
-        while plain and waiting and len(queue) < self.length:
-            # Written out: the writer and the reader of a full buffer do this once for each sample.
-            entry = waiting.popleft()
-            self.written += 1
-            queue.append(entry.sample)
-            receiver.arrived(self, False)
-            entry.done = True
-            if entry.future is not None and not entry.future.done():
-                entry.future.set_result(None)
-        if not plain:
+        if plain:
+            while waiting and len(queue) < self.length:
+                # Written out: the writer and the reader of a full buffer do this once for each sample.
+                entry = waiting.popleft()
+                self.written += 1
+                queue.append(entry.sample)
+                receiver.arrived(self, False)
+                entry.done = True
+                if entry.future is not None and not entry.future.done():
+                    entry.future.set_result(None)
+        else:
             self._admit_each(waiting)
         if not waiting:
             self.connector.in_._fast = receiver.direct
