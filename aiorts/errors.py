@@ -11,14 +11,17 @@ from typing import ClassVar, Final, NamedTuple, TypeVar
 
 __all__ = (
     "SLOW_READER",
+    "AbsentError",
     "AiortsError",
     "BusyError",
     "CallTimeout",
     "ClosedError",
     "ComponentError",
     "ConfigurationError",
+    "ControlError",
     "ConversionError",
     "DeclarationError",
+    "DeniedError",
     "GoalCancelled",
     "GoalFailed",
     "HookAbandoned",
@@ -27,6 +30,7 @@ __all__ = (
     "InvalidNameError",
     "LimitError",
     "MissingExtra",
+    "NoAnswerError",
     "Place",
     "PluginError",
     "PortTypeError",
@@ -38,6 +42,7 @@ __all__ = (
     "ServiceFailed",
     "ServiceTimeout",
     "ServiceUnavailable",
+    "StaleError",
     "StateError",
     "SystemFileError",
     "ThreadError",
@@ -298,6 +303,36 @@ class InterfaceMismatch(ServiceError, WiringError, TypeError):
     """What is provided is not what is required: names both ports and the difference."""
 
     code = "E-INTERFACE"
+
+
+class ControlError(AiortsError, RuntimeError):
+    """A running kernel cannot be looked into or controlled; each reason has a class derived from this."""
+
+    code = "E-CONTROL"
+
+
+class DeniedError(ControlError, PermissionError):
+    """The kernel does not allow this operation over this connection."""
+
+    code = "E-DENIED"
+
+
+class NoAnswerError(ControlError, TimeoutError):
+    """A running kernel gave no answer in time; what was asked for may yet happen."""
+
+    code = "E-NO-ANSWER"
+
+
+class AbsentError(ControlError, LookupError):
+    """Nothing that runs has this name, or several things have it: says which there are."""
+
+    code = "E-ABSENT"
+
+
+class StaleError(ControlError):
+    """A call was meant for a kernel that has ended, and another has its name: nothing was done."""
+
+    code = "E-STALE"
 
 
 def format_error(error: BaseException) -> str:

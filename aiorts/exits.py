@@ -55,7 +55,15 @@ TABLE = (
     ),
 )
 """Status and meaning, in words for people."""
-_OF_CODE = {"E-COMPONENT": FAILED, "E-UNKNOWN-TYPE": ABSENT}
+_OF_CODE = {
+    "E-ABSENT": ABSENT,
+    "E-COMPONENT": FAILED,
+    "E-DENIED": DENIED,
+    "E-NO-ANSWER": NO_ANSWER,
+    "E-STALE": ABSENT,
+    "E-TRANSITION": NO_ANSWER,
+    "E-UNKNOWN-TYPE": ABSENT,
+}
 
 
 def of_signal(number: int) -> int:

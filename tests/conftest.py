@@ -8,12 +8,14 @@ errors here.) A module-scoped async fixture keeps its loop open from test to tes
 from __future__ import annotations
 
 import asyncio
+import atexit
 import contextlib
 import gc
 import importlib.util
 import logging
 import os
 import random
+import shutil
 import signal
 import sys
 import tempfile
@@ -56,6 +58,11 @@ for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), *((s, sig
 _AS_ASKED_FOR = sys.dont_write_bytecode, sys.pycache_prefix
 if sys.dont_write_bytecode:
     sys.dont_write_bytecode, sys.pycache_prefix = False, str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+
+# The runs of the tests have a folder of their own for their sockets: no other run is seen or disturbed.
+RUNTIME = tempfile.mkdtemp(prefix="aiorts-")
+os.environ["XDG_RUNTIME_DIR"] = RUNTIME
+atexit.register(shutil.rmtree, RUNTIME, ignore_errors=True)
 
 settings.register_profile("aiorts", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)

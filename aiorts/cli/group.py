@@ -15,6 +15,7 @@ from click.shell_completion import CompletionItem
 _SECTIONS: Final = (
     ("Begin", ("demo", "doctor", "help")),
     ("Systems", ("run", "check", "graph", "schema")),
+    ("What runs", ("ls", "activate", "deactivate", "reset", "stop")),
     ("What there is", ("inspect", "types", "plugins")),
     ("Shell", ("completion",)),
 )

@@ -23,6 +23,7 @@ import heapq
 import inspect
 import math
 import selectors
+from collections import deque
 from collections.abc import Coroutine
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, TypeVarTuple, Unpack
@@ -34,7 +35,6 @@ from aiorts.testing.order import Shuffle
 from aiorts.testing.outside import AnyioThreads, listens
 
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Awaitable, Callable, Mapping
     from concurrent.futures import Executor
     from contextvars import Context
@@ -144,6 +144,8 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
 
         def _check_closed(self) -> None: ...
 
+        def _write_to_self(self) -> None: ...
+
         _process_events: Callable[[list[Any]], None]
 
     def __init__(self, clock: SimulatedClock | None = None, *, seed: int | None = None) -> None:
@@ -152,6 +154,8 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._timers_made = 0
         self._timers_cancelled = 0
         self._anyio = AnyioThreads(self)
+        self._outside: deque[Callable[[], object]] = deque()
+        """What other threads want done between two instants."""
         super().__init__(_JumpingSelector(self))
         if seed is not None:
             self._process_events = partial(_shuffled, self, self._process_events, Shuffle(seed))
@@ -260,6 +264,24 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
                 self._timers_cancelled -= 1
             else:
                 self._ready.append(handle)
+
+    # -- calls from outside ---------------------------------------------------------------------------------------
+
+    def call_between_instants(self, callback: Callable[[], object]) -> None:
+        """Call back before time goes on, when nothing is ready any more. From any thread; it holds no time.
+
+        RuntimeError when the loop is closed.
+        """
+        self._check_closed()
+        self._outside.append(callback)
+        self._write_to_self()
+
+    def _take_outside(self) -> bool:
+        """Make the next such call ready; False when there is none."""
+        if not self._outside:
+            return False
+        self.call_soon(self._outside.popleft())
+        return True
 
     # -- what stops time ------------------------------------------------------------------------------------------
 
@@ -397,6 +419,8 @@ class _JumpingSelector(selectors.BaseSelector):
         if timeout == 0:
             return []
         loop = self._loop
+        if loop._take_outside():
+            return []
         if self._awaited or loop._standing_still():
             return self._wait()
         # Looked at after the holds: what a thread handed over before it let go comes before the jump.

@@ -78,6 +78,12 @@ BROAD_EXCEPT = {
     # Round the settings of a plugin's service, and round its methods: the kernel and the other services go on.
     "aiorts/kernel/extensions/arguments.py:_refused",
     "aiorts/kernel/connections.py:contained",
+    # Round what a client asked for, and round the thread that serves clients: the system goes on without them.
+    "aiorts/control/session.py:begin",
+    "aiorts/control/session.py:_wait",
+    "aiorts/control/session.py:end",
+    "aiorts/control/server/listener.py:_serve",
+    "aiorts/control/server/listener.py:_deliver",
     "aiorts/kernel/service.py:notify",
     "aiorts/kernel/service.py:reports",
     # What an exception of a plugin says of itself may raise in its turn.

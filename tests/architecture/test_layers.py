@@ -38,6 +38,9 @@ aiorts/observe
 aiorts/composites aiorts/statemachines
 aiorts/supervision
 aiorts/reload
+aiorts/control
+aiorts/control/operations
+aiorts/control/server
 aiorts/assembly.py
 aiorts/running.py aiorts/events.py aiorts/statechart.py
 aiorts/system/file
@@ -48,13 +51,14 @@ aiorts/system
 aiorts/testing
 aiorts/cli/console
 aiorts/cli/runtime
+aiorts/cli/commands/live
 aiorts/cli/commands aiorts/cli/demo
 aiorts/cli
 plugins/aiorts_log plugins/aiorts_bench/harness plugins/aiorts_flexi/common
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
-    *("composites", "configuration", "diagnostics", "functions", "observe"),
+    *("composites", "configuration", "control", "diagnostics", "functions", "observe"),
     *("realtime", "reload", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""
@@ -66,6 +70,7 @@ PUBLIC = (
     "aiorts.statechart",
     "aiorts.types",
     "aiorts.types.ros",
+    "aiorts.control",
     "aiorts.errors",
     "aiorts.exits",
     "aiorts.late",

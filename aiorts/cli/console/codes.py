@@ -24,6 +24,11 @@ CODES: Final[dict[str, Code]] = {
         "The hook catches CancelledError and goes on, or shields what it waits for.",
         "Let CancelledError pass in the hook it names; blocking code belongs in a ThreadContext.",
     ),
+    "E-ABSENT": Code(
+        "Nothing that runs has this name, or several things have it.",
+        "A component that is gone or spelt otherwise, or the same name in two kernels.",
+        "`aiorts ls` shows what runs; write kernel/component where two have the name.",
+    ),
     "E-AIORTS": Code(
         "An error of aiorts that has no code of its own.",
         "An extension raises AiortsError itself.",
@@ -69,6 +74,11 @@ CODES: Final[dict[str, Code]] = {
         "Other types, units or shapes, two out-ports, an unknown policy; in a program, a port that is not there.",
         "Compare the ports with aiorts inspect; aiorts check shows the FlexiFilter that would join them, if one can.",
     ),
+    "E-CONTROL": Code(
+        "A running kernel cannot be looked into or controlled.",
+        "Its folder of sockets is not safe, another release of aiorts, or a client that is none.",
+        "Read the reason in the line; both ends of the same release of aiorts understand each other.",
+    ),
     "E-CONVERT": Code(
         "A value cannot be converted without changing it silently.",
         "A number out of range of the target, text that is no number.",
@@ -83,6 +93,11 @@ CODES: Final[dict[str, Code]] = {
         "A component class or a record type is written wrongly.",
         "A hook with other arguments, a default outside its bounds, a field that cannot travel.",
         "Correct the class and attribute that the line names.",
+    ),
+    "E-DENIED": Code(
+        "The kernel does not allow this operation over this connection.",
+        "It was started with --control=view.",
+        "Start it with --control=on, or leave the option out.",
     ),
     "E-EXTRA": Code(
         "A package that is needed for this is not installed.",
@@ -133,6 +148,11 @@ CODES: Final[dict[str, Code]] = {
         "A name or path has a character or structure that is not allowed.",
         "Blanks, dots or slashes in a name, or one of more than 100 characters.",
         "Use letters, digits, '_' and '-'; a port is COMPONENT.PORT.",
+    ),
+    "E-NO-ANSWER": Code(
+        "A running kernel gave no answer in time.",
+        "Its process is stopped, or its event loop is held.",
+        "Ask again with a longer --timeout; `aiorts ls` shows who does not answer.",
     ),
     "E-OUTPUT": Code(
         "Standard output could not be written; its last lines are lost.",
@@ -188,6 +208,11 @@ CODES: Final[dict[str, Code]] = {
         "No provider can answer a service call.",
         "The provider is absent, not active, in error or being removed, or the port is not connected.",
         "Activate or reset the provider; wait_bound() waits for a connection.",
+    ),
+    "E-STALE": Code(
+        "A call was meant for a kernel that has ended, and another has its name now.",
+        "The run was started anew between two calls.",
+        "Give the command again: nothing was done.",
     ),
     "E-STATE": Code(
         "The request does not fit the state of a component, context or kernel.",

@@ -160,7 +160,7 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services
             raise ConfigurationError(str(error)).like(error) from None
         raise
     catalogue = catalogue_of((*folders, *system.plugin_paths))
-    plan = prepare(system, catalogue, _settings(_activated(system), system.services, services))
+    plan = prepare(system, catalogue, _settings(_activated(system), _program(system), system.services, services))
     if not system.components:
         raise SystemFileError(
             f"{text}: there are no components, and nothing to run; write [components.NAME] with a type"
@@ -203,14 +203,20 @@ def _activated(system: SystemFile) -> Sequence[str]:
     return list(dict.fromkeys((*active, *started))) or [name for name, _ in members]
 
 
-def _settings(ready: Sequence[str], file: Settings, options: Settings) -> Settings:
+def _settings(ready: Sequence[str], program: str, file: Settings, options: Settings) -> Settings:
     """What services are to go by besides the file: those of every run, and what options say."""
-    always: Settings = {"watch_loop": {}, "supervision": {"ready": ready}}
+    always: Settings = {"watch_loop": {}, "supervision": {"ready": ready}, "control": {"program": program}}
     return {
         name: {key: value for key, value in always.get(name, {}).items() if key not in file.get(name, {})}
         | dict(options.get(name, {}))
         for name in (*always, *options)
     }
+
+
+def _program(system: SystemFile) -> str:
+    """What a system is called where nobody named it: its file, or the folder of one that is called system.toml."""
+    path = Path(system.path).absolute()
+    return path.stem if path.stem != "system" else path.parent.name or path.stem
 
 
 # -- one component -----------------------------------------------------------------------------------------------------
@@ -244,7 +250,7 @@ def _alone(
         raise ConfigurationError("--count: no samples are printed and none are read; use --for")
     ends = Ends(None) if fed else None
     check_rate(rate)
-    plans = [plan_service(catalogue, *one) for one in _settings((name,), {}, services).items()]
+    plans = [plan_service(catalogue, *one) for one in _settings((name,), name, {}, services).items()]
 
     async def make(kernel: Kernel) -> None:
         for plan in plans:

@@ -24,10 +24,14 @@ WORDS: Final = {bool: "true or false", int: "a whole number", float: "a number",
 
 
 def arguments_of(cls: type) -> dict[str, tuple[type, ...]]:
-    """By the name of each argument that a system file may set: the kinds of value it takes; () is any."""
+    """By the name of each argument that a system file may set: the kinds of value it takes; () is any.
+
+    The `name` of a context is that of its table; settings of a service may have one.
+    """
     init: Any = cls.__init__  # type: ignore[misc] # of this very class, as its signature is
     hints = _hints(init)
-    return {name: _kinds(hints.get(name)) for name in inspect.signature(cls).parameters if name != "name"}
+    given = () if dataclasses.is_dataclass(cls) else ("name",)
+    return {name: _kinds(hints.get(name)) for name in inspect.signature(cls).parameters if name not in given}
 
 
 def needs_rate(cls: type) -> bool:

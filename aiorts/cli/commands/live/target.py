@@ -1,0 +1,195 @@
+"""What a word of a command line means among running kernels: which kernel, which component, which port.
+
+A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A short one is enough
+where one kernel only has it. A file ends in .toml, .xml, .yaml or .mcap, or begins with ./ or /; all else is a name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from typing import Any, Final
+
+import click
+
+from aiorts.control import Client, Entry, Silent, entries, open_all
+from aiorts.errors import AbsentError, NoAnswerError
+from aiorts.late import dataclass
+
+FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
+"""Endings of words that are files."""
+_SHOWN: Final = 10
+_GLOB: Final = re.compile(r"[*?\[]")
+
+
+def is_file(word: str) -> bool:
+    """Whether a word of a command line is a file, not the name of something that runs."""
+    return word.startswith(("./", "../", "/", "~")) or word.lower().endswith(FILES)
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A kernel that answered, its session open."""
+
+    client: Client
+    names: Mapping[str, Any]
+    """What the operation `names` said: components, contexts, connectors."""
+
+    @property
+    def name(self) -> str:
+        """The kernel's, without the host."""
+        return self.client.entry.name
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One thing that runs."""
+
+    running: Running
+    component: str
+    """"" where the kernel itself is meant."""
+    port: str = ""
+    """What stands after the component: a port, a parameter, anything of it; "" where nothing does."""
+
+    @property
+    def client(self) -> Client:
+        """The session with its kernel."""
+        return self.running.client
+
+    @property
+    def path(self) -> str:
+        """As the kernel itself calls it: "component" or "component.port"."""
+        return f"{self.component}.{self.port}" if self.port else self.component
+
+    @property
+    def full(self) -> str:
+        """With the kernel's name."""
+        return f"{self.running.name}/{self.path}" if self.path else self.running.name
+
+
+class Kernels:
+    """The kernels that run, each with an open session.
+
+    Attributes:
+        running: those that answered.
+        silent: those that did not.
+    """
+
+    def __init__(self, running: Sequence[Running], silent: Sequence[Silent]) -> None:
+        self.running = tuple(running)
+        self.silent = tuple(silent)
+
+    def find(self, word: str) -> Found:
+        """The one thing that a word means.
+
+        Raises:
+            AbsentError: nothing has the name, or several have; says which.
+            NoAnswerError: the kernel that is meant does not answer.
+        """
+        found = self.all(word)
+        if len(found) > 1:
+            shown = ", ".join(one.full for one in found[:_SHOWN])
+            raise AbsentError(f"{word}: {len(found)} have this name: {shown}; write the kernel before it")
+        return found[0]
+
+    def all(self, word: str) -> tuple[Found, ...]:
+        """Everything that a word means; in it, * ? [] stand for any characters.
+
+        Raises:
+            AbsentError: nothing has the name.
+            NoAnswerError: nothing has it, and a kernel that may have it does not answer.
+        """
+        kernel, path = _split(word)
+        component, _, port = path.partition(".")
+        found = [
+            Found(one, name, port)
+            for one in self.running
+            if not kernel or _fits(kernel, one)
+            for name in _of(one, component, bare=bool(kernel))
+        ]
+        if found:
+            return tuple(found)
+        self._nothing(word, kernel, component)
+        raise AssertionError(word)
+
+    def kernel(self, word: str = "") -> Running:
+        """The kernel of this name, or the only one that runs; raises as `find`."""
+        fitting = [one for one in self.running if not word or _fits(word, one)]
+        if len(fitting) == 1:
+            return fitting[0]
+        if not fitting:
+            self._nothing(word or "a kernel", word, "")
+        shown = ", ".join(one.name for one in fitting[:_SHOWN])
+        raise AbsentError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
+
+    def _nothing(self, word: str, kernel: str, component: str) -> None:
+        """Raise: nothing that answers has this name."""
+        mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
+        if mute:
+            raise NoAnswerError(f"{word}: not found, and no answer from {', '.join(mute[:_SHOWN])}")
+        if not self.running:
+            raise AbsentError(f"{word}: nothing runs that can be reached; start it with `aiorts run`, see `aiorts ls`")
+        known = [name for one in self.running for name in (one.name, *one.names["components"])]
+        from difflib import get_close_matches
+
+        near = get_close_matches(component or kernel, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN])}"
+        raise AbsentError(f"{word}: nothing that runs has this name; {hint}")
+
+    def close(self) -> None:
+        """End the sessions."""
+        for one in self.running:
+            one.client.close()
+
+
+@contextmanager
+def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None) -> Iterator[Kernels]:
+    """Open a session with each kernel of this user that runs.
+
+    Args:
+        timeout: seconds to wait for the first answer.
+        select: which kernels; all by default.
+    """
+    wanted: Iterable[Entry] = entries()
+    opened, silent = open_all([one for one in wanted if select is None or select(one)], "names", timeout=timeout)
+    found = Kernels([Running(client, names) for client, names in opened], silent)
+    try:
+        yield found
+    finally:
+        found.close()
+
+
+def _split(word: str) -> tuple[str, str]:
+    """The kernel and the path in it; "" for a kernel that is not named."""
+    kernel, slash, path = word.rpartition("/")
+    return (kernel, path) if slash else ("", word)
+
+
+def _fits(kernel: str, one: Running) -> bool:
+    return _matches(one.client.entry, kernel)
+
+
+def _matches(entry: Entry, kernel: str) -> bool:
+    return fnmatchcase(entry.address if "/" in kernel else entry.name, kernel)
+
+
+def _of(one: Running, component: str, *, bare: bool) -> list[str]:
+    """The components of a kernel that a name means; the kernel itself for its name alone."""
+    if not component:
+        return [""] if bare else []
+    known = one.names["components"]
+    if not _GLOB.search(component):
+        return [component] if component in known else []
+    return [name for name in known if fnmatchcase(name, component)]
+
+
+def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes names of components that run."""
+    from aiorts.cli.console.completion import items
+
+    with kernels(timeout=0.1) as found:
+        words = [name for one in found.running for name in one.names["components"]]
+        words += [f"{one.name}/{name}" for one in found.running for name in one.names["components"]]
+    return items(dict.fromkeys(words), incomplete)

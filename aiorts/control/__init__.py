@@ -1,0 +1,24 @@
+"""Looks into and controls running kernels: what is said, in frames, and the client's end of it.
+
+One table has all operations (`operations`); a kernel answers them over a local socket (`server`). What is here is
+imported by short-lived commands: it knows neither asyncio nor the kernel.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.control.client import END, TIMEOUT, Client, Silent, Stream, open_all, wait_all
+    from aiorts.control.folder import Entry, entries
+
+__all__ = ("END", "TIMEOUT", "Client", "Entry", "Silent", "Stream", "entries", "open_all", "wait_all")
+
+_late(
+    globals(),
+    {
+        "aiorts.control.client": "END TIMEOUT Client Silent Stream open_all wait_all",
+        "aiorts.control.folder": "Entry entries",
+    },
+)

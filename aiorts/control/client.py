@@ -1,0 +1,389 @@
+"""The client's end: short sessions with running kernels over blocking sockets, no event loop and no thread.
+
+with Client.open(entry) as client:
+    client.call("activate", component="pid0")
+    for item in client.stream("changes"):
+        ...
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Final, Self
+
+from aiorts import errors
+from aiorts.control.folder import Entry, discard
+from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, agreed, answer_in, framed, frames
+from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
+from aiorts.late import dataclass
+
+TIMEOUT: Final = 5.0
+"""Seconds that a call waits for its answer."""
+_CHUNK: Final = 1 << 18
+
+
+class Client:
+    """A session with one kernel. It belongs to one thread.
+
+    Attributes:
+        entry: the kernel's entry; its epoch is that of the session.
+        right: "view", "operate" or "code": what the kernel lets this session do.
+        hello: what the kernel says of itself: name, address, pid.
+    """
+
+    def __init__(self, entry: Entry, who: str = "") -> None:
+        self.entry = entry
+        self.right = ""
+        self.hello: Mapping[str, Any] = {}
+        self._buffer = bytearray()
+        self._frames: deque[dict[Any, Any]] = deque()
+        self._answers: dict[int, deque[dict[Any, Any]]] = {}
+        """Of calls that run: what has come for each."""
+        self._last = 0
+        self._gone = ""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.settimeout(TIMEOUT)
+            self._connect(entry)
+            self._socket.sendall(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": who or _command()}}))
+        except BaseException:
+            self._socket.close()
+            raise
+
+    @classmethod
+    def open(cls, entry: Entry, *, timeout: float = TIMEOUT, who: str = "") -> Self:
+        """A session that is ready for calls.
+
+        Raises:
+            NoAnswerError: the kernel does not answer within `timeout` seconds.
+            AbsentError: it is gone.
+            ControlError: it refuses the session, or speaks another protocol.
+        """
+        client = cls(entry, who)
+        try:
+            client._greet(time.monotonic() + timeout)
+        except BaseException:
+            client.close()
+            raise
+        return client
+
+    def _connect(self, entry: Entry) -> None:
+        try:
+            self._socket.connect(entry.path)
+        except OSError as error:
+            if error.errno in (errno.ECONNREFUSED, errno.ENOENT):
+                discard(entry)
+                raise errors.AbsentError(f"{entry.address}: is gone; `aiorts ls` shows what runs") from None
+            if isinstance(error, TimeoutError | BlockingIOError):
+                raise NoAnswerError(f"{entry.address}: no answer") from None
+            raise ControlError(f"{entry.address}: {entry.path}: {error.strerror}") from None
+
+    def _greet(self, until: float) -> None:
+        while not self.hello:
+            self._receive(until)
+            while self._frames and not self.hello:
+                self._take_hello(self._frames.popleft())
+
+    def _take_hello(self, frame: dict[Any, Any]) -> None:
+        if "error" in frame:
+            raise _error_of(frame["error"], self.entry)
+        hello = frame.get("hello")
+        if not isinstance(hello, dict):
+            raise WireError(f"{self.entry.address}: no hello; what listens there is no kernel of aiorts")
+        agreed(hello.get("protocol"), hello.get("protocol"), self.entry.address)
+        self.right = str(hello.get("right", ""))
+        self.entry = Entry(self.entry.address, self.entry.pid, str(hello.get("epoch", "")), self.entry.path)
+        self.hello = hello
+
+    def close(self) -> None:
+        """End the session: what it began in the kernel ends with it. Idempotent."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def fileno(self) -> int:
+        """The socket's descriptor, for `select`."""
+        return self._socket.fileno()
+
+    # -- calls -----------------------------------------------------------------------------------------------------
+
+    def call(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Any:
+        """The result of an operation, as plain data.
+
+        Args:
+            operation: its name in the table.
+            wait: seconds; None waits forever. Given by position, since an argument may have this name.
+            arguments: of the operation.
+
+        Raises:
+            NoAnswerError: there was none in time.
+            AiortsError: what the operation raised, by its code.
+        """
+        return self.result(self.begin(operation, **arguments), wait)
+
+    def begin(self, operation: str, /, **arguments: object) -> int:
+        """Send a call and do not wait; `result` gives its result by the number that is returned."""
+        self._last += 1
+        self._answers[self._last] = deque()
+        self._send({"id": self._last, "op": operation, "epoch": self.entry.epoch, "args": arguments})
+        return self._last
+
+    def result(self, number: int, wait: float | None = TIMEOUT) -> Any:
+        """Wait for the result of a call that was begun. Raises as `call` does."""
+        try:
+            return self._next(number, wait)["ok"]
+        finally:
+            self._answers.pop(number, None)
+
+    def stream(self, operation: str, wait: float | None = TIMEOUT, /, **arguments: object) -> Stream:
+        """Begin an operation that streams; the stream's items come as they are made. Arguments and errors as `call`."""
+        number = self.begin(operation, **arguments)
+        try:
+            began = self._next(number, wait)["ok"]
+        except BaseException:
+            self._answers.pop(number, None)
+            raise
+        return Stream(self, number, began)
+
+    def wait_end(self, seconds: float) -> None:
+        """Wait until the kernel's process, or the session, has ended.
+
+        Raises:
+            NoAnswerError: it runs on after so many seconds.
+        """
+        until = time.monotonic() + seconds
+        try:
+            while True:
+                self._receive(until)
+                self._frames.clear()
+        except errors.ClosedError:
+            return
+
+    def _send(self, message: Mapping[str, Any]) -> None:
+        try:
+            self._socket.settimeout(TIMEOUT)
+            self._socket.sendall(framed(message))
+        except TimeoutError:
+            raise NoAnswerError(f"{self.entry.address}: does not take what is sent") from None
+        except OSError:
+            self._gone = self._gone or f"{self.entry.address}: has ended"  # what it said last may still be read
+
+    def _next(self, number: int, timeout: float | None) -> dict[Any, Any]:
+        """The next that comes for a call."""
+        waiting = self._answers[number]
+        until = None if timeout is None else time.monotonic() + timeout
+        while not waiting:
+            self._receive(until)
+            self._sort()
+        answer = waiting.popleft()
+        if "error" in answer:
+            raise _error_of(answer["error"], self.entry)
+        return answer
+
+    def _sort(self) -> None:
+        while self._frames:
+            frame = self._frames.popleft()
+            if not self.hello:
+                self._take_hello(frame)
+                continue
+            if "id" not in frame and "error" in frame:
+                raise _error_of(frame["error"], self.entry)
+            waiting = self._answers.get(frame.get("id", 0))
+            if waiting is not None:
+                waiting.append(frame)
+
+    def _receive(self, until: float | None) -> None:
+        """Wait until at least one frame has come."""
+        while not self._frames:
+            if until is not None and time.monotonic() >= until:
+                raise NoAnswerError(f"{self.entry.address}: no answer")
+            self._socket.settimeout(None if until is None else max(0.001, until - time.monotonic()))
+            self.read()
+
+    def read(self) -> None:
+        """Take what has come.
+
+        Raises:
+            ClosedError: the kernel has ended the session, or its process has ended.
+        """
+        try:
+            data = self._socket.recv(_CHUNK)
+        except (TimeoutError, BlockingIOError):
+            return
+        except OSError as error:
+            raise errors.ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})") from None
+        if not data:
+            raise errors.ClosedError(self._gone or f"{self.entry.address}: has ended")
+        self._buffer += data
+        self._frames.extend(answer_in(frame) for frame in frames(self._buffer, ANSWERS))
+
+    def answered(self, number: int) -> bool:
+        """Whether something has come for a call, after `read`."""
+        self._sort()
+        return bool(self._answers.get(number))
+
+
+class Stream:
+    """The items of an operation that streams, in order; iterating waits for the next.
+
+    Attributes:
+        began: what the operation said when it began.
+        missed: items that the kernel dropped so far, since this end was too slow.
+        result: what it said when it ended.
+    """
+
+    def __init__(self, client: Client, number: int, began: Any) -> None:
+        self.client = client
+        self.began = began
+        self.missed = 0
+        self.result: Any = None
+        self._number = number
+        self._ended = False
+
+    def __iter__(self) -> Iterator[Any]:
+        while (item := self.next()) is not END:
+            yield item
+
+    def next(self, timeout: float | None = None) -> Any:
+        """The next item; END when there are no more.
+
+        Raises:
+            NoAnswerError: none came within `timeout` seconds.
+        """
+        if self._ended:
+            return END
+        answer = self.client._next(self._number, timeout)
+        self.missed += int(answer.get("missed", 0))
+        if "item" in answer:
+            return answer["item"]
+        self._ended = True
+        self.result = answer.get("end")
+        self.client._answers.pop(self._number, None)
+        return END
+
+    def close(self) -> None:
+        """End the operation; idempotent."""
+        if not self._ended:
+            self._ended = True
+            self.client._send({"id": self._number, "cancel": True})
+            self.client._answers.pop(self._number, None)
+
+
+END: Final = object()
+"""What a stream gives when it is over."""
+
+
+# -- several kernels ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Silent:
+    """A kernel that did not answer."""
+
+    entry: Entry
+    why: str
+
+
+def open_all(
+    found: Iterable[Entry], operation: str, *, timeout: float = 1.0, grace: float = 0.25, **arguments: object
+) -> tuple[list[tuple[Client, Any]], list[Silent]]:
+    """Open a session with each kernel and make one call in each, all at the same time.
+
+    A kernel that does not answer delays the others by `grace` seconds at the most.
+
+    Args:
+        timeout: seconds to wait when none has answered.
+        grace: seconds to wait for the others once one has.
+
+    Returns:
+        The sessions with the result of the call, in the order given; and who did not answer.
+    """
+    pending: dict[int, tuple[Client, int]] = {}
+    silent: list[Silent] = []
+    order: list[Client] = []
+    for entry in found:
+        try:
+            client = Client(entry)
+            number = client.begin(operation, **arguments)
+        except errors.AbsentError:
+            continue
+        except (AiortsError, OSError) as error:
+            silent.append(Silent(entry, str(error)))
+            continue
+        pending[client.fileno()] = (client, number)
+        order.append(client)
+    answers = wait_all(pending, timeout=timeout, grace=grace)
+    opened: list[tuple[Client, Any]] = []
+    for client in order:
+        answer = answers.get(client, "no answer")
+        if client in answers and not isinstance(answer, AiortsError):
+            opened.append((client, answer))
+        else:
+            client.close()
+            silent.append(Silent(client.entry, str(answer)))
+    return opened, silent
+
+
+def wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace: float) -> dict[Client, Any]:
+    """The results of calls that were begun, by client, as far as they come in time; an error in place of one.
+
+    Args:
+        pending: by descriptor, the client and the number of its call.
+        timeout: seconds to wait when none has answered.
+        grace: seconds to wait for the others once one has.
+    """
+    left = dict(pending)
+    results: dict[Client, Any] = {}
+    poll = select.poll()
+    for descriptor in left:
+        poll.register(descriptor, select.POLLIN)
+    until = time.monotonic() + timeout
+    while left and (wait := until - time.monotonic()) > 0:
+        for descriptor, _ in poll.poll(wait * 1000):
+            client, number = left[descriptor]
+            try:
+                client.read()
+                if not client.answered(number):
+                    continue
+                results[client] = client.result(number)
+            except AiortsError as error:
+                results[client] = error
+            poll.unregister(descriptor)
+            del left[descriptor]
+            until = min(until, time.monotonic() + grace)
+    return results
+
+
+def _command() -> str:
+    words: Sequence[str] = sys.argv[:2]
+    return f"{' '.join(os.path.basename(word) for word in words)[:60]} (process {os.getpid()})"
+
+
+def _error_of(found: object, entry: Entry) -> AiortsError:
+    """The error that a kernel reports, as the class that has its code."""
+    if not isinstance(found, dict):
+        return ControlError(f"{entry.address}: {found!s:.200}")
+    code, text = str(found.get("code", "")), str(found.get("text", ""))
+    for name in errors.__all__:
+        kind = getattr(errors, name)
+        if isinstance(kind, type) and issubclass(kind, AiortsError) and kind.code == code:
+            with contextlib.suppress(TypeError):  # one that is made of more than its text
+                return kind(text)
+    error = ControlError(text)
+    error.code = code or ControlError.code  # type: ignore[misc] # of a newer kernel
+    return error

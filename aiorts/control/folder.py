@@ -1,0 +1,216 @@
+"""Where the sockets of running kernels are: one folder of the user's own, in which each kernel has an entry.
+
+An entry is a socket, named by a hash of the kernel's address, and a small file beside it that says whose it is. The
+folder is refused when it is a link, belongs to another user, or lets others in. An entry without a listener was left
+by a process that is gone: the next reader removes it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import socket
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from aiorts.errors import ControlError
+from aiorts.late import dataclass
+
+LONGEST_PATH: Final = 107
+"""Bytes of a socket's path that the system takes."""
+_PRIVATE: Final = 0o700
+_LARGEST_FILE: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A kernel that can be reached, as its file says."""
+
+    address: str
+    """"host/kernel"."""
+    pid: int
+    epoch: str
+    """16 hexadecimal digits, others each time a kernel opens its socket."""
+    path: str
+    """Of the socket."""
+
+    @property
+    def name(self) -> str:
+        """The part of the address after the host."""
+        return self.address.rpartition("/")[2]
+
+
+def place() -> Path:
+    """The folder's path; it need not be there."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    if runtime and Path(runtime).is_absolute():
+        return Path(runtime, "aiorts")
+    return Path(tempfile.gettempdir(), f"aiorts-{os.geteuid()}")
+
+
+def made() -> Path:
+    """The folder, made where it is not there.
+
+    Raises:
+        ControlError: it cannot be made, or is a link, of another user, or open to others.
+    """
+    folder = place()
+    try:
+        folder.mkdir(mode=_PRIVATE)
+    except FileExistsError:
+        pass
+    except OSError as error:
+        raise ControlError(f"{folder}: cannot be made: {error.strerror}") from None
+    check(folder)
+    return folder
+
+
+def check(folder: Path) -> None:
+    """ControlError unless it is a folder of this user alone; FileNotFoundError when there is none."""
+    found = folder.lstat()
+    why = ""
+    if stat.S_ISLNK(found.st_mode):
+        why = "is a link"
+    elif not stat.S_ISDIR(found.st_mode):
+        why = "is no folder"
+    elif found.st_uid != os.geteuid():
+        why = f"belongs to another user ({found.st_uid})"
+    elif stat.S_IMODE(found.st_mode) != _PRIVATE:
+        why = f"lets others in (mode {stat.S_IMODE(found.st_mode):04o}, expected 0700)"
+    if why:
+        raise ControlError(f"{folder}: {why}; it is not used. Remove it, or set XDG_RUNTIME_DIR to a folder of yours")
+
+
+def entries() -> tuple[Entry, ...]:
+    """The kernels that have an entry, by address; one may be gone (`discard`).
+
+    Raises:
+        ControlError: the folder is not safe.
+    """
+    folder = place()
+    try:
+        check(folder)
+        files = sorted(folder.glob("*.json"))
+    except FileNotFoundError:
+        return ()
+    found = [entry for file in files if (entry := _read(file)) is not None]
+    return tuple(sorted(found, key=lambda one: one.address))
+
+
+def discard(entry: Entry) -> None:
+    """Remove an entry that no process listens at."""
+    with contextlib.suppress(OSError), _locked(Path(entry.path).parent):
+        if _is_dead(entry.path):
+            _remove(entry.path)
+
+
+def _read(file: Path) -> Entry | None:
+    try:
+        with file.open("rb") as opened:
+            data = json.loads(opened.read(_LARGEST_FILE))
+        address, pid, epoch = str(data["address"]), int(data["pid"]), str(data["epoch"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return Entry(address, pid, epoch, str(file.with_suffix(".sock")))
+
+
+def _is_dead(path: str) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(path)
+        except OSError as error:
+            return error.errno in (errno.ECONNREFUSED, errno.ENOENT)
+    return False
+
+
+def _remove(path: str) -> None:
+    for one in (path, str(Path(path).with_suffix(".json"))):
+        with contextlib.suppress(OSError):
+            os.unlink(one)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold the folder: one process at a time adds or removes entries. OSError: another has held it for a second."""
+    import fcntl  # late: not every system has it
+
+    opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        for wait in (0.001, 0.01, 0.1, 0.5, 0.5, 0.0):
+            try:
+                fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if not wait:
+                    raise
+                time.sleep(wait)
+        yield
+    finally:
+        os.close(opened)
+
+
+class Claim:
+    """An entry of this process: a listening socket under an address, until it is withdrawn and closed.
+
+    Raises:
+        ControlError: the folder is not safe, the address is taken (says by whom), or its path is too long.
+        OSError: the socket cannot be made.
+    """
+
+    def __init__(self, address: str, epoch: str) -> None:
+        folder = made()
+        name = hashlib.sha256(address.encode()).hexdigest()[:16]
+        path = str(folder / f"{name}.sock")
+        if len(os.fsencode(path)) > LONGEST_PATH:
+            raise ControlError(f"{path}: longer than {LONGEST_PATH} bytes; set XDG_RUNTIME_DIR to a shorter path")
+        file = folder / f"{name}.json"
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            with _locked(folder):
+                if os.path.lexists(path) and not _is_dead(path):
+                    holder = _read(file)
+                    who = f"process {holder.pid}" if holder is not None else "another process"
+                    raise TakenError(f"{address}: is held by {who}; give another --name, or end that process")
+                _remove(path)
+                listener.bind(path)
+                listener.listen(128)
+                _write(file, {"address": address, "pid": os.getpid(), "started": _started(), "epoch": epoch})
+        except BaseException:
+            listener.close()
+            raise
+        self.entry = Entry(address, os.getpid(), epoch, path)
+        self.listener = listener
+        self._pid = os.getpid()
+
+    def withdraw(self) -> None:
+        """Remove the entry; a child that was forked leaves it alone."""
+        if os.getpid() == self._pid:
+            _remove(self.entry.path)
+
+
+class TakenError(ControlError):
+    """Another process has this address."""
+
+
+def _write(file: Path, data: dict[str, object]) -> None:
+    """Write the file as a whole: a reader sees all of it or nothing."""
+    part = file.with_suffix(".part")
+    part.write_text(json.dumps(data), encoding="utf-8")
+    os.replace(part, file)
+
+
+def _started() -> int:
+    """When this process began, in ticks since the machine started; 0 where the system does not say."""
+    try:
+        after_name = Path("/proc/self/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2]
+        return int(after_name.split()[19])
+    except (OSError, ValueError, IndexError):
+        return 0

@@ -1,0 +1,55 @@
+"""What an operation of a kernel is: one row of the table that every carrier goes by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, Final
+
+from aiorts.late import dataclass
+
+
+class Right(Enum):
+    """What a session may do; each includes those before it."""
+
+    VIEW = "view"
+    OPERATE = "operate"
+    CODE = "code"
+
+    def allows(self, right: Right) -> bool:
+        """Whether who has this may do what needs `right`."""
+        return _ORDER.index(right) <= _ORDER.index(self)
+
+
+_ORDER: Final = tuple(Right)
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One operation: what it takes and gives, and who may call it."""
+
+    name: str
+    text: str
+    """What it does, in one line."""
+    arguments: type[Any]
+    """A frozen dataclass of what is in `args`."""
+    result: Any
+    """The type of the result; of an operation that streams, of what it says when it begins."""
+    right: Right
+    run: Callable[..., Any]
+    """Carries it out on the kernel's loop: `run(session, arguments)`, and the stream as a third where it streams.
+    Returns the result, or an awaitable of it. What looks and changes nothing returns without waiting."""
+    idempotent: bool = False
+    """Whether calling it twice is as good as once."""
+    streams: bool = False
+    demands: Callable[[Any], Right] | None = None
+    """The right that these very arguments need, where it is more than `right`."""
+
+    def needed(self, arguments: Any) -> Right:
+        """The right that a call with these arguments needs."""
+        return self.right if self.demands is None else self.demands(arguments)
+
+
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """No arguments."""

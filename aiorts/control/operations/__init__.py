@@ -1,0 +1,16 @@
+"""The one table of operations: what a kernel can be asked for, by name, whatever carries the call.
+
+Each file has the rows of one subject. A row is added here and nowhere else; carriers go by the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from aiorts.control.operation import Operation
+from aiorts.control.operations import lifecycle, look
+
+OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in (*look.ROWS, *lifecycle.ROWS)})
+"""By name."""

@@ -1,0 +1,45 @@
+"""Operations that look: what there is, and how it is. None of them waits in simulated time, or changes anything."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable
+from types import MappingProxyType
+from typing import Final
+
+from aiorts.clock import SimulatedClock
+from aiorts.control.operation import Nothing, Operation, Right
+from aiorts.control.session import Session
+from aiorts.control.values import Names
+from aiorts.observe import SystemProfile, system_profile, system_profile_in_turns
+
+_HOLD_SECONDS: Final = 0.001
+
+
+def _names(session: Session, _: Nothing) -> Names:
+    kernel = session.kernel
+    components = {
+        name: MappingProxyType({context: state.value for context, state in component.states.items()})
+        for name, component in kernel.components.items()
+    }
+    wires = {name: (one.out.path, one.in_.path) for name, one in kernel.connectors.items()}
+    calls = {name: tuple(port.path for port in one.ports) for name, one in kernel.service_connectors.items()}
+    return Names(
+        address=kernel.address,
+        state=kernel.state,
+        components=MappingProxyType(components),
+        contexts=MappingProxyType({name: one.profile.members for name, one in kernel.contexts.items()}),
+        connectors=MappingProxyType({**wires, **calls}),
+        in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
+    )
+
+
+def _profile(session: Session, _: Nothing) -> SystemProfile | Awaitable[SystemProfile]:
+    if isinstance(session.kernel.clock, SimulatedClock):
+        return system_profile(session.kernel)  # a task would be one more that is ready at this instant
+    return system_profile_in_turns(session.kernel, _HOLD_SECONDS)
+
+
+ROWS: Final = (
+    Operation("names", "What is in the kernel, by name.", Nothing, Names, Right.VIEW, _names, idempotent=True),
+    Operation("profile", "The whole profile.", Nothing, SystemProfile, Right.VIEW, _profile, idempotent=True),
+)

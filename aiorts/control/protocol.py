@@ -1,0 +1,114 @@
+"""The frames between a client and a kernel: four bytes of length, then one msgpack map.
+
+A client begins with hello: `{"hello": {"oldest": 1, "newest": 1, "who": "aiorts ls"}}`; the kernel answers with the
+protocol that both speak, its address and its epoch. Then calls go `{"id": 1, "op": "profile", "epoch": "...", "args":
+{...}}`, answered by one `{"id": 1, "ok": value}` or `{"id": 1, "error": {"code": ..., "text": ...}}`. An operation that
+streams goes on after its "ok" with `{"id": 1, "item": value, "missed": 0}` until `{"id": 1, "end": value}`, or until
+the client sends `{"id": 1, "cancel": true}`. Keys that are not known are passed over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import ControlError, LimitError, WireError
+from aiorts.model.plain import plain
+from aiorts.wire.limits import MIB, Limits
+from aiorts.wire.scan import count_values
+
+OLDEST: Final = 1
+"""The oldest protocol that is spoken here."""
+NEWEST: Final = 1
+REQUESTS: Final = Limits(frame=4 * MIB, string=65_536, values=8_192, length=8_192)
+"""Of what clients send: the worst frame takes some milliseconds to decode."""
+ANSWERS: Final = 512 * MIB
+"""Bytes of the longest frame that a client takes from a kernel."""
+WAITING: Final = 256
+"""Calls of one client that may wait or run at a time, and items of a stream that wait to be sent."""
+_LENGTH: Final = 4
+
+
+def agreed(oldest: object, newest: object, who: str) -> int:
+    """The newest protocol that both ends speak.
+
+    Raises:
+        ControlError: there is none; says what each speaks.
+    """
+    if type(oldest) is not int or type(newest) is not int:
+        raise ControlError(f"{who}: hello without the protocols it speaks; it is no client of aiorts")
+    if oldest > NEWEST or newest < OLDEST:
+        theirs = f"{oldest}" if oldest == newest else f"{oldest} to {newest}"
+        ours = f"{OLDEST}" if OLDEST == NEWEST else f"{OLDEST} to {NEWEST}"
+        raise ControlError(f"{who} speaks protocol {theirs}, this speaks {ours}; use the same release of aiorts")
+    return min(newest, NEWEST)
+
+
+def framed(message: Mapping[str, Any]) -> bytes:
+    """A message as its frame; what msgpack does not know is made plain first."""
+    try:
+        body: bytes = msgpack.packb(message, default=_plain)
+    except (OverflowError, ValueError):  # an integer of more than 64 bits, or nested deeper than msgpack goes
+        body = msgpack.packb(_shortened(plain(message), 0))
+    return len(body).to_bytes(_LENGTH, "big") + body
+
+
+def frames(buffer: bytearray, longest: int) -> Iterator[bytes]:
+    """Take whole frames from the beginning of a buffer; what is left is the beginning of the next.
+
+    Raises:
+        LimitError: a frame says that it is longer than `longest`.
+    """
+    while len(buffer) >= _LENGTH:
+        length = int.from_bytes(buffer[:_LENGTH], "big")
+        if length > longest:
+            raise LimitError(f"a frame of {length} bytes; at most {longest} are allowed")
+        if len(buffer) < _LENGTH + length:
+            return
+        frame = bytes(memoryview(buffer)[_LENGTH : _LENGTH + length])
+        del buffer[: _LENGTH + length]
+        yield frame
+
+
+def request_in(frame: bytes) -> dict[Any, Any]:
+    """What a client says in a frame.
+
+    Raises:
+        WireError: it is no map, or not whole, or has more in it than `REQUESTS` allow.
+    """
+    count_values(frame, REQUESTS)
+    return _map(msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors="replace"))
+
+
+def answer_in(frame: bytes) -> dict[Any, Any]:
+    """What a kernel says in a frame; WireError when it is no map."""
+    try:
+        return _map(msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors="replace"))
+    except (ValueError, TypeError) as error:
+        raise WireError(f"a frame that is no msgpack: {error}") from None
+
+
+def _map(value: object) -> dict[Any, Any]:
+    if type(value) is not dict:
+        raise WireError(f"expected a map, got {type(value).__name__}")
+    return value
+
+
+def _plain(value: object) -> Any:
+    return bytes(value) if isinstance(value, memoryview | bytearray) else plain(value)
+
+
+_DEEPEST: Final = 100
+
+
+def _shortened(value: Any, depth: int) -> Any:
+    """The same with texts for what msgpack cannot say."""
+    if depth > _DEEPEST:
+        return str(value)[:200]
+    if isinstance(value, dict):
+        return {key: _shortened(one, depth + 1) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_shortened(one, depth + 1) for one in value]
+    return str(value) if type(value) is int and not -(2**63) <= value < 2**64 else value

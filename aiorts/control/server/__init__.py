@@ -1,0 +1,13 @@
+"""The kernel's end of control: a service that opens a local socket, and the thread that serves it."""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.control.server.service import Control, ControlSettings
+
+__all__ = ("Control", "ControlSettings")
+
+_late(globals(), {"aiorts.control.server.service": "Control ControlSettings"})

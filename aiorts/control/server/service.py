@@ -1,0 +1,125 @@
+"""The service that lets clients of the same user look into a kernel, and control it, over a local socket."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Literal
+
+from aiorts.control.folder import Claim, TakenError
+from aiorts.control.operation import Right
+from aiorts.control.server.listener import Listener
+from aiorts.control.session import LOG
+from aiorts.errors import ConfigurationError, ControlError
+from aiorts.kernel.service import KernelService, setting
+from aiorts.late import dataclass
+from aiorts.model.names import check_name
+
+if TYPE_CHECKING:
+    from aiorts.kernel.loop.deadlines import StopBudget
+    from aiorts.kernel.microkernel import Microkernel
+
+_RIGHTS: Final = {"on": Right.CODE, "view": Right.VIEW}
+_UNNAMED: Final = re.compile(r"[^A-Za-z0-9_-]+")
+_JOIN_SECONDS: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSettings:
+    """Whether clients of this user can reach the kernel, and under which name."""
+
+    mode: Literal["on", "view", "off"] = setting(
+        "on", "What other terminals of this user may do with the run: all (on), look (view), nothing (off).", option=""
+    )
+    name: str = setting("", "The name by which other terminals reach the run; PROGRAM-PID by default.", option="--name")
+    program: str = setting("", "What its name begins with where it has none.")
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("on", "view", "off"):
+            raise ConfigurationError(f'mode: expected "on", "view" or "off", got {self.mode!r:.80}')
+        if not isinstance(self.name, str) or not isinstance(self.program, str):
+            raise ConfigurationError(f"name: expected text, got {self.name!r:.80}")
+        if self.name:
+            try:
+                check_name(self.name, "kernel")
+            except ValueError as error:
+                raise ConfigurationError(f"name: {error}") from None
+
+
+class Control(KernelService):
+    """Opens the socket of a kernel and serves it: see `aiorts help look-into`."""
+
+    name = "control"
+    settings = ControlSettings
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self._claim: Claim | None = None
+        self._listener: Listener | None = None
+
+    def configure(self, settings: ControlSettings) -> None:
+        self._close()
+        if settings.mode == "off":
+            return
+        host = _fit(platform.node()) or "host"
+        name = settings.name or f"{_fit(settings.program or _program(self.kernel.name))}-{os.getpid()}"
+        address, epoch = f"{host}/{name}", int.from_bytes(os.urandom(8), "big")
+        try:
+            self._claim = _claim(address, f"{epoch:016x}", named=bool(settings.name))
+        except (ControlError, OSError) as error:
+            if isinstance(error, TakenError):
+                raise
+            LOG.warning("other terminals cannot look into this run: %s", error)
+            return
+        address = self._claim.entry.address
+        right = _RIGHTS[settings.mode]
+        hello = {
+            "address": address,
+            "epoch": self._claim.entry.epoch,
+            "kernel": self.kernel.name,
+            "pid": os.getpid(),
+            "right": right.value,
+        }
+        self.kernel.address, self.kernel.epoch = address, epoch
+        self._listener = Listener(self.kernel, self._claim, right, hello)
+
+    async def ending(self, budget: StopBudget) -> None:
+        if self._listener is not None:
+            self._listener.end_sessions()
+
+    def closed(self) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        if self._claim is not None:
+            self._claim.withdraw()
+        if self._listener is not None:
+            self._listener.close(_JOIN_SECONDS)
+        if self._claim is not None:
+            self._claim.listener.close()
+        self._claim = self._listener = None
+        self.kernel.address, self.kernel.epoch = "", 0
+
+
+def _claim(address: str, epoch: str, *, named: bool) -> Claim:
+    """The entry; a kernel without a name of its own takes the next that is free in its process."""
+    for number in range(2, 1000):
+        try:
+            return Claim(address if number == 2 else f"{address}-{number}", epoch)
+        except TakenError:
+            if named:
+                raise
+    raise ControlError(f"{address}: a thousand kernels of this process have it")
+
+
+def _program(kernel: str) -> str:
+    """What the process is called."""
+    return kernel if kernel != "kernel" else Path(sys.argv[0] if sys.argv else "").stem or "python"
+
+
+def _fit(text: str) -> str:
+    """The text as a name can have it."""
+    return _UNNAMED.sub("-", text).strip("-")[:40]

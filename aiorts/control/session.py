@@ -1,0 +1,223 @@
+"""One client's session as the kernel's loop sees it: the calls that run, and what is to end with the session."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from aiorts.control.operation import Right
+from aiorts.control.protocol import WAITING
+from aiorts.errors import AiortsError, BusyError, ControlError, format_error
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.model.plain import plain
+
+if TYPE_CHECKING:
+    from aiorts.control.operation import Operation
+    from aiorts.kernel.microkernel import Microkernel
+
+LOG = KernelLog("aiorts.control")
+
+
+class Session:
+    """What one client does in a kernel. Everything here is called on the kernel's loop.
+
+    Args:
+        kernel: the one it is with.
+        right: what it may do.
+        who: the client, for the log.
+        send: takes a message for the client, from any thread, with a function that is called once it is on its way.
+    """
+
+    def __init__(
+        self, kernel: Microkernel, right: Right, who: str, send: Callable[[Mapping[str, Any], Callable[[], None]], None]
+    ) -> None:
+        self.kernel = kernel
+        self.right = right
+        self.who = who
+        self.ended = False
+        self._send = send
+        self._running: dict[int, Callable[[], object]] = {}
+        """By the call's number: what cancels it."""
+        self._kept: dict[int, Callable[[], object]] = {}
+        self._keys = 0
+
+    def keep(self, end: Callable[[], object]) -> Callable[[], None]:
+        """Call `end` when the session ends, unless the function that is returned is called before."""
+        self._keys += 1
+        key = self._keys
+        self._kept[key] = end
+
+        def forget() -> None:
+            self._kept.pop(key, None)
+
+        return forget
+
+    def end(self) -> None:
+        """The client has gone, or the kernel ends: undo what lasts as long as the session. Idempotent."""
+        if self.ended:
+            return
+        self.ended = True
+        for cancel in (*reversed(self._running.values()), *reversed(self._kept.values())):
+            try:
+                cancel()
+            except Exception as error:
+                LOG.error("%s: could not end what it began: %s", self.who, format_error(error), exc_info=error)
+        self._running.clear()
+        self._kept.clear()
+
+    # -- calls -----------------------------------------------------------------------------------------------------
+
+    def begin(self, number: int, operation: Operation, arguments: Any) -> None:
+        """Carry out a call, and send its answer."""
+        if self.ended:
+            return
+        if number in self._running:
+            self._fail(number, operation, arguments, BusyError(f"a call with the number {number} runs already"))
+            return
+        stream = Stream(self, number) if operation.streams else None
+        try:
+            value = operation.run(self, arguments) if stream is None else operation.run(self, arguments, stream)
+            if not inspect.isawaitable(value):
+                self._succeed(number, operation, arguments, value, stream)
+                return
+        except Exception as error:  # noqa: BLE001 - the border round what a client asked for
+            self._fail(number, operation, arguments, error, stream)
+            return
+        task = kernel_task(
+            self.kernel.loop,
+            self._wait(number, operation, arguments, value, stream),
+            f"aiorts control {operation.name}",
+        )
+        self._running[number] = task.cancel
+
+    async def _wait(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
+        try:
+            result = await value
+        except asyncio.CancelledError:
+            self._running.pop(number, None)
+            if stream is not None:
+                stream.close()
+            self._audit(operation, arguments, "cancelled")
+            raise
+        except Exception as error:  # noqa: BLE001 - the border round what a client asked for
+            self._running.pop(number, None)
+            self._fail(number, operation, arguments, error, stream)
+        else:
+            self._running.pop(number, None)
+            self._succeed(number, operation, arguments, result, stream)
+
+    def cancel(self, number: int) -> None:
+        """The client wants no answer any more: end the call."""
+        if (cancel := self._running.pop(number, None)) is not None:
+            cancel()
+
+    def _succeed(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
+        self._audit(operation, arguments, "done")
+        self._send({"id": number, "ok": value}, _nothing)
+        if stream is not None:
+            stream.begun()
+            if not stream.ended:
+                self._running[number] = stream.close
+
+    def _fail(
+        self, number: int, operation: Operation, arguments: Any, error: Exception, stream: Stream | None = None
+    ) -> None:
+        if stream is not None:
+            stream.close()
+        code = error.code if isinstance(error, AiortsError) else ControlError.code
+        text = str(error) if isinstance(error, AiortsError) else f"{operation.name}: {format_error(error)}"
+        if not isinstance(error, AiortsError):
+            LOG.error("%s: %s failed: %s", self.who, operation.name, format_error(error), exc_info=error)
+        self._audit(operation, arguments, f"refused: {code}: {text}")
+        self._send({"id": number, "error": {"code": code, "text": text}}, _nothing)
+
+    def _audit(self, operation: Operation, arguments: Any, outcome: str) -> None:
+        """One line for each call that changes something: who, what, outcome."""
+        if operation.right is not Right.VIEW:
+            given = {name: value for name, value in plain(arguments).items() if value not in (None, [], {}, "")}
+            said = ", ".join(f"{name}={value!r:.100}" for name, value in given.items())
+            LOG.info("%s: %s(%s): %.300s", self.who, operation.name, said, outcome)
+
+    def finished(self, number: int) -> None:
+        """A stream has ended."""
+        self._running.pop(number, None)
+
+
+class Stream:
+    """What an operation sends bit by bit, to a client that may be slower than it.
+
+    Attributes:
+        ended: whether nothing is sent any more.
+    """
+
+    def __init__(self, session: Session, number: int) -> None:
+        self.session = session
+        self.ended = False
+        self._number = number
+        self._made = 0
+        self._gone = 0
+        """Of those made, how many are on their way: counted by the thread of the socket alone."""
+        self._missed = 0
+        self._early: list[Mapping[str, Any]] | None = []
+        """Messages that came before the operation has said that it began."""
+        self._closers: list[Callable[[], object]] = []
+
+    @property
+    def has_room(self) -> bool:
+        """Whether an item that is sent now is not dropped."""
+        return self._made - self._gone < WAITING
+
+    def on_close(self, closer: Callable[[], object]) -> None:
+        """Call `closer` once when the stream ends, whoever ends it."""
+        self._closers.append(closer)
+
+    def send(self, item: Any) -> bool:
+        """Send an item; False when it was dropped, since `WAITING` items wait: the next that goes says how many."""
+        if self.ended:
+            return False
+        if not self.has_room:
+            self._missed += 1
+            return False
+        missed, self._missed = self._missed, 0
+        self._made += 1
+        self._pass({"id": self._number, "item": item, "missed": missed})
+        return True
+
+    def begun(self) -> None:
+        """The operation has said that it began: what came before goes out."""
+        early, self._early = self._early or (), None
+        for message in early:
+            self._pass(message)
+
+    def finish(self, result: Any = None) -> None:
+        """Tell the client that there are no more items."""
+        if not self.ended:
+            missed, self._missed = self._missed, 0
+            self.close()
+            self._pass({"id": self._number, "end": result, "missed": missed})
+
+    def close(self) -> None:
+        """End it without a word; idempotent."""
+        if self.ended:
+            return
+        self.ended = True
+        self.session.finished(self._number)
+        for closer in reversed(self._closers):
+            closer()
+        self._closers.clear()
+
+    def _pass(self, message: Mapping[str, Any]) -> None:
+        if self._early is not None:
+            self._early.append(message)
+        else:
+            self.session._send(message, self._count if "item" in message else _nothing)
+
+    def _count(self) -> None:
+        self._gone += 1
+
+
+def _nothing() -> None:
+    """Of a message that nobody counts."""

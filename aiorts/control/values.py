@@ -1,0 +1,55 @@
+"""What several operations take and give, as frozen plain values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.late import dataclass
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """What is in a kernel, by name: little enough to be asked for by every command."""
+
+    address: str
+    state: str
+    """"open", "closing" or "closed"."""
+    components: Mapping[str, Mapping[str, str]] = field(default_factory=lambda: _NOTHING)
+    """Lifecycle state by context, of each component."""
+    contexts: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    """The members of each context, in order of execution."""
+    connectors: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: _NOTHING)
+    """The ports of each connector, those of service ports too."""
+    in_error: tuple[str, ...] = ()
+    """Components that have failed: in error, or finished with an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """It was done."""
+
+    text: str = ""
+    """What there is to say of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A component, in the context that is meant where it is in several."""
+
+    component: str
+    context: str | None = None
+    timeout: float | None = 5.0
+    """Seconds of the kernel's clock; None waits forever."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """How a run is to end."""
+
+    status: int = 0
+    """Its exit status."""
