@@ -11,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from trees import parse
+
 TESTS = Path(__file__).parent
 TARGET = TESTS / "ROWS.md"
 
@@ -153,9 +155,7 @@ def defined(folder: Path = TESTS) -> dict[str, list[ast.expr]]:
     return {
         name: marks
         for path in sorted(folder.rglob("test_*.py"))
-        for name, marks in _tests(
-            ast.parse(path.read_text(encoding="utf-8"), str(path)).body, [], f"{path.relative_to(folder).as_posix()}::"
-        )
+        for name, marks in _tests(parse(path).body, [], f"{path.relative_to(folder).as_posix()}::")
     }
 
 

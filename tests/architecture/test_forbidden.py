@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
-from functools import cache
 from typing import TYPE_CHECKING
 
+import pytest
 from test_layers import ROOT, sources
 
+from trees import dotted, many_objects, parse
+
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "jsonpickle", "joblib"}
@@ -125,17 +128,11 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@cache
-def trees() -> dict[str, ast.Module]:
+@pytest.fixture(scope="module")
+def trees() -> Iterator[dict[str, ast.Module]]:
     """Every file, by its name, parsed once for all rules."""
-    return {name_of(path): ast.parse(path.read_text(encoding="utf-8"), str(path)) for path in FILES}
-
-
-def dotted(node: ast.AST) -> str:
-    """`a.b.c` as text; nothing for what is no such name."""
-    if isinstance(node, ast.Attribute):
-        return f"{dotted(node.value)}.{node.attr}"
-    return node.id if isinstance(node, ast.Name) else ""
+    with many_objects():
+        yield {name_of(path): parse(path) for path in FILES}
 
 
 def forbidden(tree: ast.Module) -> list[str]:
@@ -158,29 +155,29 @@ def forbidden(tree: ast.Module) -> list[str]:
     return faults
 
 
-def test_no_file_runs_text_as_code_loads_pickles_or_starts_a_shell() -> None:
-    found = {name: [fault.partition(": ")[2] for fault in forbidden(tree)] for name, tree in trees().items()}
+def test_no_file_runs_text_as_code_loads_pickles_or_starts_a_shell(trees: dict[str, ast.Module]) -> None:
+    found = {name: [fault.partition(": ")[2] for fault in forbidden(tree)] for name, tree in trees.items()}
     assert {name: faults for name, faults in found.items() if faults} == ALLOWED
 
 
-def test_no_file_changes_the_class_of_a_live_object() -> None:
+def test_no_file_changes_the_class_of_a_live_object(trees: dict[str, ast.Module]) -> None:
     changed = [
         f"{name}:{node.lineno}"
-        for name, tree in trees().items()
+        for name, tree in trees.items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute) and node.attr == "__class__" and isinstance(node.ctx, ast.Store)
     ]
     assert changed == []
 
 
-def test_everything_is_caught_at_the_borders_in_the_list_and_nowhere_else() -> None:
-    found = {f"{name}:{function}": line for name, tree in trees().items() for function, line in broad_handlers(tree)}
+def test_everything_is_caught_at_the_borders_in_the_list_and_nowhere_else(trees: dict[str, ast.Module]) -> None:
+    found = {f"{name}:{function}": line for name, tree in trees.items() for function, line in broad_handlers(tree)}
     assert {border: line for border, line in found.items() if border not in BROAD_EXCEPT} == {}
     assert sorted(BROAD_EXCEPT - found.keys()) == [], "in the list, but no border any more"
 
 
-def test_no_file_needs_a_module_that_only_posix_has() -> None:
-    assert {name: modules for name, tree in trees().items() if (modules := unguarded_posix(tree))} == {}
+def test_no_file_needs_a_module_that_only_posix_has(trees: dict[str, ast.Module]) -> None:
+    assert {name: modules for name, tree in trees.items() if (modules := unguarded_posix(tree))} == {}
 
 
 def test_every_file_can_be_read_in_one_sitting() -> None:
@@ -188,9 +185,9 @@ def test_every_file_can_be_read_in_one_sitting() -> None:
     assert {name: count for name, count in lines.items() if count > TABLES.get(name, LONGEST)} == {}
 
 
-def test_every_file_begins_with_its_rule() -> None:
+def test_every_file_begins_with_its_rule(trees: dict[str, ast.Module]) -> None:
     """An empty `__init__` has nothing to say."""
-    assert [name for name, tree in trees().items() if tree.body and not ast.get_docstring(tree)] == []
+    assert [name for name, tree in trees.items() if tree.body and not ast.get_docstring(tree)] == []
 
 
 def test_the_kernels_own_log_is_the_guarded_one() -> None:

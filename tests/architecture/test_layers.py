@@ -16,6 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from trees import many_objects, parse
+
 ROOT = Path(__file__).parents[2]
 ORDER = """
 aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py
@@ -108,10 +110,11 @@ def room_of(path: Path, root: Path = ROOT) -> str:
     return str(inside if inside.parent == Path("aiorts") else inside.parent)
 
 
+@cache
 def imports(path: Path) -> list[Import]:
     """Every import of a file, wherever it stands, and every string that is nothing but the name of a module of ours."""
     found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    for node in ast.walk(parse(path)):
         if isinstance(node, ast.Import):
             found += [Import(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -163,7 +166,8 @@ class House:
 
 @cache
 def house() -> House:
-    return House()
+    with many_objects():
+        return House()
 
 
 def levels() -> dict[str, int]:

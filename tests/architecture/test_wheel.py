@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
 import venv
 import zipfile
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
 from test_layers import ROOT
+
+from aiorts.cli import main
 
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "aiorts", "plugins", "examples", "tests")
 
@@ -86,8 +90,18 @@ def test_wheel_holds_package_and_plugins_and_nothing_else(wheel: Path) -> None:
     assert [name for name in names if name.endswith("licenses/LICENSE")]
 
 
-@pytest.mark.row(2)
-@pytest.mark.row(3)
+@pytest.mark.row(2, 3)
+def test_what_is_installed_needs_a_python_of_today_and_five_packages() -> None:
+    """No broker, no compiler: what pip is asked for is all there is, and the command is there with it."""
+    installed = distribution("aiorts")
+    assert installed.metadata["Requires-Python"] == ">=3.11"
+    needed = {re.split(r"\W", one)[0] for one in installed.requires or () if "extra ==" not in one}
+    assert needed == {"anyio", "click", "msgpack", "numpy", "uvloop"}
+    (command,) = (one for one in installed.entry_points if one.group == "console_scripts")
+    assert (command.name, command.load()) == ("aiorts", main)
+
+
+@pytest.mark.row(2, 3)
 def test_installed_wheel_runs_elsewhere(elsewhere: Path, tmp_path: Path) -> None:
     code = "import aiorts, aiorts_flexi, aiorts_log; print(aiorts.__file__, aiorts_flexi.__file__, aiorts_log.__file__)"
     places = run(elsewhere / "python", "-I", "-c", code, cwd=tmp_path).split()

@@ -14,6 +14,7 @@ from aiorts.diagnostics.loop_monitor import EXIT_STATUS
 from aiorts.errors import ComponentError, ConfigurationError
 from aiorts_log.mcap.reader import RecordingReader
 from run_parts import here
+from trees import dotted, parse
 
 ROOT = Path(__file__).parents[2]
 COMPONENTS = [name.lower() for name in Catalogue.default().extensions("components")]
@@ -388,7 +389,7 @@ def test_no_command_returns_a_number_of_its_own() -> None:
     faults = []
     for folder in ("aiorts/cli", "aiorts/bench", "plugins/aiorts_log", "plugins/aiorts_flexi"):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in ast.walk(parse(path)):
                 if isinstance(node, ast.FunctionDef) and _is_command(node):
                     faults += [f"{path.name}:{one.lineno}" for one in ast.walk(node) if _returns_number(one)]
                 elif isinstance(node, ast.Call) and _ends(node):
@@ -405,7 +406,7 @@ def _returns_number(node: ast.AST) -> bool:
 
 
 def _ends(node: ast.Call) -> bool:
-    return ast.unparse(node.func) in ("sys.exit", "os._exit", "SystemExit")
+    return dotted(node.func) in ("sys.exit", "os._exit", "SystemExit")
 
 
 def _is_number(node: ast.expr) -> bool:

@@ -42,7 +42,6 @@ def in_use(*aiorts: str | Path, cwd: Path) -> None:
     shown = run(*aiorts, "flexidump", "-p", "BatteryState", "--field", "charge", stdin=states, cwd=cwd)
     assert "BatteryState 0.000000001: " in shown
     assert "1.0" in shown
-    recordings(*aiorts, cwd=cwd)
     assert run(*aiorts, "battery-life", "--capacity", "5", "--current", "2.5", cwd=cwd) == "2 h 00 min\n"
     listed = json.loads(run(*aiorts, "plugins", "--json", cwd=cwd))
     offered = {one["kind"]: one["name"] for one in listed["extensions"] if "aiorts_battery" in one["target"]}
@@ -115,6 +114,11 @@ def test_as_it_lies_there(tmp_path: Path) -> None:
     in_use(sys.executable, "-m", "aiorts", "--plugins", PLUGIN, cwd=tmp_path)
 
 
+@pytest.mark.row(64)
+def test_as_it_lies_there_its_type_is_known_in_recordings(tmp_path: Path) -> None:
+    recordings(sys.executable, "-m", "aiorts", "--plugins", PLUGIN, cwd=tmp_path)
+
+
 @pytest.mark.row(54)
 def test_its_codec_stands_between_two_filters(tmp_path: Path) -> None:
     aiorts = (sys.executable, "-m", "aiorts", "--plugins", PLUGIN)
@@ -147,6 +151,7 @@ def test_built_and_installed_in_a_new_environment(tmp_path: Path) -> None:
     added = [str(ROOT), str(ROOT / "plugins"), *sorted(here)]
     (site / "dependencies.pth").write_text(f"import sys; sys.path.extend({added!r})\n")
     in_use(python, "-m", "aiorts", cwd=tmp_path)
+    recordings(python, "-m", "aiorts", cwd=tmp_path)
     found = run(python, "-c", "import aiorts_battery; print(aiorts_battery.__file__)", cwd=tmp_path)
     assert str(site) in found
 

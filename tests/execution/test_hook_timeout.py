@@ -211,18 +211,19 @@ class Chatter(Component):
 
 @pytest.mark.anyio
 @pytest.mark.fault("A11")
-async def test_endless_writes_without_another_await_let_everybody_else_run(anyio_backend: Any) -> None:
+@pytest.mark.parametrize("turns", [5, 25])
+async def test_endless_writes_without_another_await_let_everybody_else_run(anyio_backend: Any, turns: int) -> None:
     async with Kernel() as kernel:
         chatter, healthy = await kernel.add(Chatter("chatter")), await kernel.add(PlainDiary("healthy"))
         context = await kernel.start(PeriodicContext(100.0), healthy, activate=True)
         await kernel.start(PeriodicContext(100.0), chatter)
         late = []
         asyncio.get_running_loop().create_task(kernel.contexts["periodic1"].activate())
-        for _ in range(25):
+        for _ in range(turns):
             before = time.monotonic()
             await asyncio.sleep(0.01)
             late.append(time.monotonic() - before - 0.01)
-        assert healthy.count("on_execute") >= 20
+        assert healthy.count("on_execute") >= 0.8 * turns
         assert sorted(late)[-2] <= 0.25
         began = time.monotonic()
         await context.stop()

@@ -38,8 +38,8 @@ async def connect_often(kernel: Kernel, times: int) -> None:
 
 
 @pytest.mark.fault("B16")
-@pytest.mark.parametrize("observed", [False, True])
-def test_a_thousand_connections_leave_no_memory_behind(observed: bool) -> None:
+@pytest.mark.parametrize(("observed", "connections"), [(True, 100), (False, 1000), (True, 1000)])
+def test_a_thousand_connections_leave_no_memory_behind(observed: bool, connections: int) -> None:
     async def main(clock: SimulatedClock) -> None:
         async with Kernel() as kernel:
             for name in ("one", "other"):
@@ -47,16 +47,16 @@ def test_a_thousand_connections_leave_no_memory_behind(observed: bool) -> None:
             if observed:
                 kernel.bus.subscribe(ConnectorEvent, lambda event: None)
                 kernel.changes(length=8)
-            await connect_often(kernel, 200)
+            await connect_often(kernel, connections // 5)
             gc.collect()
             tracemalloc.start()
             before = tracemalloc.get_traced_memory()[0]
-            await connect_often(kernel, 1000)
+            await connect_often(kernel, connections)
             kernel.listening.report()
             gc.collect()
             grown = tracemalloc.get_traced_memory()[0] - before
             tracemalloc.stop()
-            assert grown < 100_000
+            assert grown < max(20_000, 100 * connections)
             assert dict(kernel.connectors) == {}
             assert kernel.components["one"].ports["out"].connectors == ()
 

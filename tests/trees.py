@@ -1,0 +1,34 @@
+"""Files of Python as syntax trees, for tests that read them."""
+
+from __future__ import annotations
+
+import ast
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def many_objects() -> Iterator[None]:
+    """Look for no garbage while trees are made and gone through: there is none, and looking takes most of the time."""
+    looked = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if looked:
+            gc.enable()
+
+
+def parse(path: Path) -> ast.Module:
+    """The tree of a file."""
+    with many_objects():
+        return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def dotted(node: ast.AST) -> str:
+    """`a.b.c` as text; of what is no such name its last part, with a point before it."""
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
