@@ -31,6 +31,7 @@ import pytest
 from hypothesis import settings
 
 from aiorts.kernel.extensions.catalogue import Catalogue
+from campaign import CAMPAIGN
 from tiers import are_slow, far_from_quick
 
 if TYPE_CHECKING:
@@ -66,7 +67,21 @@ atexit.register(shutil.rmtree, RUNTIME, ignore_errors=True)
 
 settings.register_profile("aiorts", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)
+settings.register_profile("quick", deadline=None, print_blob=True, max_examples=30)
 settings.load_profile("ci" if os.environ.get("CI") else "aiorts")
+
+# An `aiorts run` in this process unfreezes what was frozen when all tests were collected: then every full collection
+# of all tests that follow goes through it.
+UNFROZEN = threading.Event()
+_unfreeze = gc.unfreeze
+
+
+def _unfrozen() -> None:
+    UNFROZEN.set()
+    _unfreeze()
+
+
+gc.unfreeze = _unfrozen
 
 
 def _check_installed() -> None:
@@ -81,6 +96,8 @@ def _check_installed() -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Name the test that ends the process of all tests: os._exit, a test's time limit too, leaves no summary."""
     _check_installed()
+    if config.getoption("--tier") == "quick" and not CAMPAIGN and not os.environ.get("CI"):
+        settings.load_profile("quick")  # other ones each time; CI tries all of them
     leave, process, capture = os._exit, os.getpid(), config.pluginmanager.getplugin("capturemanager")
 
     def told(status: int) -> Never:
@@ -267,6 +284,9 @@ def _no_thread_descriptor_or_complaint_left() -> Iterator[None]:
         gc.collect()
         left, opened = _new_threads(threads), _new_descriptors(descriptors)
     loop_log.removeHandler(complaints)
+    if UNFROZEN.is_set():
+        UNFROZEN.clear()
+        gc.freeze()
     faults = [f"thread {thread.name}" for thread in left]
     faults += [f"descriptor {name} ({target})" for name, target in opened.items()]
     faults += complaints.texts

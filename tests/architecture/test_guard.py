@@ -77,7 +77,7 @@ def test_guard_finds_each_kind_of_leak_and_no_other(asked_for: str, tmp_path: Pa
     tests, ours = tmp_path / "tests", Path(__file__).parents[1]
     tests.mkdir()
     shutil.copy(ours.parent / "pyproject.toml", tmp_path)
-    for name in ("conftest.py", "tiers.py", "SLOW.txt"):
+    for name in ("conftest.py", "campaign.py", "tiers.py", "SLOW.txt"):
         shutil.copy(ours / name, tests)
     (tests / "test_under_guard.py").write_text(TESTS_UNDER_GUARD)
     (tests / "pytest.ini").write_text("[pytest]\nfilterwarnings = error\naddopts = -p no:cacheprovider\n")
