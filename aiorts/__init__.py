@@ -45,7 +45,15 @@ if TYPE_CHECKING:
     from aiorts.model.connect_options import ConnectOptions
     from aiorts.model.lifecycle import LifecycleState
     from aiorts.model.naming import NamePolicy
-    from aiorts.observe import Declaration, SystemProfile, declaration_of, profile_schema
+    from aiorts.model.reading import PlainLimits
+    from aiorts.observe import (
+        Declaration,
+        SystemProfile,
+        declaration_of,
+        profile_from_plain,
+        profile_schema,
+        profile_to_plain,
+    )
     from aiorts.realtime import RealtimeContext
     from aiorts.reload import Dropped, Reloaded
     from aiorts.running import run
@@ -88,6 +96,7 @@ __all__ = (
     "Param",
     "Participant",
     "PeriodicContext",
+    "PlainLimits",
     "Provided",
     "RealtimeContext",
     "Reloaded",
@@ -109,7 +118,9 @@ __all__ = (
     "component",
     "declaration_of",
     "import_types",
+    "profile_from_plain",
     "profile_schema",
+    "profile_to_plain",
     "run",
     "setting",
     "wait_any",
@@ -130,7 +141,9 @@ _late(
         "aiorts.composites": "Composite",
         "aiorts.diagnostics": "LoopStalls",
         "aiorts.functions": "component",
-        "aiorts.observe": "Declaration SystemProfile declaration_of profile_schema",
+        "aiorts.observe": (
+            "Declaration SystemProfile declaration_of profile_from_plain profile_schema profile_to_plain"
+        ),
         "aiorts.realtime": "RealtimeContext",
         "aiorts.reload": "Dropped Reloaded",
         "aiorts.services": "Goal Provided Required ServiceConnector ServicePort",
@@ -142,6 +155,7 @@ _late(
         "aiorts.model.connect_options": "ConnectOptions",
         "aiorts.model.lifecycle": "LifecycleState",
         "aiorts.model.naming": "NamePolicy",
+        "aiorts.model.reading": "PlainLimits",
         "aiorts.running": "run",
         "anyio": "WouldBlock",
     },

@@ -49,7 +49,15 @@ if TYPE_CHECKING:
         ThreadsExhausted,
     )
     from aiorts.kernel.quality import WriterBack, WriterSilent
-    from aiorts.observe import Change, ComponentBeat, ConnectorEvent, ConnectorEventKind, ContextBeat, ProfileSnapshot
+    from aiorts.observe import (
+        Change,
+        ComponentBeat,
+        ConnectorEvent,
+        ConnectorEventKind,
+        ContextBeat,
+        PastEvent,
+        ProfileSnapshot,
+    )
     from aiorts.reload import ComponentReloaded
     from aiorts.services import GoalAccepted, GoalEnded
     from aiorts.statemachines import MachineAfter, MachineBefore, MachineChanged, MachineEnded, ModeChanged
@@ -76,6 +84,7 @@ __all__ = (
     "ConversionFailed",
     "Disconnected",
     "Event",
+    "PastEvent",
     "ProfileSnapshot",
     "ConnectorEventKind",
     "RestartLimitReached",
@@ -119,7 +128,9 @@ _late(
         "aiorts.kernel.quality": "WriterBack WriterSilent",
         "aiorts.composites": "CompositeChanged",
         "aiorts.diagnostics": "LoopStall",
-        "aiorts.observe": "Change ComponentBeat ConnectorEvent ConnectorEventKind ContextBeat ProfileSnapshot",
+        "aiorts.observe": (
+            "Change ComponentBeat ConnectorEvent ConnectorEventKind ContextBeat PastEvent ProfileSnapshot"
+        ),
         "aiorts.reload": "ComponentReloaded",
         "aiorts.services": "GoalAccepted GoalEnded",
         "aiorts.statemachines": "MachineAfter MachineBefore MachineChanged MachineEnded ModeChanged",

@@ -12,6 +12,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
+from aiorts import SystemProfile
+
 NUMBERS = st.floats(allow_nan=False)
 LEAVES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
 JSON = st.recursive(
@@ -60,6 +62,8 @@ def values(hint: Any) -> st.SearchStrategy[Any]:
         return st.tuples(*map(values, arguments))
     if origin is Mapping:
         return st.dictionaries(values(arguments[0]), values(arguments[1]), max_size=2).map(MappingProxyType)
+    if origin is dict:
+        return st.dictionaries(values(arguments[0]), values(arguments[1]), max_size=2)
     if isinstance(hint, type) and issubclass(hint, Enum):
         return st.sampled_from(hint)
     assert is_dataclass(hint), hint
@@ -68,7 +72,7 @@ def values(hint: Any) -> st.SearchStrategy[Any]:
 
 def of_class(kind: Any) -> st.SearchStrategy[Any]:
     """All values of a dataclass, with and without its defaults."""
-    hints = typing.get_type_hints(kind)
+    hints = typing.get_type_hints(kind) | ({"schema": typing.Literal[1]} if kind is SystemProfile else {})
     required = {one.name: values(hints[one.name]) for one in fields(kind) if one.default is one.default_factory}
     others = {one.name: values(hints[one.name]) for one in fields(kind) if one.name not in required}
     return st.fixed_dictionaries(required, optional=others).map(lambda given: kind(**given))

@@ -42,7 +42,7 @@ _WORDS: Final[Mapping[type, str]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class PlainLimits:
-    """How much `from_plain` takes: nested levels, values (each item of an object or list is one), length of a text."""
+    """How much is read: levels of nesting, values (each item of an object or list is one), the length of a text."""
 
     depth: int = 32
     values: int = 4_000_000
@@ -104,7 +104,7 @@ def from_plain(
     """The value of a frozen dataclass, or of another annotation of a field, of which `data` is the `plain` form.
 
     A key that no field has is put into `unknown`, by its path, and otherwise left out; a field that is missing has its
-    default. Objects become read-only mappings, lists tuples.
+    default. Objects become read-only mappings (a dict where the annotation says so), lists tuples.
 
     Raises:
         RecordError: a value is missing or wrong; names its path, what was expected and what came.
@@ -133,8 +133,9 @@ def _made(hint: Any, made: dict[Any, _Reader]) -> _Reader:
         return _many(_made(arguments[0], made))
     if origin is tuple:
         return _fixed([_made(one, made) for one in arguments])
-    if origin is Mapping and arguments[0] in _KEYS:
-        return _mapping(_KEYS[arguments[0]], _made(arguments[1], made))
+    if origin in (Mapping, dict) and arguments[0] in _KEYS:
+        frozen = MappingProxyType if origin is Mapping else dict
+        return _mapping(_KEYS[arguments[0]], _made(arguments[1], made), frozen)
     if isinstance(hint, type) and issubclass(hint, Enum):
         return _one_of([one.value for one in hint], list(hint))
     if isinstance(hint, type) and is_dataclass(hint):
@@ -251,17 +252,17 @@ def _fixed(items: list[_Reader]) -> _Reader:
     return read
 
 
-def _mapping(name: Callable[[Any, _Place, _Reading], Any], item: _Reader) -> _Reader:
+def _mapping(
+    name: Callable[[Any, _Place, _Reading], Any], item: _Reader, frozen: Callable[[dict[Any, Any]], Mapping[Any, Any]]
+) -> _Reader:
     def read(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
         if value.__class__ is not dict:
             raise _wrong(at, key, "an object", value)
-        if not value:
-            return _EMPTY
         here = _Place(at, key, reading, len(value))
         read = {name(one, here, reading): item(inner, here, one, reading) for one, inner in value.items()}
         if len(read) != len(value):
             raise RecordError(f"{_path(at, key)}: two keys mean the same")
-        return MappingProxyType(read)
+        return frozen(read)
 
     return read
 
@@ -280,7 +281,6 @@ def _int_key(key: Any, at: _Place, reading: _Reading) -> Any:
     raise RecordTypeError(f"{_path(at, key)}: expected a whole number as the key, got {_got(key)}")
 
 
-_EMPTY: Final[Mapping[Any, Any]] = MappingProxyType({})
 _KEYS: Final[Mapping[Any, Callable[[Any, _Place, _Reading], Any]]] = {str: _text_key, int: _int_key}
 
 
@@ -407,4 +407,4 @@ def _name(hint: Any) -> str:
     """How messages call an annotation."""
     if isinstance(hint, type) and typing.get_origin(hint) is None:
         return _WORDS.get(hint) or hint.__name__
-    return {tuple: "a list", Mapping: "an object"}.get(typing.get_origin(hint)) or str(hint)
+    return {tuple: "a list", Mapping: "an object", dict: "an object"}.get(typing.get_origin(hint)) or str(hint)

@@ -9,7 +9,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.observe.change_values import Change, ProfileSnapshot
+    from aiorts.observe.change_values import Change, PastEvent, ProfileSnapshot
     from aiorts.observe.changes import Changes, system_profile_in_turns
     from aiorts.observe.declaration import Declaration, declaration_of
     from aiorts.observe.heartbeats import ComponentBeat, ContextBeat
@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from aiorts.observe.monitor import Monitor
     from aiorts.observe.profiles import CompositeReport, MachineReport, ModeReport, SystemProfile
     from aiorts.observe.profiling import system_profile
+    from aiorts.observe.reading import profile_from_plain, profile_to_plain
     from aiorts.observe.schema import profile_schema
 
 _late(
     globals(),
     {
-        "aiorts.observe.change_values": "Change ProfileSnapshot",
+        "aiorts.observe.change_values": "Change PastEvent ProfileSnapshot",
         "aiorts.observe.changes": "Changes system_profile_in_turns",
         "aiorts.observe.declaration": "Declaration declaration_of",
         "aiorts.observe.heartbeats": "ComponentBeat ContextBeat",
@@ -34,6 +35,7 @@ _late(
         "aiorts.observe.monitor": "Monitor",
         "aiorts.observe.profiles": "CompositeReport MachineReport ModeReport SystemProfile",
         "aiorts.observe.profiling": "system_profile",
+        "aiorts.observe.reading": "profile_from_plain profile_to_plain",
         "aiorts.observe.schema": "profile_schema",
     },
 )

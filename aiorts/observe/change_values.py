@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final, Literal
 
 from aiorts.late import dataclass
 from aiorts.model.plain import plain
@@ -16,16 +17,37 @@ from aiorts.observe.profiles import (
     SystemProfile,
 )
 
+SECTIONS: Final[Mapping[str, type]] = {
+    "components": ComponentReport,
+    "connectors": ConnectorReport,
+    "service_connectors": ServiceConnectorReport,
+    "contexts": ContextReport,
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Part:
     """One named thing of a profile: as it is now, or gone."""
 
-    section: str
-    """"components", "connectors", "service_connectors" or "contexts"."""
+    section: Literal["components", "connectors", "service_connectors", "contexts"]
     name: str
     now: ComponentReport | ConnectorReport | ServiceConnectorReport | ContextReport | None
     """None when it is gone."""
+
+    def __post_init__(self) -> None:
+        if self.now is not None and not isinstance(self.now, SECTIONS[self.section]):
+            raise TypeError(
+                f"{self.section}: expected {SECTIONS[self.section].__name__}, got {type(self.now).__name__}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class PastEvent:
+    """The event of a change that was read back: its kind and its fields as JSON has them."""
+
+    kind: str
+    """The name of the event's class."""
+    fields: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +56,7 @@ class Change:
 
     sequence: int
     event: Any
-    """The event of the bus."""
+    """The event of the bus; an `PastEvent` in a change that was read back."""
     parts: tuple[Part, ...]
 
     def apply(self, profile: SystemProfile) -> SystemProfile:
@@ -51,10 +73,13 @@ class Change:
 
     def to_plain(self) -> dict[str, Any]:
         """As JSON has it: the kind of event, its fields, and the parts."""
-        event = plain(self.event)
-        fields = {name: value for name, value in event.items() if name != "sequence"}
+        event = self.event
+        kind, told = type(event).__name__, event
+        if isinstance(event, PastEvent):
+            kind, told = event.kind, event.fields
+        fields = {name: value for name, value in plain(told).items() if name != "sequence"}
         parts = [plain(part) for part in self.parts]
-        return {"sequence": self.sequence, "kind": type(self.event).__name__, "event": fields, "parts": parts}
+        return {"sequence": self.sequence, "kind": kind, "event": fields, "parts": parts}
 
 
 @dataclass(frozen=True, slots=True)
