@@ -36,6 +36,8 @@ _COMMANDS: Final = {
     "activate": ("aiorts.cli.commands.live.lifecycle:activate", "Activate components that run."),
     "deactivate": ("aiorts.cli.commands.live.lifecycle:deactivate", "Deactivate components that run."),
     "reset": ("aiorts.cli.commands.live.lifecycle:reset", "Take components out of error."),
+    "vlog": ("aiorts.cli.commands.live.vlog:vlog", "Show the log of components that run, and set its level."),
+    "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),
     "stop": ("aiorts.cli.commands.live.lifecycle:stop", "End a run in order."),
     "doctor": ("aiorts.cli.commands.doctor:doctor", "Look at this machine, and say what to do."),
     "completion": ("aiorts.cli.console.completion:completion", "Print the script that completes words in your shell."),

@@ -15,7 +15,7 @@ from click.shell_completion import CompletionItem
 _SECTIONS: Final = (
     ("Begin", ("demo", "doctor", "help")),
     ("Systems", ("run", "check", "graph", "schema")),
-    ("What runs", ("ls", "activate", "deactivate", "reset", "stop")),
+    ("What runs", ("ls", "activate", "deactivate", "reset", "vlog", "watch", "stop")),
     ("What there is", ("inspect", "types", "plugins")),
     ("Shell", ("completion",)),
 )

@@ -259,6 +259,17 @@ class Stream:
         while (item := self.next()) is not END:
             yield item
 
+    def until(self, end: float | None) -> Iterator[Any]:
+        """The items that come before `end`, a time of `time.monotonic()`; None is without an end."""
+        while end is None or time.monotonic() < end:
+            try:
+                item = self.next(None if end is None else end - time.monotonic())
+            except NoAnswerError:
+                return
+            if item is END:
+                return
+            yield item
+
     def next(self, timeout: float | None = None) -> Any:
         """The next item; END when there are no more.
 

@@ -41,6 +41,7 @@ class Session:
         self._send = send
         self._running: dict[int, Callable[[], object]] = {}
         """By the call's number: what cancels it."""
+        self._streams: dict[int, Stream] = {}
         self._kept: dict[int, Callable[[], object]] = {}
         self._keys = 0
 
@@ -54,6 +55,12 @@ class Session:
             self._kept.pop(key, None)
 
         return forget
+
+    def finish(self) -> None:
+        """The kernel ends: tell the client that its streams have ended, and end."""
+        for stream in tuple(self._streams.values()):
+            stream.finish()
+        self.end()
 
     def end(self) -> None:
         """The client has gone, or the kernel ends: undo what lasts as long as the session. Idempotent."""
@@ -121,6 +128,7 @@ class Session:
             stream.begun()
             if not stream.ended:
                 self._running[number] = stream.close
+                self._streams[number] = stream
 
     def _fail(
         self, number: int, operation: Operation, arguments: Any, error: Exception, stream: Stream | None = None
@@ -144,6 +152,7 @@ class Session:
     def finished(self, number: int) -> None:
         """A stream has ended."""
         self._running.pop(number, None)
+        self._streams.pop(number, None)
 
 
 class Stream:

@@ -27,11 +27,25 @@ def say(text: str) -> None:
     stream.write(f"{shown}\n".encode(encoding, "backslashreplace").decode(encoding))
 
 
+def say_now(text: str) -> None:
+    """Print lines, and have whoever reads them get them at once."""
+    say(text)
+    if sys.stdout is not None:
+        sys.stdout.flush()
+
+
 def say_json(value: Any) -> None:
     """Print one JSON document: strict, and in ASCII, so that it survives any encoding."""
     from json import dumps
 
     say(dumps(plain(value), indent=1, allow_nan=False))
+
+
+def say_line(value: Any) -> None:
+    """Print one JSON document of many, in one line and at once."""
+    from json import dumps
+
+    say_now(dumps(plain(value), allow_nan=False))
 
 
 def plain(value: Any) -> Any:

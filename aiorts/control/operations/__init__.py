@@ -10,7 +10,18 @@ from types import MappingProxyType
 from typing import Final
 
 from aiorts.control.operation import Operation
-from aiorts.control.operations import lifecycle, look
+from aiorts.control.operations import (
+    events,
+    lifecycle,
+    logs,
+    look,
+)
 
-OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in (*look.ROWS, *lifecycle.ROWS)})
+_ROWS: Final = (
+    *events.ROWS,
+    *lifecycle.ROWS,
+    *logs.ROWS,
+    *look.ROWS,
+)
+OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})
 """By name."""

@@ -80,7 +80,7 @@ class Listener:
         """Undo what lasts as long as sessions do. On the loop."""
         for connection in tuple(self._connections):
             if connection.session is not None:
-                connection.session.end()
+                connection.session.finish()
 
     def close(self, timeout: float) -> None:
         """Send what waits, end all sessions and the thread, within `timeout` seconds. On the loop."""

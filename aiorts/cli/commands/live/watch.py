@@ -1,0 +1,59 @@
+"""`aiorts watch`: what happens in a kernel, event by event."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.console.output import say_line, say_now
+
+_LONGEST = 80
+
+
+@click.command(short_help="Print what happens in a kernel: states, connections, errors.")
+@click.argument("kernel", default="", shell_complete=complete)
+@click.option("--kind", "kinds", multiple=True, metavar="NAME", help="Only events of this kind; repeatable.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N events.")
+@click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds.")
+@click.option("--json", "as_json", is_flag=True, help="A JSON object in a line for each event.")
+def watch(kernel: str, kinds: tuple[str, ...], count: int | None, duration: float | None, as_json: bool) -> int:
+    """Print each event of the kernel's bus as it happens: `aiorts help events` has the kinds.
+
+    Without a name it is the only kernel that runs. Where this end is too slow, a line says how many events are missing.
+    It ends with the kernel.
+    """
+    import time
+
+    until = None if duration is None else time.monotonic() + duration
+    with kernels() as found:
+        stream = found.kernel(kernel.rstrip("/")).client.stream("events", kinds=kinds)
+        for number, item in enumerate(stream.until(until), 1):
+            if stream.missed:
+                say_now(f'{{"missed": {stream.missed}}}' if as_json else f"... {stream.missed} events are missing here")
+                stream.missed = 0
+            if as_json:
+                say_line(item)
+            else:
+                say_now(_text(item))
+            if number == count:
+                break
+    return exits.DONE
+
+
+def _text(item: Mapping[str, Any]) -> str:
+    at = datetime.fromtimestamp(item["time_ns"] / 1e9, UTC).astimezone()
+    fields = ", ".join(f"{name}={_value(value)}" for name, value in item["event"].items() if value not in ("", None))
+    return f"{at:%H:%M:%S}.{at.microsecond // 1000:03d} {item['kind']} {fields}"
+
+
+def _value(value: Any) -> str:
+    """A field in few words: of a part of the profile its name."""
+    if isinstance(value, Mapping) and "name" in value:
+        return str(value["name"])
+    text = str(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -1,0 +1,168 @@
+"""Operations on the log: the last lines, the lines from now on, and from which level on a component is heard."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Final
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.session import Session, Stream
+from aiorts.control.values import Done
+from aiorts.errors import ConfigurationError, WiringError
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.log import LOGGER_NAME
+from aiorts.late import dataclass
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.loop.log import ComponentLog
+
+LEVELS: Final = ("debug", "info", "warning", "error", "critical")
+_LONGEST: Final = 500
+_ROOT: Final = LOGGER_NAME.partition(".")[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Which lines are meant."""
+
+    components: tuple[str, ...] = ()
+    """None is all, and the kernel's own lines."""
+    level: str = "debug"
+    """The lowest."""
+    follow: bool = False
+    """Go on with the lines that come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line."""
+
+    time_ns: int
+    """The kernel's clock, since the epoch."""
+    level: str
+    component: str
+    """"" for the kernel's own."""
+    hook: str
+    text: str
+    """At most 500 characters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """From which level on components are heard."""
+
+    level: str
+    components: tuple[str, ...] = ()
+    """None is all."""
+    lasting: bool = True
+    """Whether it stays when the session ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """A component's log."""
+
+    level: str
+    """The lowest that goes anywhere."""
+    lines: int
+    """Lines that can still be read."""
+
+
+def _lines(session: Session, given: Lines, stream: Stream) -> Done:
+    """Send the last lines of the components, and where it is asked for those that come."""
+    kernel, least = session.kernel, _number(given.level)
+    chosen = _components(session, given.components)
+    behind = kernel.clock.time_ns() - kernel.clock.monotonic_ns()
+    found = [
+        (line.monotonic_ns, Line(line.monotonic_ns + behind, line.level.lower(), one.name, line.hook, line.text))
+        for one in chosen
+        if (log := cell(one).log) is not None
+        for line in log.last_lines
+        if _number(line.level.lower()) >= least
+    ]
+    for _, line in sorted(found, key=lambda pair: pair[0]):
+        stream.send(line)
+    if not given.follow:
+        stream.finish()
+        return Done()
+    names = frozenset(one.name for one in chosen) if given.components else None
+    handler = _Follower(session, stream, names, least)
+    logger = logging.getLogger(_ROOT)
+    logger.addHandler(handler)
+    stream.on_close(lambda: logger.removeHandler(handler))
+    return Done()
+
+
+def _level(session: Session, given: Level) -> Done:
+    """Set the level of components; each has a logger of its own from then on."""
+    number = _number(given.level)
+    for one in _components(session, given.components):
+        log = one.log
+        before = log.logger
+        log.logger = logging.getLogger(f"{LOGGER_NAME}.{session.kernel.name}.{one.name}")
+        level = log.logger.level
+        log.logger.setLevel(number)
+        if not given.lasting:
+            session.keep(lambda log=log, before=before, level=level: _put_back(log, before, level))  # type: ignore[misc]
+    return Done()
+
+
+def _put_back(log: ComponentLog, before: logging.Logger, level: int) -> None:
+    log.logger.setLevel(level)
+    log.logger = before
+
+
+def _levels(session: Session, given: Lines) -> dict[str, Logged]:
+    found = {}
+    for one in _components(session, given.components):
+        log = cell(one).log  # there once it has logged
+        logger = logging.getLogger(LOGGER_NAME) if log is None else log.logger
+        found[one.name] = Logged(_name(logger.getEffectiveLevel()), 0 if log is None else len(log.last_lines))
+    return found
+
+
+def _components(session: Session, names: tuple[str, ...]) -> list[Component]:
+    known = session.kernel.components
+    for name in names:
+        if name not in known:
+            raise WiringError(f"{name}: no such component; there are {', '.join(tuple(known)[:20]) or 'none'}")
+    return [known[name] for name in names] if names else list(known.values())
+
+
+def _number(level: str) -> int:
+    if level not in LEVELS:
+        raise ConfigurationError(f"level {level!r:.60}: expected {', '.join(LEVELS)}")
+    return int(getattr(logging, level.upper()))
+
+
+def _name(number: int) -> str:
+    return next((name for name in reversed(LEVELS) if _number(name) <= number), LEVELS[0])
+
+
+class _Follower(logging.Handler):
+    """Sends the lines of one kernel to a client; a line that cannot be sent is counted, and harms nobody."""
+
+    def __init__(self, session: Session, stream: Stream, names: frozenset[str] | None, level: int) -> None:
+        super().__init__(level)
+        self._kernel = session.kernel
+        self._stream = stream
+        self._names = names
+
+    def emit(self, record: logging.LogRecord) -> None:
+        component = getattr(record, "component", "")
+        if getattr(record, "kernel", self._kernel.name) != self._kernel.name:
+            return
+        if self._names is not None and component not in self._names:
+            return
+        text = record.getMessage()[:_LONGEST]
+        level = _name(record.levelno)
+        line = Line(self._kernel.clock.time_ns(), level, component, getattr(record, "hook", ""), text)
+        self._kernel.call_on_loop(lambda: self._stream.send(line))
+
+
+ROWS: Final = (
+    Operation("log", "Stream the lines of the log.", Lines, Done, Right.VIEW, _lines, streams=True),
+    Operation("log_level", "Set the level of components' logs.", Level, Done, Right.OPERATE, _level, idempotent=True),
+    Operation("log_levels", "The level of each log.", Lines, dict[str, Logged], Right.VIEW, _levels, idempotent=True),
+)

@@ -1,0 +1,132 @@
+"""Events, changes and log lines stream to a client, in order; what is dropped is counted."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import pytest
+
+from aiorts import Kernel
+from aiorts.control import Client
+from aiorts.errors import ConfigurationError, WiringError
+from control_parts import WAIT, Counter, controlled, entry_of, with_client
+
+pytestmark = pytest.mark.anyio
+
+
+async def opened(name: str) -> Client:
+    return await asyncio.to_thread(lambda: Client.open(entry_of(name), timeout=WAIT))
+
+
+async def test_events_come_in_order_without_a_gap() -> None:
+    async with controlled("events") as kernel:
+        with await opened("events") as client:
+            stream = await asyncio.to_thread(client.stream, "events")
+            counter = kernel.components["counter0"]
+            for _ in range(5):
+                await kernel.deactivate(counter)
+                await kernel.activate(counter)
+            found = [await asyncio.to_thread(stream.next, WAIT) for _ in range(10)]
+    assert [one["sequence"] for one in found] == list(range(stream.began + 1, stream.began + 11))
+    assert found[0]["event"]["component"] == "counter0"
+    assert stream.missed == 0
+
+
+async def test_only_the_kinds_that_are_asked_for() -> None:
+    async with controlled("kinds") as kernel:
+        with await opened("kinds") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("events", kinds=["ComponentAdded"]))
+            await kernel.deactivate("counter0")
+            await kernel.create(Counter, "other")
+            assert (await asyncio.to_thread(stream.next, WAIT))["event"]["component"] == "other"
+
+
+async def test_a_reader_that_is_too_slow_is_told_how_much_is_missing() -> None:
+    """The client reads nothing until far more has happened than the socket and the queue hold."""
+    async with controlled("slow") as kernel:
+        with await opened("slow") as client:
+            stream = await asyncio.to_thread(client.stream, "events")
+            before = kernel.bus.sequence
+            for _ in range(3000):
+                await kernel.deactivate("counter0")
+                await kernel.activate("counter0")
+            happened = kernel.bus.sequence - before
+            numbers = []
+            while not numbers or numbers[-1] < before + happened:
+                item = await asyncio.to_thread(stream.next, WAIT)
+                numbers.append(item["sequence"])
+                if numbers[-1] < before + happened and len(numbers) + stream.missed == happened - 1:
+                    break
+                await kernel.create(Counter) if stream.missed == 0 and len(numbers) > 256 else None
+    assert len(numbers) + stream.missed >= happened
+
+
+async def test_changes_begin_with_the_profile_and_follow_in_order() -> None:
+    async with controlled("changes") as kernel:
+        with await opened("changes") as client:
+            stream = await asyncio.to_thread(client.stream, "changes")
+            assert set(stream.began["profile"]["components"]) == {"counter0", "reader0"}
+            await kernel.deactivate("counter0")
+            change = await asyncio.to_thread(stream.next, WAIT)
+    assert change["sequence"] > stream.began["sequence"]
+    parts = {part["name"]: part for part in change["parts"]}
+    assert parts["counter0"]["now"]["states"] == {"loop": "inactive"}
+
+
+async def test_the_last_lines_and_those_that_come() -> None:
+    async with controlled("lines") as kernel:
+        kernel.components["counter0"].log.warning("one %d", 1)
+        with await opened("lines") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("log", components=["counter0"], follow=True))
+            kernel.components["counter0"].log.error("two")
+            kernel.components["reader0"].log.error("of another")
+            kernel.components["counter0"].log.error("three")
+            found = [await asyncio.to_thread(stream.next, WAIT) for _ in range(3)]
+    assert [(one["level"], one["component"], one["text"]) for one in found] == [
+        ("warning", "counter0", "one 1"),
+        ("error", "counter0", "two"),
+        ("error", "counter0", "three"),
+    ]
+
+
+async def test_nothing_is_left_of_a_reader_of_the_log() -> None:
+    before = list(logging.getLogger("aiorts").handlers)
+    async with controlled("left") as kernel:
+        with await opened("left") as client:
+            await asyncio.to_thread(lambda: client.stream("log", follow=True))
+            assert logging.getLogger("aiorts").handlers != before
+        async with asyncio.timeout(WAIT):
+            while logging.getLogger("aiorts").handlers != before:
+                await kernel.sleep(0.01)
+
+
+async def test_a_level_is_set_for_one_component_and_put_back_with_the_session() -> None:
+    async with controlled("levels") as kernel:
+        counter, reader = kernel.components["counter0"].log, kernel.components["reader0"].log
+        with await opened("levels") as client:
+            await asyncio.to_thread(
+                lambda: client.call("log_level", level="debug", components=["counter0"], lasting=False)
+            )
+            assert (counter.isEnabledFor(logging.DEBUG), reader.isEnabledFor(logging.DEBUG)) == (True, False)
+            found = await asyncio.to_thread(client.call, "log_levels")
+            assert found["counter0"]["level"] == "debug"
+        async with asyncio.timeout(WAIT):
+            while counter.isEnabledFor(logging.DEBUG):
+                await kernel.sleep(0.01)
+
+
+async def test_wrong_names_and_levels_are_refused() -> None:
+    async with controlled("wrong"):
+        with pytest.raises(WiringError, match="no such component; there are counter0"):
+            await with_client("wrong", lambda client: client.call("log_levels", components=["cuonter0"]))
+        with pytest.raises(ConfigurationError, match="expected debug, info"):
+            await with_client("wrong", lambda client: client.call("log_level", level="loud"))
+
+
+async def test_streams_end_with_the_kernel() -> None:
+    kernel = await Kernel(services={"control": {"name": "ends"}}).open()
+    with await opened("ends") as client:
+        stream = await asyncio.to_thread(client.stream, "events", WAIT)
+        await kernel.aclose()
+        assert await asyncio.to_thread(lambda: list(stream)) == []
