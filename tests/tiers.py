@@ -24,7 +24,6 @@ LIST = Path(__file__).with_name("SLOW.txt")
 ALWAYS = (
     *("tests/architecture/test_layers.py", "tests/architecture/test_forbidden.py"),
     *("tests/architecture/test_time_limits.py", "tests/scale/test_exact_counts.py"),
-    "tests/determinism/test_determinism.py::test_two_processes_on_two_loops_each_give_the_same_bytes",
 )
 """What whoever changes anything is to see at once, however long it takes."""
 FIRST = "first"

@@ -244,14 +244,17 @@ class Sweep:
 @pytest.fixture(params=[True, False], ids=["known", "unknown"])
 def known(request: pytest.FixtureRequest) -> Iterator[bool]:
     """Whether the types are known to who compares."""
-    types = {name: cls for name, cls in _by_full_name.items() if cls in (Scan, Sweep)}
     yield request.param
-    _by_full_name.update(types)
+    _by_full_name.update(FORGOTTEN)
+    FORGOTTEN.clear()
+
+
+FORGOTTEN: dict[str, Any] = {}
 
 
 def forget() -> None:
     for name in [name for name, cls in _by_full_name.items() if cls in (Scan, Sweep)]:
-        del _by_full_name[name]
+        FORGOTTEN[name] = _by_full_name.pop(name)
 
 
 RANGES = np.linspace(0.0, 36.0, 37).reshape(37)
