@@ -172,10 +172,10 @@ def _float(value: Any, at: _Place | None, key: Any, reading: _Reading) -> Any:
         return value
     if kind is int:
         try:
-            number = float(value)
+            float(value)
         except OverflowError:
             raise _wrong(at, key, "a number that a float holds", value) from None
-        return number if number == value else value  # a limit of whole numbers stays what it is
+        return value  # it is one as it is, and is written again as it was
     if kind is str and value in _NUMBERS:
         return _NUMBERS[value]
     raise _wrong(at, key, "a number", value)

@@ -31,9 +31,10 @@ from aiorts import (
     SimulatedClock,
     StateMachineComponent,
     ThreadContext,
+    profile_from_plain,
 )
 from aiorts.errors import ServiceError
-from aiorts.events import MachineBefore, ProfileSnapshot
+from aiorts.events import Change, MachineBefore, ProfileSnapshot
 from aiorts.statechart import Chart, History, On, State
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble, TimedLong
@@ -410,6 +411,7 @@ def test_changes_applied_give_the_later_profile_of_any_system_and_the_schema_is_
                 await course.add(number, 0)
             watch = kernel.changes()
             known: Any = None
+            read_back: Any = None
             for step in steps:
                 profiling = asyncio.create_task(kernel.profile_in_turns(0.0))
                 await asyncio.sleep(0)
@@ -417,11 +419,15 @@ def test_changes_applied_give_the_later_profile_of_any_system_and_the_schema_is_
                 in_turns = await profiling
                 while watch._stale or watch._queue:
                     change = await anext(watch)
-                    json.dumps(change.to_plain(), allow_nan=False)
+                    plain = json.loads(json.dumps(change.to_plain(), allow_nan=False))
                     assert known is None or not isinstance(change, ProfileSnapshot)
                     known = change.apply(known)
+                    read: Change | ProfileSnapshot = profile_from_plain(type(change), plain)
+                    assert read.to_plain() == plain
+                    read_back = read.apply(read_back)
                 now = kernel.profile()
                 assert known.structure() == now.structure(), step
+                assert read_back.structure() == now.structure(), step
                 if in_turns.sequence == now.sequence:
                     assert in_turns.structure() == now.structure(), step
             checked(kernel)
