@@ -348,7 +348,12 @@ class Chart:
     # -- what can never happen -------------------------------------------------------------------------------------
 
     def warn_unreachable(self, stacklevel: int) -> None:
-        """Warn of each state that no transition leads to."""
+        """Warn of each state that no transition leads to, and of events kept for no transition."""
+        for node in self.nodes:
+            for event in node.defer:
+                if event != "*" and not self.knows(event) and not any(means(event, arc.event) for arc in self.arcs):
+                    text = f"{self.name or 'chart'}: {node.name!r} defers {event!r}, for which there is no transition"
+                    warnings.warn(ChartWarning(text + hint(event, self.events)), stacklevel=stacklevel)
         reached = self._reachable()
         lost = [node for node in self.nodes if not reached >> node.index & 1]
         for node in lost:

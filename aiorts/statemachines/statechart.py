@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
+from aiorts.errors import DeclarationError
 from aiorts.late import dataclass
 
 Act: TypeAlias = "str | Callable[..., Any]"
@@ -29,6 +30,10 @@ class In:
 
     state: str
     active: bool = True
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.state, str):
+            raise DeclarationError(f"In({self.state!r}): expected the name of a state")
 
     def __invert__(self) -> In:
         return In(self.state, not self.active)
@@ -128,6 +133,8 @@ class State:
         self.init = init
         self.exit = exit
         self.do = do
+        if not isinstance(defer, Sequence):
+            raise DeclarationError(f"{name!r}: defer = {defer!r}: expected an event's name, or a tuple of names")
         self.defer = (defer,) if isinstance(defer, str) else tuple(defer)
 
     def _values(self) -> tuple[object, ...]:
@@ -198,5 +205,10 @@ def guards_of(guards: Guards) -> tuple[Guard, ...]:
     """One guard, several or none, as a tuple: those that look at states first."""
     if guards is None:
         return ()
-    those = (guards,) if isinstance(guards, str | In) or callable(guards) else tuple(guards)
+    those = tuple(guards) if isinstance(guards, Sequence) and not isinstance(guards, str) else (guards,)
+    for guard in those:
+        if not (isinstance(guard, str | In) or callable(guard)):
+            raise DeclarationError(
+                f"guard = {guard!r}: expected a method's name, a function, In(...) or ~In(...); a tuple takes several"
+            )
     return tuple(sorted(those, key=lambda guard: not isinstance(guard, In)))

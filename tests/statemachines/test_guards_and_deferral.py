@@ -8,7 +8,7 @@ import pytest
 
 from aiorts import Component, EventContext, EventPort, Kernel, OutPort, StateMachineComponent
 from aiorts.errors import DeclarationError, StateError
-from aiorts.statechart import After, Always, Chart, End, In, On, Parallel, State
+from aiorts.statechart import After, Always, Chart, ChartWarning, End, In, On, Parallel, State
 from aiorts.statemachines.interpreter import DEFERRED, Machine, MachineEvent
 from aiorts.testing import simulate
 from aiorts.types import TimedLong
@@ -61,6 +61,33 @@ def test_what_needs_no_event_waits_for_a_state_of_another_region() -> None:
     left = State("left", State("l1", Always(to="l2", guard=In("r2")), initial=True), State("l2"))
     right = State("right", State("r1", On("go", to="r2"), initial=True), State("r2"))
     assert "l2" in played(Chart(Parallel("all", left, right, initial=True)), "go").configuration
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: In(3), r"In\(3\): expected the name of a state"),  # type: ignore[arg-type]
+        (lambda: State("a", defer=3), "'a': defer = 3: expected an event's name, or a tuple of names"),  # type: ignore[arg-type]
+        (lambda: State("a", On("x", guard=False), initial=True), r"guard = False: expected a method's name, .* In"),  # type: ignore[arg-type]
+        (lambda: State("a", On("x", guard=(In("a"), 3)), initial=True), "guard = 3: expected"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_guard_or_event_of_a_wrong_type_is_named_with_what_is_expected(make: Any, says: str) -> None:
+    with pytest.raises(DeclarationError, match=says):
+        Chart(make())
+
+
+def test_an_event_that_is_deferred_for_no_transition_is_a_warning() -> None:
+    def make(*kept: str) -> None:
+        idle = State("idle", On("job.new", to="busy"), initial=True)
+        Lost = type("Lost", (StateMachineComponent,), {"chart": Chart(idle, State("busy", On("done"), defer=kept))})
+        assert Lost.chart.name == "Lost"
+
+    make("job", "job.new.first", "*")
+    with pytest.warns(
+        ChartWarning, match=r"Lost: 'busy' defers 'jb\.new', .* no transition; did you mean 'job\.new'\?"
+    ):
+        make("jb.new")
 
 
 @pytest.mark.parametrize(
