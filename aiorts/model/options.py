@@ -450,7 +450,27 @@ _AS_IT_IS: Final[Mapping[str, Any]] = {
     "full": FullPolicy.OVERWRITE,
 }
 """The value with which such an option says what is so."""
-_NO_BACKLOG: Final = "there is no backlog: the subscription is not periodic"
+_ALONE: Final[tuple[tuple[str, Callable[[ConnectorProfile], bool], str], ...]] = (
+    (
+        "out_length",
+        lambda profile: profile.subscription is not Subscription.PERIODIC,
+        "there is no backlog: the subscription is not periodic",
+    ),
+    (
+        "push_rate",
+        lambda profile: profile.subscription is not Subscription.PERIODIC,
+        "samples are sent as they are written: the subscription is not periodic",
+    ),
+    (
+        "skip",
+        lambda profile: profile.subscription is Subscription.FLUSH or profile.push is not Push.SKIP,
+        "every sample is sent: skip takes subscription new or periodic with push skip",
+    ),
+)
+"""Options that choose nothing by themselves: by their own name alone, when, and why.
+
+OpenRTM's own keys for them stand in the files of its tools, whatever the subscription: nothing is said of those.
+"""
 _KEY_OF: Final = {**dict(reversed(_ALIASES)), **{key: key for key in OWN_KEYS}}
 
 
@@ -465,9 +485,7 @@ def idle(options: Mapping[str, Any], beside: Mapping[str, Any] = _NO_EXTRA) -> I
         bare = given.removeprefix("dataport.")
         key = _KEY_OF.get(bare, "")
         what = next((what for what, keys in rows if key in keys), "")
-        # OpenRTM's own key for it stands in the files of its tools, whatever the subscription: nothing is said of that.
-        if not what and bare == "out_length" and profile.subscription is not Subscription.PERIODIC:
-            what = _NO_BACKLOG
+        what = what or next((why for own, applies, why in _ALONE if given == own and applies(profile)), "")
         if what and getattr(profile, key) != _AS_IT_IS[key]:
             yield given, f"{given} chooses nothing where {what}; take it away"
 

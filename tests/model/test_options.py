@@ -84,6 +84,14 @@ def test_flush_keeps_and_reports_a_push_policy_it_does_not_use() -> None:
             ["inport.buffer.write.full_policy"],
         ),
         ({"out_length": 5}, ["out_length"]),
+        ({"push_rate": 5.0}, ["push_rate"]),
+        ({"subscription": "new", "push_rate": 5.0}, ["push_rate"]),
+        ({"skip": 2}, ["skip"]),
+        ({"push": "skip", "skip": 2}, ["skip"]),
+        ({"subscription": "new", "push": "all", "skip": 2}, ["skip"]),
+        ({"subscription": "new", "push": "skip", "skip": 2}, []),
+        ({"subscription": "periodic", "push_rate": 5.0, "push": "skip", "skip": 2}, []),
+        ({"dataport.push_rate": "5", "dataport.publisher.skip_count": "2"}, []),  # in each file of OpenRTM's tools
         ({"subscription": "new", "push": "all", "out_length": 5, "length": 5}, ["out_length"]),
         ({"subscription": "new", "out_length": 5, "length": 5}, ["out_length", "length"]),
         # What is said as it is, and what chooses something:
