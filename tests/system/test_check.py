@@ -456,6 +456,21 @@ def test_a_rendezvous_within_one_context_or_composite_is_an_error(write: Write) 
     assert "both are members of pair" in one.cause
 
 
+MUTUAL = CYCLE.replace('to = "two.input"', 'to = "two.input"\nlength = 0\ntimeout = inf').replace(
+    'to = "one.input"', 'to = "one.input"\nlength = 0\ntimeout = inf'
+)
+
+
+def test_components_that_wait_for_each_others_reads_are_a_warning(write: Write) -> None:
+    paced = MUTUAL.replace('kind = "event"', 'kind = "periodic"\nrate = 10.0')
+    one = only(write(paced))
+    assert (one.severity, one.code, marked(one)) == ("warning", "W-BLOCK", "0")
+    assert one.cause.startswith("one.output → two.input → two.output → one.input → one.output: length = 0 ")
+    assert "or a timeout" in one.remedy
+    assert found(write(paced.replace("timeout = inf", "timeout = 1.0", 1)), "warning", "error") == []
+    assert found(write(paced.replace("length = 0", "length = 1", 1)), "warning", "error") == []
+
+
 def test_a_writer_that_would_wait_for_its_own_context_is_a_warning(write: Write) -> None:
     one = only(write(BESIDE))
     assert (one.code, marked(one)) == ("W-BLOCK", '"block"')

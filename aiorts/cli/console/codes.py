@@ -290,8 +290,8 @@ CODES: Final[dict[str, Code]] = {
         "Add them in a method make_ports that on_initialize calls.",
     ),
     "W-BLOCK": Code(
-        "A writer may wait for a reader of its own context, which runs only after it.",
-        "full = block without a time-out, and a buffer shorter than what one cycle writes.",
+        "A writer may wait forever, for a reader that runs only after it or waits for it.",
+        "full = block without a time-out, and a buffer shorter than what one cycle writes; or length = 0 both ways.",
         "Make the buffer longer, set a timeout, or put the reader into another context.",
     ),
     "W-DROPPED": Code(

@@ -42,6 +42,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
     yield from _mutable(found, drafts)
     yield from _loops(found, drafts)
     yield from _meetings(found)
+    yield from _standoffs(found)
     yield from _waits(found)
     yield from _outrun(found, drafts)
 
@@ -134,18 +135,9 @@ def _loops(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
             writer, reader = out.partition(".")[0], in_.partition(".")[0]
             if writer in edges and reader in edges:
                 edges[writer].setdefault(reader, (out, in_, connection.number))
-    told: set[str] = set()
-    for start in edges:
-        if start in told or not (cycle := _cycle(edges, start)):
-            continue
-        told.update(cycle)
-        path = [
-            port for here, there in zip(cycle, [*cycle[1:], cycle[0]], strict=True) for port in edges[here][there][:2]
-        ]
-        shown = [*path[:_MOST_NAMED], "..."] if len(path) > _MOST_NAMED else path
-        number = edges[cycle[-1]][cycle[0]][2]
+    for path, number in _cycles(edges):
         text = (
-            f"{' → '.join([*shown, path[0]])}: all run on events, so that one sample keeps this cycle busy forever; "
+            f"{path}: all run on events, so that one sample keeps this cycle busy forever; "
             f"put one of them into a periodic context"
         )
         yield Said("warning", "W-LOOP", ("connections", number - 1), text, of_key=True)
@@ -158,6 +150,20 @@ def _is_service(drafts: Mapping[str, Draft], path: str) -> bool:
 
 def _wakes(profile: ConnectorProfile) -> bool:
     return profile.dataflow is Dataflow.PUSH and profile.subscription is not Subscription.PERIODIC
+
+
+def _cycles(edges: Mapping[str, Mapping[str, tuple[str, str, int]]]) -> Iterator[tuple[str, int]]:
+    """Ways from components back to themselves, each component in one: the ports, and the number of the last step."""
+    told: set[str] = set()
+    for start in edges:
+        if start in told or not (cycle := _cycle(edges, start)):
+            continue
+        told.update(cycle)
+        path = [
+            port for here, there in zip(cycle, [*cycle[1:], cycle[0]], strict=True) for port in edges[here][there][:2]
+        ]
+        shown = [*path[:_MOST_NAMED], "..."] if len(path) > _MOST_NAMED else path
+        yield " → ".join([*shown, path[0]]), edges[cycle[-1]][cycle[0]][2]
 
 
 def _cycle(edges: Mapping[str, Mapping[str, Any]], start: str) -> list[str]:
@@ -207,6 +213,27 @@ def _meetings(found: Survey) -> Iterator[Said]:
                 f"{where}; run {reader} in another context, or set length = 1 or more"
             )
             yield Said("error", WiringError.code, ("connections", connection.number - 1), text)
+
+
+def _standoffs(found: Survey) -> Iterator[Said]:
+    """Cycles of connectors with `length = 0` and no time-out: who writes there does not read meanwhile."""
+    edges: dict[str, dict[str, tuple[str, str, int]]] = {}
+    for connection in found.system.connections:
+        profile = found.profiles.get(connection.number)
+        if profile is None or profile[0].length or profile[0].timeout is not None:
+            continue
+        out, *ins = connection.ports
+        for in_ in ins:
+            writer, reader = out.partition(".")[0], in_.partition(".")[0]
+            if writer != reader:  # else `_meetings` refuses it
+                edges.setdefault(writer, {}).setdefault(reader, (out, in_, connection.number))
+                edges.setdefault(reader, {})
+    for path, number in _cycles(edges):
+        text = (
+            f"{path}: length = 0 all the way round: when all of them write at the same time, each waits for the next "
+            "one's read forever; set length = 1 or more at one of these connections, or a timeout"
+        )
+        yield Said("warning", "W-BLOCK", ("connections", number - 1, "length"), text)
 
 
 def _waits(found: Survey) -> Iterator[Said]:
