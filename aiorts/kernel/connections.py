@@ -225,6 +225,11 @@ class Connections:
 
     def check_mine(self, connector: Any) -> None:
         """Raise WiringError unless it is one of this kernel's, closed or not."""
+        if not hasattr(connector, "closed"):
+            raise WiringError(
+                f"{connector!r:.100}: expected a connector or a Connection, as connect returns them; "
+                f"{self._kernel.name}.connectors has the connectors by name"
+            )
         if not connector.closed and self._those(connector).get(connector.name) is not connector:
             raise WiringError(f"{connector.name}: is not a connector of {self._kernel.name}")
 

@@ -110,7 +110,7 @@ def test_no_color_has_the_line_too_for_it_has_none(folder: Path) -> None:
 @given(
     st.integers(0, 300),
     st.floats(0, 1e7),
-    st.builds(Figures, *[st.integers(0, 10**9)] * 4, st.none() | st.integers(0, 10**12), st.integers(0, 10**9)),
+    st.builds(Figures, *[st.integers(0, 10**9)] * 4, st.none() | st.integers(0, 10**12), *[st.integers(0, 10**9)] * 2),
     st.none() | st.floats(0, 1e9),
     st.floats(0, 1e4),
 )

@@ -313,6 +313,13 @@ async def test_what_is_queued_for_a_removed_component_is_dropped_exactly(anyio_b
         assert source.out.write_nowait(long(9)) is True
 
 
+@pytest.mark.parametrize("what", ["a.out-b.inp", None, 3])
+async def test_what_is_no_connector_is_not_disconnected(anyio_backend: Any, what: Any) -> None:
+    async with Kernel() as kernel:
+        with pytest.raises(WiringError, match=r"expected a connector or a Connection, .*connectors has the connectors"):
+            await kernel.disconnect(what)
+
+
 async def test_connections_are_announced_and_disconnecting_twice_is_harmless(anyio_backend: Any) -> None:
     async with Kernel() as kernel:
         source, sink = await kernel.add(Source()), await kernel.add(Sink())

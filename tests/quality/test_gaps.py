@@ -21,6 +21,8 @@ from aiorts import (
     SimulatedClock,
     ThreadContext,
 )
+from aiorts.cli.runtime.dump import state_of
+from aiorts.cli.runtime.status import figures_of, text_of
 from aiorts.errors import PortTypeError, StateError, WiringError
 from aiorts.events import Event, WriterBack, WriterSilent
 from aiorts.testing import simulate, simulated
@@ -300,3 +302,27 @@ async def test_members_of_a_composite_are_watched(simulated_clock: SimulatedCloc
         await run.deactivate(whole)
         await asyncio.sleep(3)
         assert heard.take() == []
+
+
+def test_the_terminal_and_sigusr1_show_who_is_silent_and_how_old_samples_are() -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            ticker, sink = await kernel.create(Ticker, "ticker"), await kernel.create(Sink, "sink")
+            await kernel.connect(ticker.out, sink.inp, max_gap=0.25, measure=10, stamp="send")
+            await kernel.start(PeriodicContext(10.0), ticker, activate=True)
+            await clock.advance(0.3)
+            assert len(sink.inp.drain()) == 4
+            assert "silent" not in state_of(kernel)[-1]
+            assert figures_of(kernel).silent == 0
+            ticker.quiet = True
+            await clock.advance(1.0)
+            line = state_of(kernel)[-1]
+            assert line.startswith(
+                "connector ticker.out-sink.inp: 4 written, 4 delivered, 0 buffered, 0 dropped, latency "
+            )
+            assert line.endswith(" ms at worst; its writer is silent")
+            assert ", age " in line
+            assert figures_of(kernel).silent == 1
+            assert "1 silent" in text_of(1.0, figures_of(kernel), None)
+
+    simulate(main)

@@ -23,6 +23,7 @@ from aiorts.cli.console.report import printed
 from aiorts.kernel.loop.origins import place
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.service import reports
+from aiorts.model.timing import Spans
 
 if TYPE_CHECKING:
     from aiorts import Component, Connector, Context, Kernel
@@ -62,7 +63,7 @@ def state_of(kernel: Kernel) -> list[str]:
         repr(kernel),
         *map(_component, tuple(kernel.components.values())),
         *map(_context, tuple(kernel.contexts.values())),
-        *map(_connector, tuple(kernel.connectors.values())),
+        *(_connector(kernel, connector) for connector in tuple(kernel.connectors.values())),
         *(f"service {name}: {_listed(told)}" for name, told in reports(kernel.services).items()),
     ]
 
@@ -91,11 +92,23 @@ def _context(context: Context) -> str:
     return f"context {context.name} ({context.kind}{rate}): {figures.cycles} cycles{late}{blame}"
 
 
-def _connector(connector: Connector) -> str:
-    written, buffered, dropped = transport_of(connector).glance()
+def _connector(kernel: Kernel, connector: Connector) -> str:
+    transport = transport_of(connector)
+    written, buffered, dropped = transport.glance()
     drops = ", ".join(f"{count} dropped {reason}" for reason, count in dropped.items()) or "0 dropped"
     delivered = written - buffered - sum(dropped.values())
-    return f"connector {connector.name}: {written} written, {delivered} delivered, {buffered} buffered, {drops}"
+    counts = f"{written} written, {delivered} delivered, {buffered} buffered, {drops}"
+    times = transport.times
+    measured = "" if times is None else f"{_spans('latency', times.latencies)}{_spans('age', times.ages)}"
+    silent = "; its writer is silent" if kernel.connections.gaps.is_silent(connector) else ""
+    return f"connector {connector.name}: {counts}{measured}{silent}"
+
+
+def _spans(what: str, spans: Iterable[int]) -> str:
+    measured = Spans.of(tuple(spans))
+    if not measured.count:
+        return ""
+    return f", {what} {measured.p50_ns / 1e6:.3f} ms (median), {measured.max_ns / 1e6:.3f} ms at worst"
 
 
 def _thread_stacks() -> Iterable[str]:

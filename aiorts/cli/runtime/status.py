@@ -42,6 +42,8 @@ class Figures:
     late_ns: int | None = None
     """At worst, of all contexts with a rate; None without any."""
     overruns: int = 0
+    silent: int = 0
+    """Connectors with `max_gap` whose writers are silent."""
 
 
 def is_wanted() -> bool:
@@ -62,6 +64,8 @@ def text_of(elapsed_s: float, now: Figures, rate: float | None, held_s: float = 
     parts.append(f"{now.active} active")
     if now.in_error:
         parts.append(f"{now.in_error} in error")
+    if now.silent:
+        parts.append(f"{now.silent} silent")
     parts.append("" if rate is None else f"{rate:.0f} samples/s")
     parts.append(f"{now.dropped} dropped")
     if now.late_ns is not None:
@@ -215,7 +219,7 @@ class StatusLine:
 
 def figures_of(kernel: Kernel) -> Figures:
     """How the system does; called on its loop."""
-    active = in_error = delivered = dropped = overruns = 0
+    active = in_error = delivered = dropped = overruns = silent = 0
     late_ns = None
     for component in kernel.components.values():
         states = component.states.values()
@@ -224,13 +228,14 @@ def figures_of(kernel: Kernel) -> Figures:
     for connector in kernel.connectors.values():
         ledger = connector.statistics
         delivered += ledger.delivered
+        silent += ledger.silent
         dropped += sum(ledger.dropped.values())
     for context in kernel.contexts.values():
         figures = context.statistics
         if figures.policy:
             late_ns = max(late_ns or 0, figures.lateness_max_ns)
             overruns += figures.overruns
-    return Figures(active, in_error, delivered, dropped, late_ns, overruns)
+    return Figures(active, in_error, delivered, dropped, late_ns, overruns, silent)
 
 
 def _guarded(stream: Any, line: StatusLine) -> Any:

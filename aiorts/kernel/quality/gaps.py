@@ -115,6 +115,11 @@ class Gaps:
         watch = self._watches.get(connector)
         return statistics if watch is None else replace(statistics, missed_gaps=watch.missed, silent=watch.silent)
 
+    def is_silent(self, connector: Connector) -> bool:
+        """Whether its writer is silent; from any thread, without counting anything."""
+        watch = self._watches.get(connector)
+        return watch is not None and watch.silent
+
     def writes(self, out: OutPort[Any]) -> None:
         """Somebody writes at this port, in this thread, for the first time since it was refreshed."""
         if out in self._awaited:
