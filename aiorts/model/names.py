@@ -13,6 +13,7 @@ in any of them without quotes. A leading "-" would read as an option on a comman
 from __future__ import annotations
 
 import re
+from typing import NamedTuple
 
 from aiorts.errors import InvalidNameError
 from aiorts.late import dataclass
@@ -49,6 +50,31 @@ def check_host(host: object) -> str:
     raise InvalidNameError(f"host name {_shown(host)}: {fault}; allowed: {_ALLOWED_HOST}")
 
 
+class PathParts(NamedTuple):
+    """What stands where in a path; None for a part that is left out."""
+
+    host: str | None
+    kernel: str | None
+    component: str
+    port: str | None
+
+
+def split_path(text: object) -> PathParts:
+    """The parts of a path, not checked: they may hold `*`, as on a command line, or be empty.
+
+    Raises InvalidNameError for more parts than a path has.
+    """
+    if not isinstance(text, str):
+        raise InvalidNameError(f"path {_shown(text)}: expected text, got {type(text).__name__}")
+    *before, last = text.split("/")
+    if len(before) > 2:
+        form = "at most host/kernel/component.port"
+        raise InvalidNameError(f"path {_shown(text)}: {len(before) + 1} parts between '/'; expected {form}")
+    component, dot, port = last.partition(".")
+    kernel = before[-1] if before else None
+    return PathParts(before[0] if len(before) == 2 else None, kernel, component, port if dot else None)
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class Path:
     """Where a component or a port is: `str(Path.parse(text)) == text` for every text that `parse` accepts.
@@ -81,25 +107,18 @@ class Path:
 
         Raises InvalidNameError that quotes the whole path and says which part is wrong.
         """
-        if not isinstance(text, str):
-            raise InvalidNameError(f"path {_shown(text)}: expected text, got {type(text).__name__}")
-        *before, last = text.split("/")
-        if len(before) > 2:
-            form = "at most host/kernel/component.port"
-            raise InvalidNameError(f"path {_shown(text)}: {len(before) + 1} parts between '/'; expected {form}")
-        component, dot, port = last.partition(".")
-        kernel = before[-1] if before else ""
-        host = before[0] if len(before) == 2 else ""
+        host, kernel, component, port = split_path(text)
         try:
-            if dot:
+            if port is not None:
                 check_name(port, "port")
-            if before:
+            if kernel is not None:
                 check_name(kernel, "kernel")
-            if len(before) == 2:
+            if host is not None:
                 check_host(host)
-            return cls(component, port, kernel, host)
+            return cls(component, port or "", kernel or "", host or "")
         except InvalidNameError as error:
             # A recorded port `lidar.scan` is replayed as `lidar_scan`, and other dots are no better here.
+            port = port or ""
             flat = port.replace(".", "_")
             meant = "." in port and _NAME.fullmatch(flat) and _NAME.fullmatch(component)
             hint = f"; did you mean {text.removesuffix(port) + flat!r}?" if meant else ""

@@ -22,7 +22,7 @@ from aiorts.model.values import shown
 
 T = TypeVar("T")
 _SHOWN: Final = 80
-_DEEPEST: Final = 200
+_DEEPEST: Final = 100
 _NUMBERS: Final = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 _WORDS: Final[Mapping[type, str]] = MappingProxyType(
     {

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aiorts.errors import InvalidNameError
-from aiorts.model.names import ALLOWED, Path, check_host, check_name
+from aiorts.model.names import ALLOWED, Path, check_host, check_name, split_path
 from campaign import cases
 
 NAMES = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", fullmatch=True)
@@ -88,6 +88,20 @@ def test_every_path_survives_format_and_parse(
 ) -> None:
     path = Path(component, port or "", kernel or "", (host or "") if kernel else "")
     assert Path.parse(str(path)) == path
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("pid*", (None, None, "pid*", None)),
+        ("pid0.", (None, None, "pid0", "")),
+        ("robot/", (None, "robot", "", None)),
+        ("h.local/r?/[pq]id0.out.*", ("h.local", "r?", "[pq]id0", "out.*")),
+        ("//pid0", ("", "", "pid0", None)),
+    ],
+)
+def test_the_parts_of_a_path_may_be_patterns(text: str, parts: tuple[str | None, ...]) -> None:
+    assert split_path(text) == parts
 
 
 @settings(max_examples=2_000)

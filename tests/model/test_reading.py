@@ -212,8 +212,8 @@ def test_depth_of_hostile_data_ends_in_a_clean_error() -> None:
     data: Any = []
     for _ in range(100_000):
         data = [data]
-    with pytest.raises(LimitError, match="deeper than 200 levels"):
-        from_plain(Box, FULL | {"anything": data}, limits=PlainLimits(depth=200))
+    with pytest.raises(LimitError, match="deeper than 100 levels"):
+        from_plain(Box, FULL | {"anything": data}, limits=PlainLimits(depth=100))
 
 
 @pytest.mark.parametrize("name", Box.__dataclass_fields__)

@@ -17,6 +17,7 @@ import click
 from aiorts.control import Client, Entry, Silent, entries, open_all
 from aiorts.errors import AbsentError, NoAnswerError
 from aiorts.late import dataclass
+from aiorts.model.names import split_path
 
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
 """Endings of words that are files."""
@@ -100,11 +101,12 @@ class Kernels:
         Raises:
             AbsentError: nothing has the name.
             NoAnswerError: nothing has it, and a kernel that may have it does not answer.
+            InvalidNameError: it has more parts than a name.
         """
-        kernel, path = _split(word)
-        component, _, port = path.partition(".")
+        host, kernel, component, port = split_path(word)
+        kernel = f"{host}/{kernel}" if host else kernel or ""
         found = [
-            Found(one, name, port)
+            Found(one, name, port or "")
             for one in self.running
             if not kernel or _fits(kernel, one)
             for name in _of(one, component, bare=bool(kernel))
@@ -159,12 +161,6 @@ def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None)
         yield found
     finally:
         found.close()
-
-
-def _split(word: str) -> tuple[str, str]:
-    """The kernel and the path in it; "" for a kernel that is not named."""
-    kernel, slash, path = word.rpartition("/")
-    return (kernel, path) if slash else ("", word)
 
 
 def _fits(kernel: str, one: Running) -> bool:
