@@ -223,7 +223,7 @@ def test_messages_of_huge_or_strange_values_are_short(name: str) -> None:
         assert len(refused(Box, FULL | {name: value}, PlainLimits()).encode()) < 400
 
 
-@settings(max_examples=cases(20_000))
+@settings(max_examples=cases(5_000))
 @given(JSON | MSGPACK, MSGPACK)
 def test_whatever_comes_a_value_or_a_clean_error_comes_out(whole: Any, part: Any) -> None:
     for kind in (Box, Positive, Rail):

@@ -255,7 +255,7 @@ def parts_of(data: Any) -> Iterator[tuple[Any, Any]]:
             yield from parts_of(value)
 
 
-@settings(max_examples=cases(20_000), suppress_health_check=list(HealthCheck), deadline=None)
+@settings(max_examples=cases(10_000), suppress_health_check=list(HealthCheck), deadline=None)
 @given(st.sampled_from([SystemProfile, Change, ProfileSnapshot]), st.data(), JSON | MSGPACK)
 def test_whatever_is_put_where_a_value_or_a_clean_error_comes_out(kind: Any, data: st.DataObject, part: Any) -> None:
     param = {"value": 1.0, "default": "NaN", "type": "float", "choices": [1.0]}
