@@ -15,7 +15,23 @@ from click.shell_completion import CompletionItem
 _SECTIONS: Final = (
     ("Begin", ("demo", "doctor", "help")),
     ("Systems", ("run", "check", "graph", "schema")),
-    ("What runs", ("ls", "activate", "deactivate", "reset", "vlog", "watch", "stop")),
+    (
+        "What runs",
+        (
+            "ls",
+            "activate",
+            "deactivate",
+            "reset",
+            "conf",
+            "connect",
+            "disconnect",
+            "comp",
+            "exit",
+            "vlog",
+            "watch",
+            "stop",
+        ),
+    ),
     ("What there is", ("inspect", "types", "plugins")),
     ("Shell", ("completion",)),
 )

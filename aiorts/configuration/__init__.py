@@ -10,5 +10,12 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.configuration.configuration_files import ConfigurationFiles
+    from aiorts.configuration.safe_files import read_text, replace_text
 
-_late(globals(), {"aiorts.configuration.configuration_files": "ConfigurationFiles"})
+_late(
+    globals(),
+    {
+        "aiorts.configuration.configuration_files": "ConfigurationFiles",
+        "aiorts.configuration.safe_files": "read_text replace_text",
+    },
+)

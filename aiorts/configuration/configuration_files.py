@@ -41,22 +41,34 @@ class ConfigurationFiles(KernelService):
         from anyio import to_thread
 
         from aiorts.configuration.safe_files import replace_text
+
+        for component in components:
+            self.kernel.check_mine(component, "save the configuration of")
+        await to_thread.run_sync(replace_text, Path(path), self.text(components))
+
+    def text(self, components: Sequence[Component] = ()) -> str:
+        """The file's text at this moment: of these components, or of all that have parameters."""
         from aiorts.model.configuration.configuration_text import document_text
 
-        kernel = self.kernel
-        for component in components:
-            kernel.check_mine(component, "save the configuration of")
-        chosen = components or tuple(component for component in kernel.components.values() if component.params)
+        chosen = components or tuple(one for one in self.kernel.components.values() if one.params)
         states = {component.name: cell(component).configuration for component in chosen}
         declared = {component.name: declarations(type(component)).parameters for component in chosen}
-        text = document_text(states, declared)
-        await to_thread.run_sync(replace_text, Path(path), text)
+        return document_text(states, declared)
 
     async def load(self, path: str | os.PathLike[str]) -> None:
         """See `Kernel.load_configuration`."""
-        kernel = self.kernel
         document = await self._read(path)
-        kernel.check_open("load_configuration")
+        self.kernel.check_open("load_configuration")
+        await self._put_document(document)
+
+    async def load_text(self, text: str, name: str) -> None:
+        """The same for the text of a file, which messages call `name`."""
+        from aiorts.model.configuration.configuration_text import parse_document
+
+        await self._put_document(parse_document(text, name))
+
+    async def _put_document(self, document: Document) -> None:
+        kernel = self.kernel
         edits = self._edits(document)
         if any(context.runner.inside() for component in edits for context in component.contexts):
             kernel_task(kernel.loop, self._logged(document, edits), f"aiorts load {document.path}")

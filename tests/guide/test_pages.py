@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import pytest
 
 from aiorts.cli.app import aiorts as root
+from aiorts.control import entries
 from aiorts.guide import Page, blocks, pages
 from aiorts.guide.contents import FOLDER
 from guide_blocks import anchors, links, run_page
@@ -54,8 +59,18 @@ def test_a_page_begins_with_its_title_and_its_links_lead_somewhere(page: Page) -
     assert wrong == []
 
 
+@pytest.fixture
+def sockets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A folder of its own for the sockets of what a page runs; what is left running is ended."""
+    with tempfile.TemporaryDirectory(prefix="aiorts-") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+        for entry in entries():
+            os.kill(entry.pid, signal.SIGKILL)
+
+
 @pytest.mark.parametrize("page", NAMES)
-def test_every_block_runs_as_pasted_and_prints_what_is_shown(page: Page, tmp_path: Path) -> None:
+def test_every_block_runs_as_pasted_and_prints_what_is_shown(page: Page, tmp_path: Path, sockets: None) -> None:
     if page.name in NEEDS:
         pytest.importorskip(NEEDS[page.name])
     run_page(page.text, tmp_path)

@@ -11,17 +11,23 @@ from typing import Final
 
 from aiorts.control.operation import Operation
 from aiorts.control.operations import (
+    components,
+    configuration,
     events,
     lifecycle,
     logs,
     look,
+    wiring,
 )
 
 _ROWS: Final = (
+    *components.ROWS,
+    *configuration.ROWS,
     *events.ROWS,
     *lifecycle.ROWS,
     *logs.ROWS,
     *look.ROWS,
+    *wiring.ROWS,
 )
 OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})
 """By name."""

@@ -1,0 +1,148 @@
+"""`aiorts conf`: parameters and configuration sets of what runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any, Final
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.live.target import Found, Kernels, complete, kernels
+from aiorts.cli.console.output import say, say_json, table
+from aiorts.errors import ConfigurationError, ControlError
+
+_LONGEST: Final = 4 * 1024 * 1024
+_FILE: Final = click.Path(dir_okay=False, allow_dash=True)
+
+
+@click.command(short_help="Show and change parameters and sets of what runs.")
+@click.argument("name", default="", metavar="[KERNEL/][COMPONENT]", shell_complete=complete)
+@click.argument("changes", nargs=-1, metavar="[[SET.]PARAM=VALUE]...")
+@click.option("--activate", metavar="SET", help="Make this set the active one.")
+@click.option("--add", multiple=True, metavar="SET", help="Add a set; repeatable.")
+@click.option("--remove", multiple=True, metavar="SET", help="Remove a set; repeatable.")
+@click.option("--dump", type=_FILE, metavar="FILE", help="Write the configuration to FILE, or - for standard output.")
+@click.option("--load", type=_FILE, metavar="FILE", help="Put FILE in force, or - for standard input; all or nothing.")
+@click.option("-l", "--long", "long", is_flag=True, help="With types, units and what is allowed.")
+@click.option("--timeout", type=click.FloatRange(min=0.001), default=8.0, metavar="S", help="Wait S seconds.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+def conf(
+    name: str,
+    changes: tuple[str, ...],
+    activate: str | None,
+    add: tuple[str, ...],
+    remove: tuple[str, ...],
+    dump: str | None,
+    load: str | None,
+    long: bool,
+    timeout: float,
+    as_json: bool,
+) -> int:
+    """Show the parameters of COMPONENT, or change them: PARAM=VALUE in the active set, SET.PARAM=VALUE in another.
+
+    All changes of one command are put in force between two cycles, together or not at all; when it returns they are
+    in force. A value is read by the parameter's type, as --set of aiorts run does. --dump and --load are for a
+    component or, without a name, for all of a kernel: the file is that of Kernel.save_configuration.
+    """
+    values = _values(changes)
+    changing = bool(values or activate or add or remove)
+    if (dump is not None) + (load is not None) + changing > 1:
+        raise click.UsageError("--dump, --load and changes each need a command of their own")
+    with kernels() as found:
+        if dump is not None or load is not None:
+            return _file(found, name, dump, load, timeout)
+        if not name:
+            raise click.UsageError("say which component; aiorts ls shows which there are")
+        one = component_of(found, name)
+        if changing:
+            one.client.call(
+                "configure", timeout, component=one.component, values=values, add=add, remove=remove, activate=activate
+            )
+            return exits.DONE
+        shown = one.client.call("configuration", timeout, component=one.component)
+        if as_json:
+            say_json(shown)
+        else:
+            _show(one, shown, long=long)
+    return exits.DONE
+
+
+def component_of(found: Kernels, word: str) -> Found:
+    """The component that a word means.
+
+    Raises:
+        ControlError: it means something else.
+    """
+    one = found.find(word)
+    if not one.component or one.port:
+        raise ControlError(f"{word}: expected a component; aiorts ls shows which there are")
+    return one
+
+
+def _values(changes: tuple[str, ...]) -> dict[str, dict[str, str]]:
+    """The values by set; "" is the active one."""
+    values: dict[str, dict[str, str]] = {}
+    for change in changes:
+        key, sign, text = change.partition("=")
+        set_, _, param = key.strip().rpartition(".")
+        if not sign or not param:
+            raise click.UsageError(f"{change[:80]}: expected PARAM=VALUE or SET.PARAM=VALUE")
+        if param in values.setdefault(set_, {}):
+            raise click.UsageError(f"{key.strip()}: is given twice; give it once")
+        values[set_][param] = text
+    return values
+
+
+def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout: float) -> int:
+    one = found.find(name) if name and not name.endswith("/") else None
+    running = found.kernel(name.rstrip("/")) if one is None else one.running
+    if dump is not None:
+        chosen = [one.component] if one is not None and one.component else []
+        text = running.client.call("dump_configuration", timeout, components=chosen)["text"]
+        if dump == "-":
+            sys.stdout.write(text)
+        else:
+            from pathlib import Path
+
+            from aiorts.configuration import replace_text
+
+            replace_text(Path(dump), text)
+    elif load is not None:
+        running.client.call("load_configuration", timeout, text=_read(load), name=load)
+    return exits.DONE
+
+
+def _read(load: str) -> str:
+    from pathlib import Path
+
+    from aiorts.configuration import read_text
+
+    if load != "-":
+        return read_text(Path(load), _LONGEST)
+    text = sys.stdin.read(_LONGEST + 1)
+    if len(text) > _LONGEST:
+        raise ConfigurationError(f"standard input: longer than {_LONGEST} characters; a configuration file is not")
+    return text
+
+
+def _show(one: Found, shown: Mapping[str, Any], *, long: bool) -> None:
+    others = {name: values for name, values in shown["sets"].items() if name != "default"}
+    say(f"{one.full}  set {shown['active']}{' of default, ' + ', '.join(others) if others else ''}")
+    rows = []
+    for param in shown["parameters"]:
+        name = param["name"]
+        within = [f"{other}: {_text(values[name])}" for other, values in others.items() if name in values]
+        about = (param["type"], param["unit"], param["constraint"], param["doc"]) if long else (param["unit"],)
+        rows.append((name, _text(param["value"]), *about, "; ".join(within)))
+    if rows:
+        say(table(rows))
+    else:
+        say("  no parameters")
+
+
+def _text(value: Any) -> str:
+    from json import dumps
+
+    return value if isinstance(value, str) else dumps(value)

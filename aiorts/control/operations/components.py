@@ -1,0 +1,108 @@
+"""Operations on components as such: created, removed, made members of composites."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.composites import Composite
+from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.known import component_named, context_named
+from aiorts.control.session import Session
+from aiorts.control.values import Done
+from aiorts.errors import StateError
+from aiorts.late import dataclass
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Creation:
+    """A component that is to be."""
+
+    type: str
+    """A name that a plugin offers; or, with the right code, "FILE.py:Class" or "package.module:Class"."""
+    name: str = ""
+    """Made from the type's by default."""
+    params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """Values of parameters; a text is read by the parameter's type."""
+    context: str | None = None
+    """The context that it joins."""
+    activate: bool = False
+    timeout: float | None = 5.0
+    """Seconds of the kernel's clock for joining and for activation; None waits forever."""
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """Components that are to go."""
+
+    components: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Membership:
+    """Members of a composite."""
+
+    composite: str
+    members: tuple[str, ...]
+    timeout: float | None = 5.0
+    """Seconds of the kernel's clock; None waits forever."""
+
+
+async def _create(session: Session, given: Creation) -> Done:
+    kernel = session.kernel
+    if given.activate and given.context is None:
+        raise StateError(f"{given.name or given.type}: nothing is activated outside of a context; say which context")
+    context = None if given.context is None else context_named(session, given.context)
+    component = await kernel.create(given.type, given.name, **given.params)
+    if context is not None:
+        try:
+            await context.add(component, timeout=given.timeout)
+        except BaseException:
+            await kernel.remove(component)
+            raise
+        if given.activate:
+            await kernel.activate(component, context=context, timeout=given.timeout)
+    return Done(component.name)
+
+
+async def _remove(session: Session, given: Removal) -> Done:
+    found = [component_named(session, name) for name in given.components]
+    for one in found:
+        await session.kernel.remove(one)
+    return Done()
+
+
+async def _add_members(session: Session, given: Membership) -> Done:
+    composite, members = _composite(session, given)
+    await composite.add_members(*members, timeout=given.timeout)
+    return Done()
+
+
+async def _remove_members(session: Session, given: Membership) -> Done:
+    composite, members = _composite(session, given)
+    await composite.remove_members(*members, timeout=given.timeout)
+    return Done()
+
+
+def _composite(session: Session, given: Membership) -> tuple[Composite, list[Any]]:
+    found = component_named(session, given.composite)
+    if not isinstance(found, Composite):
+        raise StateError(f"{given.composite}: is no composite but a {type(found).__name__}")
+    return found, [component_named(session, name) for name in given.members]
+
+
+def _needed(given: Creation) -> Right:
+    """What is no name that a plugin offers is a path, and code is read from there."""
+    return Right.CODE if ":" in given.type or given.type.endswith(".py") else Right.OPERATE
+
+
+ROWS: Final = (
+    Operation("add_members", "Make components members of a composite.", Membership, Done, Right.OPERATE, _add_members),
+    Operation("create", "Create a component.", Creation, Done, Right.OPERATE, _create, demands=_needed),
+    Operation("remove", "Remove components.", Removal, Done, Right.OPERATE, _remove),
+    Operation("remove_members", "Take members out of a composite.", Membership, Done, Right.OPERATE, _remove_members),
+)

@@ -1,0 +1,137 @@
+"""Operations on connectors: which there are, connecting and disconnecting ports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.known import absent
+from aiorts.control.session import Session
+from aiorts.errors import AbsentError, WiringError
+from aiorts.late import dataclass
+from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
+from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """Ports to be connected."""
+
+    ports: tuple[str, ...]
+    """Paths."""
+    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """As `Kernel.connect` takes them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wires:
+    """Connectors: those of these names; or those at a port or component; or those between two."""
+
+    names: tuple[str, ...] = ()
+    at: tuple[str, ...] = ()
+    """One or two paths of ports or names of components. Without anything all are meant, where they are listed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """A connector of data ports, or of service ports."""
+
+    name: str
+    ports: tuple[str, ...]
+    options: ConnectorProfile | None = None
+    """In force."""
+    ledger: ConnectorStatistics | None = None
+    service: ServiceConnectorProfile | None = None
+    """Of service ports: who answers whom."""
+    calls: ServiceStatistics | None = None
+
+
+async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
+    kernel = session.kernel
+    for path in given.ports:
+        _check_port(session, path)
+    if len(given.ports) < 2:
+        raise WiringError(f"{', '.join(given.ports) or 'nothing'}: connect takes two ports at least")
+    one, two, *more = given.ports
+    made: Any = await kernel.connect(one, two, *more, **given.options)
+    return tuple(_wire(each) for each in (made if more else (made,)))
+
+
+async def _disconnect(session: Session, given: Wires) -> tuple[str, ...]:
+    if not given.names and not given.at:
+        raise WiringError("disconnect: say a connector, a port, a component, or two of them")
+    found = _found(session, given)
+    if not found:
+        raise AbsentError(f"{' and '.join(given.at)}: no connector there; `aiorts con` lists them")
+    for one in found:
+        await session.kernel.disconnect(one)
+    return tuple(one.name for one in found)
+
+
+def _connectors(session: Session, given: Wires) -> tuple[Wire, ...]:
+    return tuple(_wire(one) for one in _found(session, given))
+
+
+def _all(session: Session) -> dict[str, Any]:
+    return {**session.kernel.connectors, **session.kernel.service_connectors}
+
+
+def _found(session: Session, given: Wires) -> list[Any]:
+    known = _all(session)
+    for name in given.names:
+        if name not in known:
+            raise absent(f"{name:.80}: no such connector", name, known)
+    for path in given.at:
+        _check_port(session, path)
+    if given.names:
+        return [known[name] for name in given.names]
+    return [one for one in known.values() if all(_is_at(path, one) for path in given.at)]
+
+
+def _is_at(path: str, connector: Any) -> bool:
+    return any(port == path or port.startswith(f"{path}.") for port in connector.profile.ports)
+
+
+def _check_port(session: Session, path: str) -> None:
+    """Raise AbsentError unless it is a component, or a port of one."""
+    name, _, port = path.partition(".")
+    known = session.kernel.components
+    if name not in known:
+        raise absent(f"{path:.80}: no such component", name, known)
+    ports = known[name].ports
+    if port and port.partition(".")[0] not in ports:
+        raise absent(f"{path:.80}: {name} has no such port", port, ports)
+
+
+def _wire(one: Any) -> Wire:
+    profile = one.profile
+    if isinstance(profile, ConnectorProfile):
+        return Wire(one.name, profile.ports, profile, one.statistics)
+    return Wire(one.name, profile.ports, service=profile, calls=one.statistics)
+
+
+def _needed(given: Wiring) -> Right:
+    """A converter that is a text may be a path, and code is read from there."""
+    options = {**given.options, **(given.options.get("openrtm") or {})}
+    paths = [value for key, value in options.items() if key.endswith("convert") and ":" in str(value)]
+    return Right.CODE if paths else Right.OPERATE
+
+
+ROWS: Final = (
+    Operation("connect", "Connect ports.", Wiring, tuple[Wire, ...], Right.OPERATE, _connect, demands=_needed),
+    Operation(
+        "connectors",
+        "Connectors with options and ledger.",
+        Wires,
+        tuple[Wire, ...],
+        Right.VIEW,
+        _connectors,
+        idempotent=True,
+    ),
+    Operation("disconnect", "End connectors.", Wires, tuple[str, ...], Right.OPERATE, _disconnect),
+)

@@ -1,0 +1,198 @@
+"""What runs is changed from another terminal: parameters, sets, connectors, components."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import Component, Kernel, Param
+from aiorts.cli.app import run_command
+from aiorts.composites import Composite
+from aiorts.control import Client
+from aiorts.errors import DeniedError
+from control_parts import Counter, Reader, controlled, with_client
+
+pytestmark = pytest.mark.anyio
+
+
+async def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    """The status of a command and what it printed, while the kernel runs on."""
+    status = await asyncio.to_thread(run_command, words)
+    out, err = capsys.readouterr()
+    return status, out + err
+
+
+async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with controlled() as kernel:
+        counter = kernel.components["counter0"]
+        assert await said(capsys, "conf", "counter0", "step=2") == (0, "")
+        assert counter.configuration.values["step"] == 2.0
+        assert await said(capsys, "conf", "counter0", "--add", "fast", "fast.step=9", "--activate", "fast") == (0, "")
+        assert (counter.configuration.active, counter.configuration.values["step"]) == ("fast", 9.0)
+        assert await said(capsys, "conf", "counter0", "default.step=3") == (0, "")
+        assert (counter.configuration.values["step"], counter.configuration.sets["default"]["step"]) == (9.0, 3.0)
+        status, text = await said(capsys, "conf", "counter0")
+        assert (status, " ".join(text.split())) == (0, "unit/counter0 set fast of default, fast step 9.0 fast: 9.0")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (["counter0", "step=much"], 2, "counter0.step = 'much': must be a float"),
+        (["counter0", "step=-1", "default.nosuch=2"], 2, "nosuch"),
+        (["counter0", "slow.step=1"], 6, "no set 'slow'; there are default"),
+        (["counter0", "--add", "default"], 2, "already"),
+        (["couter0"], 6, "did you mean counter0"),
+        (["counter0", "step"], 2, "expected PARAM=VALUE"),
+        ([], 2, "say which component"),
+    ],
+)
+async def test_conf_refuses_with_nothing_changed(
+    capsys: pytest.CaptureFixture[str], words: list[str], status: int, text: str
+) -> None:
+    async with controlled() as kernel:
+        found, said_ = await said(capsys, "conf", *words)
+        assert (found, text in said_) == (status, True), said_
+        assert dict(kernel.components["counter0"].configuration.sets) == {"default": {"step": 1.0}}
+
+
+class Checked(Component):
+    low: float = Param(0.0)
+    high: float = Param(1.0)
+
+    def check_configuration(self, values: Mapping[str, Any]) -> None:
+        if values["low"] >= values["high"]:
+            raise ValueError("low has to be below high")
+
+
+async def test_what_a_validator_refuses_is_not_in_force(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        checked = await kernel.create(Checked, "checked0")
+        status, text = await said(capsys, "conf", "checked0", "low=5")
+        assert (status, "low has to be below high" in text) == (2, True)
+        assert await said(capsys, "conf", "checked0", "low=5", "high=6") == (0, "")
+        assert dict(checked.configuration.values) == {"low": 5.0, "high": 6.0}
+
+
+async def test_a_configuration_is_dumped_and_loaded(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = str(tmp_path / "robot.toml")
+    async with controlled() as kernel:
+        counter = kernel.components["counter0"]
+        assert await said(capsys, "conf", "--dump", file) == (0, "")
+        await kernel.save_configuration(tmp_path / "same.toml")
+        assert Path(file).read_text() == (tmp_path / "same.toml").read_text()
+        assert (await said(capsys, "conf", "counter0", "step=7"))[0] == 0
+        assert await said(capsys, "conf", "--load", file) == (0, "")
+        assert counter.configuration.values["step"] == 1.0
+        Path(file).write_text("schema = 1\n[components.nosuch]\n")
+        status, text = await said(capsys, "conf", "--load", file)
+        assert (status, "robot.toml:2" in text, "no such component" in text) == (2, True, True)
+
+
+async def test_connectors_are_made_with_options_and_ended(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        status, text = await said(capsys, "con")
+        assert (status, "counter0.out-reader0.in" in text, "delivered" in text) == (0, True, True)
+        assert await said(capsys, "dis", "counter0.out", "reader0.in") == (0, "")
+        assert kernel.connectors == {}
+        status, text = await said(capsys, "con", "counter0.out", "reader0.in", "length=4", "--full", "reject")
+        assert (status, "reader0.in: length 4, full reject" in text) == (0, True), text
+        (profile,) = [one.profile for one in kernel.connectors.values()]
+        assert (profile.length, profile.full) == (4, "reject")
+        assert await said(capsys, "dis", "counter0.out-reader0.in") == (0, "")
+        assert kernel.connectors == {}
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [
+        (["con", "counter0.out", "reader0.in", "lenght=4"], 2, "did you mean 'length'"),
+        (["con", "counter0.out", "reader0.im"], 6, "has no such port; there are in"),
+        (["con", "counter0.out", "counter0.out"], 2, "at least one out-port and one in-port"),
+        (["con", "counter0.out", "reader0.in", "length=4", "--length", "5"], 2, "given twice"),
+        (["dis", "counter0"], 0, ""),
+        (["dis", "reader1"], 6, "did you mean reader0"),
+        (["exit", "reader9"], 6, "did you mean reader0"),
+        (["comp", "add", "reader0", "counter0"], 2, "is no composite but a Reader"),
+        (["comp", "create", "NoSuchType"], 2, "NoSuchType"),
+    ],
+)
+async def test_wrong_words_are_told(
+    capsys: pytest.CaptureFixture[str], words: list[str], status: int, text: str
+) -> None:
+    async with controlled():
+        found, said_ = await said(capsys, *words)
+        assert (found, text in said_) == (status, True), said_
+
+
+async def test_no_connector_between_two_kernels(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled("one"), Kernel(services={"control": {"name": "two"}}) as kernel:
+        await kernel.create(Reader, "other0")
+        status, text = await said(capsys, "con", "counter0.out", "other0.in")
+        assert (status, "are of several kernels" in text) == (2, True)
+
+
+async def test_components_come_and_go(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "source.py").write_text(
+        "from aiorts import Component, Param\n\n\nclass Source(Component):\n    top: int = Param(1)\n"
+    )
+    async with controlled() as kernel:
+        kind = f"{tmp_path}/source.py:Source"
+        status, text = await said(capsys, "comp", "create", kind, "unit/src", "top=0x10", "--context", "loop", "--json")
+        assert (status, json.loads(text)) == (0, {"component": "src"})
+        source = kernel.components["src"]
+        assert (source.configuration.values["top"], [one.name for one in source.contexts]) == (16, ["loop"])
+        assert await said(capsys, "exit", "src") == (0, "")
+        assert "src" not in kernel.components
+
+
+async def test_members_of_a_composite_are_changed(capsys: pytest.CaptureFixture[str]) -> None:
+    async with Kernel(services={"control": {"name": "group"}}) as kernel:
+        for name in ("a", "b"):
+            await kernel.create(Counter, name)
+        both = await kernel.add(Composite("both", "a"))
+        assert await said(capsys, "comp", "add", "both", "b") == (0, "")
+        assert [one.name for one in both.members] == ["a", "b"]
+        assert await said(capsys, "comp", "drop", "both", "a") == (0, "")
+        assert [one.name for one in both.members] == ["b"]
+
+
+async def test_paths_need_the_right_to_read_code() -> None:
+    from aiorts.control.operation import Right
+    from aiorts.control.operations import OPERATIONS
+    from aiorts.model.reading import from_plain
+
+    def needed(name: str, **arguments: object) -> Right:
+        row = OPERATIONS[name]
+        return row.needed(from_plain(row.arguments, arguments))
+
+    assert needed("create", type="FlexiDump") is Right.OPERATE
+    assert needed("create", type="a.py:B") is needed("create", type="os:B") is Right.CODE
+    ports = ["a.out", "b.in"]
+    assert needed("connect", ports=ports, options={"convert": "degrees"}) is Right.OPERATE
+    assert needed("connect", ports=ports, options={"convert": "a.py:f"}) is Right.CODE
+    assert needed("connect", ports=ports, options={"openrtm": {"convert": "a.py:f"}}) is Right.CODE
+
+
+async def test_who_may_only_look_changes_nothing() -> None:
+    async with controlled("looks", mode="view") as kernel:
+
+        def ask(client: Client) -> None:
+            assert client.call("configuration", component="counter0")["active"] == "default"
+            for name, given in (
+                ("configure", {"component": "counter0"}),
+                ("disconnect", {"at": ["counter0"]}),
+                ("remove", {"components": ["counter0"]}),
+            ):
+                with pytest.raises(DeniedError, match=name):
+                    client.call(name, **given)
+
+        await with_client("looks", ask)
+        assert (len(kernel.components), len(kernel.connectors)) == (2, 1)
