@@ -99,7 +99,11 @@ def test_each_form_converts_and_the_profile_has_the_text(folder: Path, text: str
         ("scaling.py:later", PluginError, "is a coroutine function, and nothing waits inside a write"),
         ("scaling.py:several", PluginError, "is a generator function"),
         ("scaling.py:number", PluginError, "expected a function or a text, got int"),
-        ("scall 3", PluginError, r"no converter named 'scall'; did you mean scale\?"),
+        (
+            "scall 3",
+            PluginError,
+            r"no converter named 'scall'; did you mean scale\?; a function is written FILE\.py:function",
+        ),
         ("0:1>0", PluginError, "or the name of a converter with its text behind it; there are map, scale, thing"),
         ("thing 3", PluginError, "converter 'thing' of folder .* a int makes no converter"),
         ("scale x", WiringError, r"metres0.out -> millimetres0.inp: convert = scale x: scale 'x': expected a number"),

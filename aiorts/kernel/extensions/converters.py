@@ -36,8 +36,13 @@ def converter_extension(
         PluginError: there is no such file, module or offer (near names are given), or it is none of the three forms.
     """
     name = text.partition(" ")[0]
-    if name in catalogue.extensions(_KIND) or ":" not in text:
+    if name in catalogue.extensions(_KIND):
         return catalogue.find(_KIND, name)
+    if ":" not in text:
+        try:
+            return catalogue.find(_KIND, name)
+        except PluginError as error:
+            raise PluginError(f"{error}; a function is written FILE.py:function or package.module:function") from None
     if not _IN_CODE.fullmatch(text):
         offered = ", ".join(catalogue.extensions(_KIND)) or "none"
         raise PluginError(
