@@ -410,7 +410,8 @@ def test_a_cycle_on_events_alone_is_a_warning_with_its_path(write: Write) -> Non
     ],
 )
 def test_a_cycle_that_something_paces_is_none(write: Write, old: str, new: str) -> None:
-    assert found(write(changed(old, new, CYCLE)), "warning", "error") == []
+    codes = [one.code for one in found(write(changed(old, new, CYCLE)), "warning", "error")]
+    assert codes == (["W-UNFED"] if "pull" in new else [])
 
 
 BESIDE = """\
@@ -454,6 +455,30 @@ def test_a_rendezvous_within_one_context_or_composite_is_an_error(write: Write) 
     assert "both run in b" in one.cause
     one = found(write(alone.replace('["one"]', "[]") + pair), "error")[0]
     assert "both are members of pair" in one.cause
+
+
+PULLED = BESIDE.replace('full = "block"\ntimeout = inf', 'dataflow = "pull"').replace('["one", "two"]', '["one"]') + (
+    '[contexts.c]\nkind = "event"\nmembers = ["two"]\n'
+)
+
+
+def test_a_component_on_events_that_pulls_all_it_reads_never_runs(write: Write) -> None:
+    one = only(write(PULLED))
+    assert (one.severity, one.code, marked(one)) == ("warning", "W-UNFED", '"pull"')
+    assert "two runs on events, and what it reads is pulled" in one.cause
+    assert "every = SECONDS" in one.remedy
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        'every = 1.0\nmembers = ["two"]\n',
+        'members = ["two"]\n[contexts.d]\nkind = "periodic"\nrate = 1.0\nmembers = ["two"]\n',
+        'members = ["two"]\n[[connections]]\nfrom = "source.out"\nto = "two.input"\n',
+    ],
+)
+def test_what_pulls_and_is_woken_by_something_else_is_none_of_those(write: Write, more: str) -> None:
+    assert found(write(PULLED.replace('members = ["two"]\n', more)), "warning", "error") == []
 
 
 MUTUAL = CYCLE.replace('to = "two.input"', 'to = "two.input"\nlength = 0\ntimeout = inf').replace(

@@ -186,3 +186,8 @@ def test_whatever_a_type_is_called_each_drawing_is_valid(text: str) -> None:
     root = ElementTree.fromstring(document)
     assert len(boxes_of(document)) == len(system.components)
     assert sum(one.get("class") == "wire" for one in root.iter(f"{SVG}path")) == len(system.connections)
+
+
+def test_a_rendezvous_is_named_at_its_arrow(write: Callable[..., Path]) -> None:
+    drawn = graph(load(write(CHAIN.replace("length = 4", "length = 0"))))
+    assert '|"out → input<br/>length 0"|' in drawn

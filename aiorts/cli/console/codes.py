@@ -315,9 +315,9 @@ CODES: Final[dict[str, Code]] = {
         "Put one of them into a periodic context, which paces the rest.",
     ),
     "W-UNFED": Code(
-        "A component alone waits for data that cannot come: none of its in-ports has a connection.",
-        "aiorts run feeds a component alone from standard input where that is a pipe or a file, and it is neither.",
-        "Pipe JSON lines into it, run it in a system file, or periodically with --rate.",
+        "A component waits for data that cannot come: a component alone has no connection, or it pulls all it reads.",
+        "aiorts run feeds a component alone from standard input where that is a pipe or file; a pull wakes no reader.",
+        "Alone: pipe JSON lines into it, or run it with --rate. In a system: a context with every or a rate.",
     ),
     "W-OPTION": Code(
         "A connection has an option that does nothing.",

@@ -38,6 +38,7 @@ def whole_findings(found: Survey, drafts: Mapping[str, Draft], *, whole: bool) -
         for key, text in unstartable(found.system):
             yield Said("error", SystemFileError.code, key, text)
         yield from _open_ports(found, drafts)
+        yield from _unwoken(found, drafts)
     yield from _too_many(found)
     yield from _mutable(found, drafts)
     yield from _loops(found, drafts)
@@ -78,6 +79,30 @@ def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
             word = "ports have" if len(free) > 1 else "port has"
             text = f"{len(free)} {word} no connection: {listed}{more}"
             yield Said("note", "N-OPEN", ("components", name), text, of_key=True)
+
+
+def _unwoken(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
+    """Components that run on events, and pull all that they read: nothing wakes them."""
+    runs: dict[str, list[Any]] = {}
+    for entry in found.system.contexts.values():
+        for member in entry.members:
+            runs.setdefault(member, []).append(found.contexts.get(entry.name))
+    feeds: dict[str, list[ConnectionEntry]] = {}
+    for connection in found.system.connections:
+        for reader in {path.partition(".")[0] for path in connection.ports[1:]}:
+            feeds.setdefault(reader, []).append(connection)
+    for name, fed in feeds.items():
+        draft = drafts.get(name)
+        if draft is None or not draft.complete or any(isinstance(port, ServicePort) for port in draft.ports.values()):
+            continue
+        waits = name in runs and all(isinstance(one, EventContext) and one.every is None for one in runs[name])
+        profiles = [found.profiles.get(connection.number) for connection in fed]
+        if waits and all(one is not None and one[0].dataflow is Dataflow.PULL for one in profiles):
+            text = (
+                f"{name} runs on events, and what it reads is pulled, which wakes no reader: only trigger() runs it; "
+                "take dataflow away, give its context every = SECONDS, or put it into a periodic context"
+            )
+            yield Said("warning", "W-UNFED", ("connections", fed[0].number - 1, "dataflow"), text)
 
 
 def _way(port: Port[Any]) -> str:

@@ -194,7 +194,9 @@ def _label(profile: ConnectorProfile) -> str:
             words.append(profile.push.value)
         if profile.push_rate is not None:
             words.append(f"{profile.push_rate:g} Hz")
-    if profile.full.value != "overwrite":
+    if not profile.length:
+        words.append("length 0")
+    elif profile.full.value != "overwrite":
         words.append(profile.full.value)
     return ", ".join(words)
 
