@@ -45,6 +45,7 @@ _COMMANDS: Final = {
     "dis": ("aiorts.cli.commands.live.connecting:disconnect", "Short for disconnect."),
     "disconnect": ("aiorts.cli.commands.live.connecting:disconnect", "End connectors of what runs."),
     "exit": ("aiorts.cli.commands.live.components:exit_", "Remove components that run."),
+    "hz": ("aiorts.cli.commands.live.measure.rates:hz", "Show how many samples pass a connector or port each second."),
     "vlog": ("aiorts.cli.commands.live.vlog:vlog", "Show the log of components that run, and set its level."),
     "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),
     "stop": ("aiorts.cli.commands.live.lifecycle:stop", "End a run in order."),

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from aiorts.observe.profiling import system_profile
     from aiorts.observe.reading import profile_from_plain, profile_to_plain
     from aiorts.observe.schema import profile_schema
+    from aiorts.observe.special_reports import calls, thread_writes
 
 _late(
     globals(),
@@ -37,5 +38,6 @@ _late(
         "aiorts.observe.profiling": "system_profile",
         "aiorts.observe.reading": "profile_from_plain profile_to_plain",
         "aiorts.observe.schema": "profile_schema",
+        "aiorts.observe.special_reports": "calls thread_writes",
     },
 )

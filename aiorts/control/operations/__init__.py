@@ -17,6 +17,7 @@ from aiorts.control.operations import (
     lifecycle,
     logs,
     look,
+    statistics,
     wiring,
 )
 
@@ -27,6 +28,7 @@ _ROWS: Final = (
     *lifecycle.ROWS,
     *logs.ROWS,
     *look.ROWS,
+    *statistics.ROWS,
     *wiring.ROWS,
 )
 OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})

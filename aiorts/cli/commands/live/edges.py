@@ -1,0 +1,76 @@
+"""Which connectors a word of a command line means: a connector by its name or its ports, or all of a port's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+import click
+
+from aiorts.cli.commands.live.target import Kernels, Running, _fits, kernels
+from aiorts.errors import AbsentError
+from aiorts.late import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A connector of samples that runs."""
+
+    name: str
+    out: str
+    in_: str
+
+    @property
+    def path(self) -> str:
+        """Both ports."""
+        return f"{self.out} -> {self.in_}"
+
+
+def edges(names: Mapping[str, Any]) -> dict[str, Edge]:
+    """The connectors of a kernel by name, of what the operation `names` said."""
+    wires = names["connectors"].items()
+    return {name: Edge(name, ports[0], ports[1]) for name, ports in wires if len(ports) == 2}
+
+
+def find_edges(found: Kernels, word: str) -> tuple[Running, tuple[Edge, ...]]:
+    """The connectors that a word means, of one kernel: "a.out->b.in", a connector's name, or "a.out" for all of a port.
+
+    * and ? stand for any characters.
+
+    Raises:
+        AbsentError: there is none, or they are of several kernels.
+        NoAnswerError: the kernel that is meant does not answer.
+    """
+    kernel, _, path = word.rpartition("/")
+    path = path.replace(" ", "")
+    hits: list[tuple[Running, tuple[Edge, ...]]] = []
+    for one in found.running:
+        if not kernel or _fits(kernel, one):
+            meant = tuple(edge for edge in edges(one.names).values() if _means(path, edge))
+            hits += [(one, meant)] if meant else []
+    if len(hits) > 1:
+        where = ", ".join(one.name for one, _ in hits[:10])
+        raise AbsentError(
+            f"{word}: {len(hits)} kernels have it: {where}; write the kernel before it: {where[:40]}/{word}"
+        )
+    if hits:
+        return hits[0]
+    known = found.find(f"{kernel}/{path.partition('->')[0]}" if kernel else path.partition("->")[0])
+    there = ", ".join(edge.path for edge in edges(known.running.names).values()) or "none"
+    raise AbsentError(
+        f"{word}: no connector is there, and only they count samples; {known.running.name} has {there:.300}"
+    )
+
+
+def _means(path: str, edge: Edge) -> bool:
+    return any(fnmatchcase(one, path) for one in (edge.name, edge.path.replace(" ", ""), edge.out, edge.in_))
+
+
+def complete_edge(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes ports and connectors that run."""
+    from aiorts.cli.console.completion import items
+
+    with kernels(timeout=0.1) as found:
+        those = [edge for one in found.running for edge in edges(one.names).values()]
+    return items(dict.fromkeys(word for edge in those for word in (edge.out, edge.in_, edge.name)), incomplete)

@@ -1,0 +1,83 @@
+"""Counters of a kernel, read again and again, and what two readings say: rates, by the kernel's own clock."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Iterator, Mapping
+from math import sqrt
+from typing import Any
+
+from aiorts.control import Client
+from aiorts.errors import ClosedError
+
+Counters = Mapping[str, Any]
+"""What the operation `statistics` says."""
+
+
+def readings(client: Client, interval: float, **chosen: object) -> Iterator[Counters]:
+    """The counters, `interval` real seconds apart, until the kernel ends."""
+    due = time.monotonic()
+    try:
+        while True:
+            yield client.call("statistics", **chosen)
+            due = max(due + interval, time.monotonic())
+            rest(client, due)
+    except ClosedError:
+        return
+
+
+def rest(client: Client, until: float) -> None:
+    """Wait until a moment of `time.monotonic()`.
+
+    Raises:
+        ClosedError: the kernel has ended meanwhile.
+    """
+    while (left := until - time.monotonic()) > 0:
+        if select.select([client], [], [], left)[0]:
+            client.read()
+
+
+def rate_of(now: Counters, before: Counters, name: str) -> float | None:
+    """Samples a second that a connector was given between two readings; None where that cannot be said."""
+    new, old = now["connectors"].get(name), before["connectors"].get(name)
+    span_ns = now["at_ns"] - before["at_ns"]
+    if new is None or old is None or span_ns <= 0 or new[0] < old[0]:
+        return None  # it came or went, or another has its name; or the kernel's clock stood
+    rate: float = (new[0] - old[0]) * 1e9 / span_ns
+    return rate
+
+
+class Rates:
+    """The rates of one connector over the windows between readings, and over all of them."""
+
+    def __init__(self) -> None:
+        self.windows: list[float] = []
+        self._first: tuple[int, int] | None = None
+        self._last: tuple[int, int] | None = None
+
+    def add(self, at_ns: int, written: int) -> bool:
+        """A reading; whether it ends a window."""
+        before, self._last = self._last, (at_ns, written)
+        if before is None or written < before[1]:
+            self._first = self._last  # another connector has its name
+            return False
+        if at_ns <= before[0]:
+            self._last = before
+            return False
+        self.windows.append((written - before[1]) * 1e9 / (at_ns - before[0]))
+        return True
+
+    @property
+    def mean(self) -> float:
+        """From the first reading to the last."""
+        assert self._first is not None and self._last is not None  # noqa: S101, PT018 - a window has ended
+        return (self._last[1] - self._first[1]) * 1e9 / (self._last[0] - self._first[0])
+
+    def summary(self) -> dict[str, float]:
+        """Rate, minimum, maximum and deviation of the windows, and how many there were."""
+        count = len(self.windows)
+        mean = sum(self.windows) / count
+        deviation = sqrt(sum((one - mean) ** 2 for one in self.windows) / count)
+        spread = {"min": min(self.windows), "max": max(self.windows), "stdev": deviation}
+        return {"rate": self.mean, "window": self.windows[-1], **spread, "windows": count}

@@ -1,0 +1,126 @@
+"""Operations that measure: counters of what there is, chosen values at a rate, and what a connector is measured by.
+
+The counters are asked for again and again while a system works, so they are made in one look on the loop, as lists and
+dicts that go into a frame as they are. None of them takes a sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final, TypedDict, TypeVar
+
+from aiorts.clock import SimulatedClock
+from aiorts.control.operation import Operation, Right
+from aiorts.control.session import Session
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.late import dataclass
+from aiorts.observe import calls, thread_writes
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.timing import Spans
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Of what the counters are wanted; what is not there now is left out."""
+
+    connectors: tuple[str, ...] | None = None
+    """Names; None is all, and an empty list none."""
+    contexts: tuple[str, ...] | None = None
+    components: tuple[str, ...] | None = None
+    timed: tuple[str, ...] = ()
+    """Connectors with `measure` whose latency and age are wanted: putting the spans in order takes time."""
+
+
+class Counters(TypedDict):
+    """The counters at one moment, by name."""
+
+    time_ns: int
+    """The kernel's clock, since the epoch."""
+    at_ns: int
+    """The kernel's clock, monotonic: what rates are counted by."""
+    simulated: bool
+    connectors: dict[str, tuple[int, int, int, Mapping[str, int], int]]
+    """Written, delivered, buffered, dropped by reason, and the option `measure`."""
+    timed: dict[str, dict[str, tuple[int, int, int, int]]]
+    """"latency" and "age": how many, p50, p99 and maximum in nanoseconds."""
+    contexts: dict[str, dict[str, Any]]
+    components: dict[str, dict[str, Any]]
+
+
+def _statistics(session: Session, given: Chosen) -> Counters:
+    kernel, clock = session.kernel, session.kernel.clock
+    wires = _chosen(kernel.connectors, given.connectors)
+    return {
+        "time_ns": clock.time_ns(),
+        "at_ns": clock.monotonic_ns(),
+        "simulated": isinstance(clock, SimulatedClock),
+        "connectors": {name: _counted(one) for name, one in wires},
+        "timed": {name: found for name, one in _chosen(kernel.connectors, given.timed) if (found := _timed(one))},
+        "contexts": {name: _context(one) for name, one in _chosen(kernel.contexts, given.contexts)},
+        "components": {name: _component(one) for name, one in _chosen(kernel.components, given.components)},
+    }
+
+
+def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[tuple[str, T]]:
+    return known.items() if names is None else [(name, known[name]) for name in names if name in known]
+
+
+def _counted(connector: Connector) -> tuple[int, int, int, Mapping[str, int], int]:
+    transport, measure = transport_of(connector), connector.profile.measure
+    if not transport.listenable:  # a real-time thread is at it: only its statistics fit together
+        ledger = connector.statistics
+        return ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped), measure
+    with transport.guard():
+        transport.settle()
+        written, buffered, dropped = transport.glance()
+    return written, written - buffered - sum(dropped.values()), buffered, dropped, measure
+
+
+def _timed(connector: Connector) -> dict[str, tuple[int, int, int, int]]:
+    if not connector.profile.measure:
+        return {}
+    found = connector.statistics
+    both: tuple[tuple[str, Spans | None], ...] = (("latency", found.latency), ("age", found.age))
+    return {
+        what: (spans.count, spans.p50_ns, spans.p99_ns, spans.max_ns)
+        for what, spans in both
+        if spans is not None and spans.count
+    }
+
+
+def _context(context: Context) -> dict[str, Any]:
+    found = context.statistics
+    return {
+        "rate": context.rate,
+        "running": context.running,
+        "cycles": found.cycles,
+        "skipped": found.skipped,
+        "overruns": found.overruns,
+        "lateness_p50_ns": found.lateness_p50_ns,
+        "lateness_p99_ns": found.lateness_p99_ns,
+        "lateness_max_ns": found.lateness_max_ns,
+    }
+
+
+def _component(component: Component) -> dict[str, Any]:
+    """States by context, whether it has failed, and the counts of its calls and of threads where there are any."""
+    made: dict[str, Any] = {
+        "states": {context: state.value for context, state in component.states.items()},
+        "failed": component.last_error is not None,
+    }
+    ports = cell(component).ports
+    if answered := calls(ports):
+        made["calls"] = dict(answered)
+    if written := thread_writes(ports):
+        made["thread_writes"] = dict(written)
+    return made
+
+
+ROWS: Final = (Operation("statistics", "The counters.", Chosen, Counters, Right.VIEW, _statistics, idempotent=True),)
