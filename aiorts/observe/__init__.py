@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from aiorts.observe.introspection import Introspection
     from aiorts.observe.listening import ConnectorEvent, ConnectorEventKind, Listening
     from aiorts.observe.monitor import Monitor
-    from aiorts.observe.profiles import CompositeReport, MachineReport, ModeReport, SystemProfile
-    from aiorts.observe.profiling import system_profile
+    from aiorts.observe.profiles import CompositeReport, ContextReport, MachineReport, ModeReport, SystemProfile
+    from aiorts.observe.profiling import context_report, system_profile
     from aiorts.observe.reading import profile_from_plain, profile_to_plain
     from aiorts.observe.schema import profile_schema
     from aiorts.observe.special_reports import calls, thread_writes
@@ -34,8 +34,8 @@ _late(
         "aiorts.observe.introspection": "Introspection",
         "aiorts.observe.listening": "ConnectorEvent ConnectorEventKind Listening",
         "aiorts.observe.monitor": "Monitor",
-        "aiorts.observe.profiles": "CompositeReport MachineReport ModeReport SystemProfile",
-        "aiorts.observe.profiling": "system_profile",
+        "aiorts.observe.profiles": "CompositeReport ContextReport MachineReport ModeReport SystemProfile",
+        "aiorts.observe.profiling": "context_report system_profile",
         "aiorts.observe.reading": "profile_from_plain profile_to_plain",
         "aiorts.observe.schema": "profile_schema",
         "aiorts.observe.special_reports": "calls thread_writes",

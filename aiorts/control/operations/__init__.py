@@ -13,10 +13,13 @@ from aiorts.control.operation import Operation
 from aiorts.control.operations import (
     components,
     configuration,
+    contexts,
     events,
     lifecycle,
     logs,
     look,
+    machines,
+    reloading,
     statistics,
     wiring,
 )
@@ -24,10 +27,13 @@ from aiorts.control.operations import (
 _ROWS: Final = (
     *components.ROWS,
     *configuration.ROWS,
+    *contexts.ROWS,
     *events.ROWS,
     *lifecycle.ROWS,
     *logs.ROWS,
     *look.ROWS,
+    *machines.ROWS,
+    *reloading.ROWS,
     *statistics.ROWS,
     *wiring.ROWS,
 )

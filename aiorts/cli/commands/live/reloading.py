@@ -1,0 +1,51 @@
+"""`aiorts reload`: the code of components that run is replaced."""
+
+from __future__ import annotations
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.live.components import absolute
+from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.console.output import say, say_json
+
+
+@click.command(short_help="Replace the code of components that run.")
+@click.argument("what", metavar="COMPONENT | TYPE", shell_complete=complete)
+@click.option("--kernel", default="", metavar="NAME", help="The kernel, where a TYPE is given and several run.")
+@click.option(
+    "--cycles", type=click.IntRange(min=0), default=10, metavar="N", help="It has proved itself after N cycles."
+)
+@click.option(
+    "--seconds", type=click.FloatRange(min=0.0), default=1.0, metavar="S", help="Or after S seconds, 1 by default."
+)
+@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+def reload(what: str, kernel: str, cycles: int, seconds: float, timeout: float, as_json: bool) -> int:
+    """Read the file of COMPONENT's type anew, and put the new code in the place of the old, in all of its instances.
+
+    Or that of TYPE: FILE.py:Class, package.module:Class or the class's name. Connectors, unread samples and values of
+    parameters stay. It returns when the new code has done its first cycles; when it fails in them, or before, all is
+    as it was.
+    """
+    with kernels() as found:
+        names = [name for one in found.running for name in one.names["components"]]
+        if "/" in what.partition(":")[0] and not what.partition(":")[0].endswith(".py"):
+            one = found.find(what)
+            client, meant = one.client, one.component
+        elif what in names:
+            one = found.find(what if not kernel else f"{kernel}/{what}")
+            client, meant = one.client, one.component
+        else:
+            client, meant = found.kernel(kernel).client, absolute(what)
+        done = client.call("reload", 60.0 + 4 * timeout + seconds, type=meant, cycles=cycles, seconds=seconds,
+                           timeout=timeout)  # fmt: skip
+    if as_json:
+        say_json(done)
+        return exits.DONE
+    for each in done["components"]:
+        lost = ", ".join(f"{one['what']} {one['name']}" for one in each["dropped"])
+        gained = ", ".join(each["added"])
+        said = "; ".join(filter(None, (f"new: {gained}" if gained else "", f"gone: {lost}" if lost else "")))
+        say(f"{each['component']}  {done['kind']}{f'  {said}' if said else ''}")
+    return exits.DONE

@@ -1,0 +1,87 @@
+"""Operations on state machines and modes."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.configuration import Whose
+from aiorts.control.operations.known import absent, component_named
+from aiorts.control.session import Session
+from aiorts.control.values import Done
+from aiorts.errors import StateError
+from aiorts.kernel.declarations import kinds_of
+from aiorts.late import dataclass
+from aiorts.observe import MachineReport, ModeReport
+from aiorts.statemachines import MultiModeComponent, StateMachineComponent
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """The state machine and the modes of a component; None where it has none."""
+
+    machine: MachineReport | None = None
+    modes: ModeReport | None = None
+    events: tuple[str, ...] = ()
+    """That the machine knows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sending:
+    """An event for a machine."""
+
+    component: str
+    event: str
+    data: Any = None
+    """What comes with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """Another mode."""
+
+    component: str
+    mode: str
+    timeout: float | None = 5.0
+    """Seconds of the kernel's clock; None waits forever."""
+
+
+def _machine(session: Session, given: Whose) -> Shown:
+    component = component_named(session, given.component)
+    reports: dict[str, Any] = {}
+    for kind in kinds_of(component):
+        reports.update(kind.reports(component))
+    events: tuple[str, ...] = ()
+    if isinstance(component, StateMachineComponent):
+        events = tuple(sorted(component.machine.chart.events))
+    elif not isinstance(component, MultiModeComponent):
+        raise StateError(f"{given.component}: has no state machine and no modes; it is a {type(component).__name__}")
+    return Shown(reports.get("machine"), reports.get("modes"), events)
+
+
+def _send(session: Session, given: Sending) -> Done:
+    component = component_named(session, given.component)
+    if not isinstance(component, StateMachineComponent):
+        raise StateError(f"{given.component}: has no state machine; it is a {type(component).__name__}")
+    chart = component.machine.chart
+    if not chart.knows(given.event):
+        raise absent(f"{given.component}: no transition is for event {given.event!r:.80}", given.event, chart.events)
+    component.machine.send(given.event, given.data)
+    return Done()
+
+
+async def _set_mode(session: Session, given: Mode) -> Done:
+    component = component_named(session, given.component)
+    if not isinstance(component, MultiModeComponent):
+        raise StateError(f"{given.component}: has no modes; it is a {type(component).__name__}")
+    if given.mode not in component.modes:
+        raise absent(f"{given.component}: no mode {given.mode!r:.80}", given.mode, component.modes)
+    await component.set_mode(given.mode, given.timeout)
+    return Done()
+
+
+ROWS: Final = (
+    Operation("machine", "The state machine and modes.", Whose, Shown, Right.VIEW, _machine, idempotent=True),
+    Operation("send_event", "Send an event to a state machine.", Sending, Done, Right.OPERATE, _send),
+    Operation("set_mode", "Change the mode.", Mode, Done, Right.OPERATE, _set_mode, idempotent=True),
+)

@@ -1,0 +1,40 @@
+"""The operation that replaces the code of components."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.session import Session
+from aiorts.errors import ControlError
+from aiorts.late import dataclass
+from aiorts.reload import Reloaded, reload
+
+
+@dataclass(frozen=True, slots=True)
+class Reload:
+    """Whose code is read anew."""
+
+    type: str
+    """The name of a component, or what `Kernel.reload` takes as text."""
+    cycles: int = 10
+    """The new code has proved itself after so many cycles of each context,"""
+    seconds: float = 1.0
+    """or after so many seconds of the kernel's clock."""
+    timeout: float | None = 5.0
+    """Seconds of the kernel's clock in which each new instance has to be in its place; None is forever."""
+
+
+async def _reload(session: Session, given: Reload) -> Reloaded:
+    kernel = session.kernel
+    kernel.check_open("reload")
+    component = kernel.components.get(given.type)
+    kind: Any = given.type if component is None else type(component)
+    if not kind:
+        raise ControlError("reload: say a component or a type")
+    return await reload(
+        kernel, kind, cycles=given.cycles, seconds=given.seconds, timeout=given.timeout, import_timeout=30.0
+    )
+
+
+ROWS: Final = (Operation("reload", "Replace the code of components.", Reload, Reloaded, Right.CODE, _reload),)
