@@ -10,7 +10,10 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any, TypeVar
 
+import pytest
+
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext
+from aiorts.cli.app import run_command
 from aiorts.control import Client, Entry, entries
 from aiorts.types import TimedDouble
 
@@ -64,6 +67,13 @@ async def with_client(name: str, use: Callable[[Client], T]) -> T:
             return use(client)
 
     return await asyncio.to_thread(work)
+
+
+async def commanded(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    """The status of `aiorts WORDS` and what it printed, on both streams, while kernels of this process run on."""
+    status = await asyncio.to_thread(run_command, words)
+    out, err = capsys.readouterr()
+    return status, out + err
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,20 +10,12 @@ from typing import Any
 import pytest
 
 from aiorts import Component, Kernel, Param
-from aiorts.cli.app import run_command
 from aiorts.composites import Composite
 from aiorts.control import Client
 from aiorts.errors import DeniedError
-from control_parts import Counter, Reader, controlled, with_client
+from control_parts import Counter, Reader, commanded, controlled, with_client
 
 pytestmark = pytest.mark.anyio
-
-
-async def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
-    """The status of a command and what it printed, while the kernel runs on."""
-    status = await asyncio.to_thread(run_command, words)
-    out, err = capsys.readouterr()
-    return status, out + err
 
 
 async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
@@ -32,13 +23,16 @@ async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
 ) -> None:
     async with controlled() as kernel:
         counter = kernel.components["counter0"]
-        assert await said(capsys, "conf", "counter0", "step=2") == (0, "")
+        assert await commanded(capsys, "conf", "counter0", "step=2") == (0, "")
         assert counter.configuration.values["step"] == 2.0
-        assert await said(capsys, "conf", "counter0", "--add", "fast", "fast.step=9", "--activate", "fast") == (0, "")
+        assert await commanded(capsys, "conf", "counter0", "--add", "fast", "fast.step=9", "--activate", "fast") == (
+            0,
+            "",
+        )
         assert (counter.configuration.active, counter.configuration.values["step"]) == ("fast", 9.0)
-        assert await said(capsys, "conf", "counter0", "default.step=3") == (0, "")
+        assert await commanded(capsys, "conf", "counter0", "default.step=3") == (0, "")
         assert (counter.configuration.values["step"], counter.configuration.sets["default"]["step"]) == (9.0, 3.0)
-        status, text = await said(capsys, "conf", "counter0")
+        status, text = await commanded(capsys, "conf", "counter0")
         assert (status, " ".join(text.split())) == (0, "unit/counter0 set fast of default, fast step 9.0 fast: 9.0")
 
 
@@ -58,8 +52,8 @@ async def test_conf_refuses_with_nothing_changed(
     capsys: pytest.CaptureFixture[str], words: list[str], status: int, text: str
 ) -> None:
     async with controlled() as kernel:
-        found, said_ = await said(capsys, "conf", *words)
-        assert (found, text in said_) == (status, True), said_
+        found, text_ = await commanded(capsys, "conf", *words)
+        assert (found, text in text_) == (status, True), text_
         assert dict(kernel.components["counter0"].configuration.sets) == {"default": {"step": 1.0}}
 
 
@@ -75,9 +69,9 @@ class Checked(Component):
 async def test_what_a_validator_refuses_is_not_in_force(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled() as kernel:
         checked = await kernel.create(Checked, "checked0")
-        status, text = await said(capsys, "conf", "checked0", "low=5")
+        status, text = await commanded(capsys, "conf", "checked0", "low=5")
         assert (status, "low has to be below high" in text) == (2, True)
-        assert await said(capsys, "conf", "checked0", "low=5", "high=6") == (0, "")
+        assert await commanded(capsys, "conf", "checked0", "low=5", "high=6") == (0, "")
         assert dict(checked.configuration.values) == {"low": 5.0, "high": 6.0}
 
 
@@ -85,28 +79,28 @@ async def test_a_configuration_is_dumped_and_loaded(capsys: pytest.CaptureFixtur
     file = str(tmp_path / "robot.toml")
     async with controlled() as kernel:
         counter = kernel.components["counter0"]
-        assert await said(capsys, "conf", "--dump", file) == (0, "")
+        assert await commanded(capsys, "conf", "--dump", file) == (0, "")
         await kernel.save_configuration(tmp_path / "same.toml")
         assert Path(file).read_text() == (tmp_path / "same.toml").read_text()
-        assert (await said(capsys, "conf", "counter0", "step=7"))[0] == 0
-        assert await said(capsys, "conf", "--load", file) == (0, "")
+        assert (await commanded(capsys, "conf", "counter0", "step=7"))[0] == 0
+        assert await commanded(capsys, "conf", "--load", file) == (0, "")
         assert counter.configuration.values["step"] == 1.0
         Path(file).write_text("schema = 1\n[components.nosuch]\n")
-        status, text = await said(capsys, "conf", "--load", file)
+        status, text = await commanded(capsys, "conf", "--load", file)
         assert (status, "robot.toml:2" in text, "no such component" in text) == (2, True, True)
 
 
 async def test_connectors_are_made_with_options_and_ended(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled() as kernel:
-        status, text = await said(capsys, "con")
+        status, text = await commanded(capsys, "con")
         assert (status, "counter0.out-reader0.in" in text, "delivered" in text) == (0, True, True)
-        assert await said(capsys, "dis", "counter0.out", "reader0.in") == (0, "")
+        assert await commanded(capsys, "dis", "counter0.out", "reader0.in") == (0, "")
         assert kernel.connectors == {}
-        status, text = await said(capsys, "con", "counter0.out", "reader0.in", "length=4", "--full", "reject")
+        status, text = await commanded(capsys, "con", "counter0.out", "reader0.in", "length=4", "--full", "reject")
         assert (status, "reader0.in: length 4, full reject" in text) == (0, True), text
         (profile,) = [one.profile for one in kernel.connectors.values()]
         assert (profile.length, profile.full) == (4, "reject")
-        assert await said(capsys, "dis", "counter0.out-reader0.in") == (0, "")
+        assert await commanded(capsys, "dis", "counter0.out-reader0.in") == (0, "")
         assert kernel.connectors == {}
 
 
@@ -128,14 +122,14 @@ async def test_wrong_words_are_told(
     capsys: pytest.CaptureFixture[str], words: list[str], status: int, text: str
 ) -> None:
     async with controlled():
-        found, said_ = await said(capsys, *words)
-        assert (found, text in said_) == (status, True), said_
+        found, text_ = await commanded(capsys, *words)
+        assert (found, text in text_) == (status, True), text_
 
 
 async def test_no_connector_between_two_kernels(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled("one"), Kernel(services={"control": {"name": "two"}}) as kernel:
         await kernel.create(Reader, "other0")
-        status, text = await said(capsys, "con", "counter0.out", "other0.in")
+        status, text = await commanded(capsys, "con", "counter0.out", "other0.in")
         assert (status, "are of several kernels" in text) == (2, True)
 
 
@@ -145,11 +139,13 @@ async def test_components_come_and_go(capsys: pytest.CaptureFixture[str], tmp_pa
     )
     async with controlled() as kernel:
         kind = f"{tmp_path}/source.py:Source"
-        status, text = await said(capsys, "comp", "create", kind, "unit/src", "top=0x10", "--context", "loop", "--json")
+        status, text = await commanded(
+            capsys, "comp", "create", kind, "unit/src", "top=0x10", "--context", "loop", "--json"
+        )
         assert (status, json.loads(text)) == (0, {"component": "src"})
         source = kernel.components["src"]
         assert (source.configuration.values["top"], [one.name for one in source.contexts]) == (16, ["loop"])
-        assert await said(capsys, "exit", "src") == (0, "")
+        assert await commanded(capsys, "exit", "src") == (0, "")
         assert "src" not in kernel.components
 
 
@@ -158,9 +154,9 @@ async def test_members_of_a_composite_are_changed(capsys: pytest.CaptureFixture[
         for name in ("a", "b"):
             await kernel.create(Counter, name)
         both = await kernel.add(Composite("both", "a"))
-        assert await said(capsys, "comp", "add", "both", "b") == (0, "")
+        assert await commanded(capsys, "comp", "add", "both", "b") == (0, "")
         assert [one.name for one in both.members] == ["a", "b"]
-        assert await said(capsys, "comp", "drop", "both", "a") == (0, "")
+        assert await commanded(capsys, "comp", "drop", "both", "a") == (0, "")
         assert [one.name for one in both.members] == ["b"]
 
 

@@ -98,7 +98,7 @@ def _read(cls: type, name: str, value: Any) -> Any:
             return convert_value(value, kind)
         except (TypeError, ValueError):
             continue
-    return None if isinstance(value, str) and value.strip().lower() == "none" else value
+    return value
 
 
 async def _stop(session: Session, given: Which) -> Done:

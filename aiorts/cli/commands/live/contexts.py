@@ -25,7 +25,11 @@ def complete_contexts(ctx: click.Context, param: click.Parameter, incomplete: st
     return items(dict.fromkeys(words), incomplete)
 
 
-@click.group(invoke_without_command=True, short_help="List, start, stop and change execution contexts.")
+@click.group(
+    invoke_without_command=True,
+    subcommand_metavar="COMMAND [ARGS]...",
+    short_help="List, start, stop and change execution contexts.",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
 @click.pass_context
 def ctx(context: click.Context, as_json: bool) -> int:
