@@ -48,6 +48,8 @@ _COMMANDS: Final = {
     "fsm": ("aiorts.cli.commands.live.machines:fsm", "Show a state machine, and send it events."),
     "reload": ("aiorts.cli.commands.live.reloading:reload", "Replace the code of components that run."),
     "exit": ("aiorts.cli.commands.live.components:exit_", "Remove components that run."),
+    "bw": ("aiorts.cli.commands.live.measure.rates:bw", "Show how many bytes pass a connector or port each second."),
+    "delay": ("aiorts.cli.commands.live.measure.rates:delay", "Show how long samples are on their way, and how old."),
     "hz": ("aiorts.cli.commands.live.measure.rates:hz", "Show how many samples pass a connector or port each second."),
     "vlog": ("aiorts.cli.commands.live.vlog:vlog", "Show the log of components that run, and set its level."),
     "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),

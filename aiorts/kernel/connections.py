@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from aiorts.errors import WiringError
+from aiorts.errors import StateError, WiringError
 from aiorts.kernel.execution.apart import check_connection
 from aiorts.kernel.loop.bus import Connected, ConnectorChanged, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog, guarded
@@ -107,6 +107,20 @@ class Connections:
         if profile != before:
             self._report_idle(options, (connector.out, connector.in_, profile), what_stays(profile))
             self._kernel.bus.publish(ConnectorChanged(profile, before))
+
+    def measure(self, connector: Connector, count: int) -> None:
+        """Time the last `count` sends and reads of a connector from now on, or none with 0: its option `measure`.
+
+        Raises:
+            StateError: a real-time thread is at it.
+        """
+        self.check_mine(connector)
+        if not transport_of(connector).listenable:
+            raise StateError(f"{connector.name}: a real-time thread is at it; connect it with measure = 1000 instead")
+        before = connector.profile
+        if before.measure != count:
+            wiring.measure(connector, count)
+            self._kernel.bus.publish(ConnectorChanged(connector.profile, before))
 
     def tap(
         self,

@@ -84,7 +84,7 @@ class ConnectorStatistics(Counted):
     at_ns: int = field(default=0, compare=False, repr=False)
     """When, on the kernel's monotonic clock. Statistics with equal counts are equal, whenever they were taken."""
     mean_rate: float | None = field(default=None, compare=False, repr=False)
-    """Samples written a second since the connector was made; None without `measure`."""
+    """Samples written a second since the connector was made, or began to be measured; None without `measure`."""
     latency: Spans | None = field(default=None, compare=False, repr=False)
     """From the write to the read, on the kernel's clock, of the last `measure` samples read; None without `measure`."""
     age: Spans | None = field(default=None, compare=False, repr=False)

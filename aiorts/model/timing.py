@@ -58,11 +58,13 @@ class PublisherTiming:
 class ConnectorTimes:
     """The last `length` sends and reads of a connector."""
 
-    __slots__ = ("_execs", "_last_ns", "_periods", "ages", "latencies", "since_ns")
+    __slots__ = ("_execs", "_last_ns", "_periods", "ages", "before", "latencies", "since_ns")
 
-    def __init__(self, length: int, since_ns: int = 0) -> None:
+    def __init__(self, length: int, since_ns: int = 0, before: int = 0) -> None:
         self.since_ns = since_ns
-        """When the connector was made."""
+        """When this began: when the connector was made, or later."""
+        self.before = before
+        """Samples that were written before."""
         self.ages: deque[int] = deque(maxlen=length)
         """Of samples as they were read, by their stamps."""
         self.latencies: deque[int] = deque(maxlen=length)

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import json
+from select import select
+from typing import Any
 
 import pytest
 
 from aiorts.cli.app import run_command
+from aiorts.cli.commands.live.measure.rates import duration
 from aiorts.cli.commands.live.measure.readings import Rates, rate_of
-from control_parts import Counter, controlled, with_client
+from aiorts.control import Client
+from aiorts.errors import ConfigurationError, StateError, WiringError
+from aiorts.testing import simulate
+from aiorts.types import TimedDouble
+from aiorts.wire import MsgpackCodec
+from control_parts import WAIT, Counter, Reader, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
 
@@ -74,3 +82,130 @@ def test_no_rate_where_a_connector_was_made_anew_or_time_stood() -> None:
     assert rate_of(counters(2, 5), counters(1, 10), "a-b") is None
     assert rate_of(counters(1, 5), counters(1, 5), "a-b") is None
     assert rate_of(counters(2, 5), counters(1, 5), "other") is None
+
+
+async def opened(name: str) -> Client:
+    return await asyncio.to_thread(lambda: Client.open(entry_of(name), timeout=WAIT))
+
+
+async def test_a_connector_is_measured_as_long_as_a_session_that_asked_lasts() -> None:
+    async with controlled("measure") as kernel:
+        connector = next(iter(kernel.connectors.values()))
+        with await opened("measure") as one:
+            assert await asyncio.to_thread(lambda: one.call("measure", connectors=[connector.name])) == [connector.name]
+            with await opened("measure") as two:
+                await asyncio.to_thread(lambda: two.call("measure", connectors=[connector.name]))
+            async with asyncio.timeout(WAIT):
+                while not connector.statistics.latency:
+                    await kernel.sleep(0.01)
+            assert connector.profile.measure == 1000
+            assert connector.statistics.balanced
+        async with asyncio.timeout(WAIT):
+            while connector.profile.measure:
+                await kernel.sleep(0.01)
+    assert connector.statistics.latency is None
+
+
+async def test_what_was_measured_before_stays_so() -> None:
+    async with controlled("stays") as kernel:
+        counter, reader = kernel.components["counter0"], kernel.components["reader0"]
+        made = await kernel.connect(counter.ports["out"], reader.ports["in"], measure=7, allow_duplicate=True)
+        assert await with_client("stays", lambda client: client.call("measure", connectors=[made.name])) == []
+        with pytest.raises(WiringError, match="no such connector; there are counter0"):
+            await with_client("stays", lambda client: client.call("measure", connectors=["gone"]))
+        with pytest.raises(ConfigurationError, match="expected 1 to"):
+            await with_client("stays", lambda client: client.call("measure", connectors=[made.name], count=0))
+        assert made.profile.measure == 7
+
+
+async def test_the_size_is_that_of_the_sample_written_last_which_stays_unread() -> None:
+    async with controlled("sizes") as kernel:
+        await kernel.deactivate("counter0")
+        await kernel.deactivate("reader0")
+        other = await kernel.create(Counter, "other")
+        reader = kernel.components["reader0"]
+        assert isinstance(reader, Reader)
+        wire = await kernel.connect(other.out, reader.in_, name="wire")
+        found = await with_client("sizes", lambda client: client.call("sizes", connectors=["wire"]))
+        assert found == {"wire": [None, "nothing was written yet"]}
+        sample = TimedDouble(data=1.0)
+        other.out.write_nowait(sample)
+        ledger = wire.statistics
+        found = await with_client("sizes", lambda client: client.call("sizes", connectors=["wire", "gone"]))
+    assert found == {"wire": [len(MsgpackCodec().encode(sample)), ""]}
+    assert wire.statistics.delivered == ledger.delivered
+
+
+async def test_chosen_values_stream_at_a_rate() -> None:
+    async with controlled("monitor"):
+        with await opened("monitor") as client:
+            stream = await asyncio.to_thread(
+                lambda: client.stream("monitor", paths=["counter0.step", "loop.ticks"], rate=1000.0)
+            )
+            found = [await asyncio.to_thread(stream.next, WAIT) for _ in range(3)]
+            with pytest.raises(WiringError, match="it has out, step, state"):
+                await asyncio.to_thread(lambda: client.stream("monitor", paths=["counter0.count"]))
+    assert [one["values"]["counter0.step"] for one in found] == [1.0] * 3
+    times = [one["monotonic_ns"] for one in found]
+    assert times == sorted(set(times))
+
+
+def test_in_simulated_time_values_are_not_streamed_and_counters_are_of_its_clock() -> None:
+    async def run() -> Any:
+        async with controlled("virtual") as kernel:
+            await kernel.sleep(1.0)
+            with Client.open(entry_of("virtual"), timeout=WAIT) as client:
+                streamed = client.begin("monitor", paths=["counter0.step"])
+                counted = client.begin("statistics")
+                for _ in range(2000):
+                    await kernel.sleep(1.0)
+                    if select([client], [], [], 0)[0]:
+                        client.read()
+                        if client.answered(counted):
+                            break
+                with pytest.raises(StateError, match="simulated time; ask for statistics"):
+                    client.result(streamed)
+                return client.result(counted)
+
+    found = simulate(run())
+    assert found["simulated"] is True
+    assert found["at_ns"] % 10**9 == 0
+    assert found["connectors"]["counter0.out-reader0.in"][0] == found["at_ns"] // 10**7 + 1
+
+
+async def test_bytes_are_the_rate_times_the_size(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bw", "counter0.out->reader0.in", "--interval", "0.05", "--count", "1", "--json"]
+    async with controlled("bytes"):
+        assert await asyncio.to_thread(run_command, words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["bytes_per_second"] == found["rate"] * found["bytes"] > 0
+
+
+async def test_delay_says_that_it_measures_and_puts_it_back(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["delay", "reader0.in", "--interval", "0.05", "--count", "1", "--json"]
+    async with controlled("delay") as kernel:
+        connector = next(iter(kernel.connectors.values()))
+        assert await asyncio.to_thread(run_command, words) == 0
+        async with asyncio.timeout(WAIT):
+            while connector.profile.measure:
+                await kernel.sleep(0.01)
+    told = capsys.readouterr()
+    assert told.err == "aiorts: until this ends, it is measured (option measure = 1000): counter0.out -> reader0.in\n"
+    found = json.loads(told.out)
+    assert found["latency"]["samples"] > 0
+    assert 0 < found["latency"]["p50"] <= found["latency"]["p99"] <= found["latency"]["max"]
+
+
+async def test_who_may_only_look_reads_a_delay_that_is_measured_and_measures_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with controlled("looks", mode="view") as kernel:
+        assert await asyncio.to_thread(run_command, ["delay", "reader0.in", "--count", "1"]) == 4
+        assert "measure: needs the right 'operate'" in capsys.readouterr().err
+        kernel.connections.measure(next(iter(kernel.connectors.values())), 10)
+        assert await asyncio.to_thread(run_command, ["delay", "reader0.in", "--count", "1"]) == 0
+
+
+def test_spans_of_time_have_three_digits() -> None:
+    shown = [duration(ns) for ns in (0, 999, 1000, 12_345, 999_900, 10**6, 2 * 10**9, 5000 * 10**9)]
+    assert shown == ["0 ns", "999 ns", "1 us", "12.3 us", "1000 us", "1 ms", "2 s", "5000 s"]

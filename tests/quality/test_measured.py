@@ -217,3 +217,63 @@ async def test_other_connectors_of_the_writer_keep_their_fast_path() -> None:
         await kernel.disconnect(measured)
         again = await kernel.connect(source.out, sink.into)
         assert transport_of(again).direct
+
+
+WIRES: tuple[dict[str, Any], ...] = (
+    {},
+    {"length": 2, "full": "reject"},
+    {"push": "new", "subscription": "new"},
+    {"subscription": "periodic", "push_rate": 400.0, "length": 2},
+    {"lifespan": 0.002},
+    {"dataflow": "pull"},
+    {"length": 2, "stamp": "read"},
+)
+STEPS = ("write", "other", "read", "newest", "wait", "on", "off", "listen", "unlisten")
+
+
+async def carried(options: dict[str, Any], steps: list[str], *, switched: bool) -> Any:
+    """What is read, and the ledgers, where two writers have one reader."""
+    async with Kernel() as kernel:
+        source, sink, connector = await pair(kernel, **options)
+        other = await kernel.create(Source)
+        second = await kernel.connect(other.out, sink.into)
+        read: list[Any] = []
+        forget: list[Any] = []
+        for number, step in enumerate(steps):
+            if step in ("write", "other"):
+                (source if step == "write" else other).out.write_nowait(TimedLong(1, number))
+            elif step == "read":
+                read += sink.into.drain()
+            elif step == "newest":
+                read.append(sink.into.latest)
+            elif step == "wait":
+                await kernel.sleep(0.001)
+            elif step == "listen":
+                forget.append(kernel.listen(connector, lambda event: None))
+            elif step == "unlisten" and forget:
+                forget.pop()()
+            elif step in ("on", "off") and switched:
+                kernel.connections.measure(connector, 5 if step == "on" else 0)
+                assert (connector.statistics.latency is not None) is (step == "on")
+        data = [None if one is None else one.data for one in read]
+        return data, connector.statistics, second.statistics
+
+
+@given(st.sampled_from(WIRES), st.lists(st.sampled_from(STEPS), max_size=30))
+@settings(max_examples=CASES, deadline=None)
+def test_measuring_may_begin_and_end_at_any_time_and_changes_no_sample(
+    options: dict[str, Any], steps: list[str]
+) -> None:
+    assert simulate(carried(options, steps, switched=True)) == simulate(carried(options, steps, switched=False))
+
+
+@simulated
+async def test_of_a_connector_that_is_measured_later_the_mean_rate_is_of_what_was_written_since() -> None:
+    async with Kernel() as kernel:
+        source, _, connector = await pair(kernel, length=100)
+        for number in range(50):
+            source.out.write_nowait(TimedLong(1, number))
+        kernel.connections.measure(connector, 10)
+        source.out.write_nowait(TimedLong(1, 50))
+        await kernel.sleep(0.5)
+        assert connector.statistics.mean_rate == 2.0

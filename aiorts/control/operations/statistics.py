@@ -7,15 +7,23 @@ dicts that go into a frame as they are. None of them takes a sample.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypedDict, TypeVar
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
-from aiorts.control.session import Session
+from aiorts.control.session import Session, Stream
+from aiorts.control.values import Done
+from aiorts.errors import AiortsError, ConfigurationError, StateError, WiringError
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.last_sample import last_written
+from aiorts.kernel.ports.port import NOTHING
 from aiorts.late import dataclass
-from aiorts.observe import calls, thread_writes
+from aiorts.model.options import MAX_LENGTH
+from aiorts.observe import Monitor, calls, thread_writes
+from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -78,7 +86,6 @@ def _counted(connector: Connector) -> tuple[int, int, int, Mapping[str, int], in
         ledger = connector.statistics
         return ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped), measure
     with transport.guard():
-        transport.settle()
         written, buffered, dropped = transport.glance()
     return written, written - buffered - sum(dropped.values()), buffered, dropped, measure
 
@@ -123,4 +130,99 @@ def _component(component: Component) -> dict[str, Any]:
     return made
 
 
-ROWS: Final = (Operation("statistics", "The counters.", Chosen, Counters, Right.VIEW, _statistics, idempotent=True),)
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Connectors that are to be measured as long as the session lasts."""
+
+    connectors: tuple[str, ...]
+    count: int = 1000
+    """Sends and reads over which latency and age are taken."""
+
+
+_HELD: Final[dict[Connector, int]] = {}
+"""Sessions for which a connector is measured that else is not."""
+
+
+def _measure(session: Session, given: Measured) -> tuple[str, ...]:
+    """Switch `measure` on where it is off; returns the connectors that are measured for sessions only."""
+    if not 1 <= given.count <= MAX_LENGTH:
+        raise ConfigurationError(f"measure: count = {given.count}: expected 1 to {MAX_LENGTH} samples")
+    wires = [_wire(session, name) for name in given.connectors]
+    for wire in wires:
+        if wire not in _HELD:
+            if wire.profile.measure:
+                continue  # it was made so
+            session.kernel.connections.measure(wire, given.count)
+        _HELD[wire] = _HELD.get(wire, 0) + 1
+        session.keep(partial(_let_go, session, wire))
+    return tuple(wire.name for wire in wires if wire in _HELD)
+
+
+def _let_go(session: Session, wire: Connector) -> None:
+    _HELD[wire] -= 1
+    if not _HELD[wire]:
+        del _HELD[wire]
+        if not wire.closed:
+            session.kernel.connections.measure(wire, 0)
+
+
+def _wire(session: Session, name: str) -> Connector:
+    known = session.kernel.connectors
+    if name not in known:
+        raise WiringError(f"{name}: no such connector; there are {', '.join(tuple(known)[:20]) or 'none'}")
+    return known[name]
+
+
+@dataclass(frozen=True, slots=True)
+class Wires:
+    """Some connectors, by name; one that is gone is left out."""
+
+    connectors: tuple[str, ...]
+
+
+def _sizes(session: Session, given: Wires) -> dict[str, tuple[int | None, str]]:
+    """Bytes of the sample that was written last, encoded; without any, None and why."""
+    return {name: _size(one) for name, one in _chosen(session.kernel.connectors, given.connectors)}
+
+
+def _size(connector: Connector) -> tuple[int | None, str]:
+    sample = last_written(connector.out)
+    if sample is NOTHING:
+        return None, "nothing was written yet"
+    try:
+        return len(MsgpackCodec().encode(sample)), ""
+    except AiortsError as error:
+        return None, str(error)
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """Values that are looked at, by their paths as `Kernel.monitor` has them."""
+
+    paths: tuple[str, ...]
+    rate: float = 10.0
+    """Hz of the kernel's clock."""
+
+
+def _monitor(session: Session, given: Watched, stream: Stream) -> Done:
+    kernel = session.kernel
+    if isinstance(kernel.clock, SimulatedClock):
+        raise StateError("monitor: its timer would change what happens in simulated time; ask for statistics instead")
+    monitor = Monitor(kernel, given.paths, given.rate)
+    stream.on_close(monitor.close)
+
+    async def send_all() -> None:
+        async for reading in monitor:
+            stream.send(reading)
+        stream.finish()
+
+    kernel_task(kernel.loop, send_all(), "aiorts control monitor")
+    return Done()
+
+
+ROWS: Final = (
+    Operation("measure", "Measure connectors for the session.", Measured, tuple[str, ...], Right.OPERATE, _measure),
+    Operation("monitor", "Stream chosen values at a rate.", Watched, Done, Right.VIEW, _monitor, streams=True),
+    Operation("sizes", "Encoded size of samples.", Wires, dict[str, Any], Right.VIEW, _sizes, idempotent=True),
+    Operation("statistics", "The counters.", Chosen, Counters, Right.VIEW, _statistics, idempotent=True),
+)

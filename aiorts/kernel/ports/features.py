@@ -76,7 +76,7 @@ class TransportKind:
         featured: bool = True,
     ) -> None:
         self.receiver, self.at_once, self.periodic, self.featured = receiver, at_once, periodic, featured
-        receiver.kind = self
+        receiver.kind = at_once.kind = periodic.kind = self
 
     def of(self, profile: ConnectorProfile) -> type[Transport]:
         """The class for connectors with these options."""

@@ -31,7 +31,7 @@ def statistics_of(
     now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times
     latency = age = rate = None
     if times is not None:
-        rate = mean_rate(written, times.since_ns, now_ns)
+        rate = mean_rate(written - times.before, times.since_ns, now_ns)
         latency = Spans.of(tuple(times.latencies))
         age = Spans.of(tuple(times.ages)) if port_type(connector.in_.type).has_tm else None
     return ConnectorStatistics(

@@ -104,6 +104,8 @@ class Transport:
         "written",
     )
 
+    kind: ClassVar[Kind]
+    """The row of the table of transports that names this class."""
     admits_plainly: ClassVar[bool] = True
     """Whether who waits for room may be moved in without a call for each."""
     listenable: ClassVar[bool] = True

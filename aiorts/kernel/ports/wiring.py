@@ -20,6 +20,7 @@ from aiorts.kernel.ports.last_sample import offer_last
 from aiorts.model.options import SERVICE_KEYS, connector_profile
 from aiorts.model.policy import Stamp
 from aiorts.model.profile import ConnectorProfile
+from aiorts.model.timing import ConnectorTimes
 from aiorts.model.values import shown
 
 if TYPE_CHECKING:
@@ -122,6 +123,21 @@ def unwire(connector: Connector) -> None:
         receiver.refresh()
     _refresh_writers(out, receiver, several)
     receiver.connector_ended()
+
+
+def measure(connector: Connector, count: int) -> None:
+    """Time the last `count` sends and reads from now on, 0 none; what is unread stays, and whoever waits waits on.
+
+    No real-time thread is at the connector.
+    """
+    transport = connector._transport
+    with transport.guard():
+        now_ns = transport.clock.monotonic_ns()
+        connector.profile = replace(connector.profile, measure=count)
+        transport.times = ConnectorTimes(count, now_ns, transport.total()) if count else None
+        receiver = fit_receiver(connector.in_)
+        transport.replace(type(transport).kind, receiver)
+        receiver.refresh_all()
 
 
 def _refresh_writers(out: OutPort[Any], receiver: Receiver, several: bool) -> None:

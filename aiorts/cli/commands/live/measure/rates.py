@@ -1,55 +1,68 @@
-"""`aiorts hz`: how many samples pass, by the counters of connectors."""
+"""`aiorts hz`, `bw`, `delay`: how many samples pass a connector, how many bytes that is, and how old they are."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
-from aiorts.cli.commands.live.measure.readings import Rates, readings
-from aiorts.cli.commands.live.target import kernels
+from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
+from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
+from aiorts.errors import AbsentError
+
+Show = Callable[[Counters], bool]
+"""Prints what a reading says; False where it says nothing yet."""
+_SIZED_EVERY: Final = 1.0
+"""Seconds between two looks at a sample."""
 
 
-def lines_options(command: Any) -> Any:
-    """The options of commands that print a line in each interval."""
+def _of_edges(command: Callable[..., int]) -> Any:
+    """What the three have in common: a name, and how long and how often they print."""
+    made: Any = command
     for option in (
         click.option("--json", "as_json", is_flag=True, help="A JSON object in a line instead of text."),
         click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N intervals."),
         click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds."),
         click.option(
-            "--interval", type=click.FloatRange(min=0.01, max=3600.0), default=1.0, metavar="S", help="Seconds: 1."
+            "--interval",
+            type=click.FloatRange(min=0.01, max=3600.0),
+            default=1.0,
+            metavar="S",
+            help="Print every S seconds; 1 by default.",
         ),
+        click.argument("name", metavar="[KERNEL/]CONNECTOR|PORT", shell_complete=complete_edge),
     ):
-        command = option(command)
-    return command
+        made = option(made)
+    return made
 
 
-@click.command(short_help="Show how many samples pass a connector or port each second.")
-@click.argument("name", metavar="[KERNEL/]CONNECTOR|PORT", shell_complete=complete_edge)
-@lines_options
-def hz(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
-    """Show the rate of a connector, or of each connector of a port: since the start, and its least, greatest and
-    standard deviation over the intervals. Names are COMPONENT.PORT, 'A.OUT->B.IN' or the connector's own.
-
-    The rate comes from the connector's counter and the kernel's clock; no sample is taken. In simulated time it is
-    samples per second of that time. It ends with the kernel.
-    """
+def _follow(
+    name: str,
+    interval: float,
+    duration: float | None,
+    count: int | None,
+    begin: Callable[[Running, tuple[Edge, ...]], Show],
+    *,
+    timed: bool = False,
+) -> int:
+    """Read the counters of what a name means until it is enough, or the kernel ends."""
     with kernels() as found:
         running, meant = find_edges(found, name)
-        rates = {edge.name: Rates() for edge in meant}
+        show = begin(running, meant)
+        names = [edge.name for edge in meant]
         until = None if duration is None else time.monotonic() + duration
         shown = 0
-        for now in readings(running.client, interval, connectors=list(rates), contexts=[], components=[]):
-            ended = [edge for edge in meant if _ends_window(rates[edge.name], now, edge)]
-            for edge in ended:
-                _show(edge, rates[edge.name].summary(), as_json=as_json)
-            shown += bool(ended)
+        chosen = {"connectors": names, "contexts": [], "components": [], "timed": names if timed else []}
+        for now in readings(running.client, interval, **chosen):
+            if not now["connectors"]:
+                raise AbsentError(f"{name}: was disconnected")
+            shown += show(now)
             if shown == count or (until is not None and time.monotonic() >= until):
                 return exits.DONE
     return has_ended(running.name, shown, count)
@@ -61,14 +74,144 @@ def has_ended(kernel: str, shown: int, count: int | None) -> int:
     return exits.DONE if shown and count is None else exits.FAILED
 
 
-def _ends_window(rates: Rates, now: Mapping[str, Any], edge: Edge) -> bool:
+@click.command(short_help="Show how many samples pass a connector or port each second.")
+@_of_edges
+def hz(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
+    """Show the rate of a connector, or of each connector of a port: since the start, and its least, greatest and
+    standard deviation over the intervals. Names are COMPONENT.PORT, 'A.OUT->B.IN' or the connector's own.
+
+    The rate comes from the connector's counter and the kernel's clock; no sample is taken. In simulated time it is
+    samples per second of that time. It ends with the kernel.
+    """
+
+    def begin(running: Running, meant: tuple[Edge, ...]) -> Show:
+        rates = {edge.name: Rates() for edge in meant}
+
+        def show(now: Counters) -> bool:
+            ended = [edge for edge in meant if _ends_window(rates[edge.name], now, edge)]
+            for edge in ended:
+                found = rates[edge.name].summary()
+                spread = f"min {found['min']:.3f}  max {found['max']:.3f}  stdev {found['stdev']:.3f}"
+                text = f"{found['rate']:.3f} Hz  {spread}  intervals {found['windows']}"
+                _print(edge, text, found, as_json=as_json)
+            return bool(ended)
+
+        return show
+
+    return _follow(name, interval, duration, count, begin)
+
+
+@click.command(short_help="Show how many bytes pass a connector or port each second.")
+@_of_edges
+def bw(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
+    """Show the bytes a second of a connector, or of each connector of a port: its rate in the interval, multiplied by
+    the encoded size of one sample. Names are as those of `aiorts hz`.
+
+    At most once a second one sample is looked at, where it lies: none is taken. It ends with the kernel.
+    """
+
+    def begin(running: Running, meant: tuple[Edge, ...]) -> Show:
+        rates = {edge.name: Rates() for edge in meant}
+        sizes: Mapping[str, Any] = {}
+        due = 0.0
+
+        def show(now: Counters) -> bool:
+            nonlocal sizes, due
+            ended = [edge for edge in meant if _ends_window(rates[edge.name], now, edge)]
+            if ended and time.monotonic() >= due:
+                sizes = running.client.call("sizes", connectors=list(rates))
+                due = time.monotonic() + _SIZED_EVERY
+            for edge in ended:
+                size, why = sizes.get(edge.name, (None, "not looked at yet"))
+                rate = rates[edge.name].windows[-1]
+                through = None if size is None else rate * size
+                text = why if through is None else f"{_bytes(through)}/s  {rate:.3f} Hz x {_bytes(size)}"
+                _print(edge, text, {"bytes_per_second": through, "rate": rate, "bytes": size}, as_json=as_json)
+            return bool(ended)
+
+        return show
+
+    return _follow(name, interval, duration, count, begin)
+
+
+@click.command(short_help="Show how long samples are on their way, and how old they are.")
+@_of_edges
+def delay(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
+    """Show latency (from the write to the read) and age (when read, by the time stamp) of the last 1,000 samples of a
+    connector, or of each connector of a port: median, 99th percentile, maximum. Names are as those of `aiorts hz`.
+
+    A connector that is not measured is from now on, which standard error says, and no longer when this ends, however
+    it ends. That needs the right to operate the kernel. It ends with the kernel.
+    """
+
+    def begin(running: Running, meant: tuple[Edge, ...]) -> Show:
+        names = [edge.name for edge in meant]
+        before = running.client.call("statistics", connectors=names, contexts=[], components=[])["connectors"]
+        wanted = [one for one in names if one in before and not before[one][-1]]
+        if wanted:
+            running.client.call("measure", connectors=wanted)
+            shown = ", ".join(edge.path for edge in meant if edge.name in wanted)
+            say(f"aiorts: until this ends, it is measured (option measure = 1000): {shown}")
+        first = True
+
+        def show(now: Counters) -> bool:
+            nonlocal first
+            first, was_first = False, first
+            if was_first and wanted:
+                return False  # nothing was read yet
+            for edge in meant:
+                found = now["timed"].get(edge.name, {})
+                _print(edge, _spans(found), {what: _seconds(found.get(what)) for what in _TIMED}, as_json=as_json)
+            return True
+
+        return show
+
+    return _follow(name, interval, duration, count, begin, timed=True)
+
+
+_TIMED: Final = ("latency", "age")
+
+
+def _ends_window(rates: Rates, now: Counters, edge: Edge) -> bool:
     counted = now["connectors"].get(edge.name)
     return counted is not None and rates.add(now["at_ns"], counted[0])
 
 
-def _show(edge: Edge, found: Mapping[str, float], *, as_json: bool) -> None:
+def _print(edge: Edge, text: str, found: Mapping[str, Any], *, as_json: bool) -> None:
     if as_json:
         say_line({"connector": edge.name, "from": edge.out, "to": edge.in_, **found})
-        return
-    spread = f"min {found['min']:.3f}  max {found['max']:.3f}  stdev {found['stdev']:.3f}"
-    say_now(f"{found['rate']:.3f} Hz  {spread}  intervals {found['windows']}  {edge.path}")
+    else:
+        say_now(f"{text}  {edge.path}")
+
+
+def _spans(found: Mapping[str, Any]) -> str:
+    if not found:
+        return "nothing was read"
+    texts = [
+        f"{what} p50 {duration(found[what][1])}  p99 {duration(found[what][2])}  max {duration(found[what][3])}"
+        for what in _TIMED
+        if what in found
+    ]
+    return f"{'  '.join(texts)}  samples {found['latency'][0]}"
+
+
+def _seconds(spans: Any) -> dict[str, float] | None:
+    if spans is None:
+        return None
+    count, p50, p99, most = spans
+    return {"samples": count, "p50": p50 / 1e9, "p99": p99 / 1e9, "max": most / 1e9}
+
+
+def duration(ns: float) -> str:
+    """A span of time in three or four digits."""
+    for unit, size in (("s", 1e9), ("ms", 1e6), ("us", 1e3)):
+        if abs(ns) >= size:
+            return f"{ns / size:.3g} {unit}" if abs(ns) < 999 * size else f"{ns / size:.0f} {unit}"
+    return f"{ns:.0f} ns"
+
+
+def _bytes(count: float) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.4g} {unit}"
+    return f"{count:.4g} B"
