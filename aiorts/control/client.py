@@ -22,7 +22,7 @@ from typing import Any, Final, Self
 
 from aiorts import errors
 from aiorts.control.folder import Entry, discard
-from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, agreed, answer_in, framed, frames
+from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, REQUESTS, agreed, answer_in, framed, frames
 from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
 from aiorts.late import dataclass
 
@@ -38,9 +38,10 @@ class Client:
         entry: the kernel's entry; its epoch is that of the session.
         right: "view", "operate" or "code": what the kernel lets this session do.
         hello: what the kernel says of itself: name, address, pid.
+        silence: what is said where it does not answer.
     """
 
-    def __init__(self, entry: Entry, who: str = "") -> None:
+    def __init__(self, entry: Entry, who: str = "", *, patience: float = TIMEOUT) -> None:
         self.entry = entry
         self.right = ""
         self.hello: Mapping[str, Any] = {}
@@ -50,10 +51,11 @@ class Client:
         """Of calls that run: what has come for each."""
         self._last = 0
         self._gone = ""
+        self.silence = "no answer"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.settimeout(TIMEOUT)
-            self._connect(entry)
+            self._connect(entry, time.monotonic() + patience)
             self._socket.sendall(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": who or _command()}}))
         except BaseException:
             self._socket.close()
@@ -68,24 +70,31 @@ class Client:
             AbsentError: it is gone.
             ControlError: it refuses the session, or speaks another protocol.
         """
-        client = cls(entry, who)
+        until = time.monotonic() + timeout
+        client = cls(entry, who, patience=timeout)
         try:
-            client._greet(time.monotonic() + timeout)
+            client._greet(until)
         except BaseException:
             client.close()
             raise
         return client
 
-    def _connect(self, entry: Entry) -> None:
-        try:
-            self._socket.connect(entry.path)
-        except OSError as error:
-            if error.errno in (errno.ECONNREFUSED, errno.ENOENT):
-                discard(entry)
-                raise errors.AbsentError(f"{entry.address}: is gone; `aiorts ls` shows what runs") from None
-            if isinstance(error, TimeoutError | BlockingIOError):
-                raise NoAnswerError(f"{entry.address}: no answer") from None
-            raise ControlError(f"{entry.address}: {entry.path}: {error.strerror}") from None
+    def _connect(self, entry: Entry, until: float) -> None:
+        while True:
+            try:
+                self._socket.connect(entry.path)
+                return
+            except BlockingIOError:  # more wait to be let in than the system keeps
+                if time.monotonic() >= until:
+                    raise NoAnswerError(f"{entry.address}: no answer") from None
+                time.sleep(0.005)
+            except OSError as error:
+                if error.errno in (errno.ECONNREFUSED, errno.ENOENT):
+                    discard(entry)
+                    raise errors.AbsentError(f"{entry.address}: is gone; `aiorts ls` shows what runs") from None
+                if isinstance(error, TimeoutError):
+                    raise NoAnswerError(f"{entry.address}: no answer") from None
+                raise ControlError(f"{entry.address}: {entry.path}: {error.strerror}") from None
 
     def _greet(self, until: float) -> None:
         while not self.hello:
@@ -138,10 +147,11 @@ class Client:
 
     def begin(self, operation: str, /, **arguments: object) -> int:
         """Send a call and do not wait; `result` gives its result by the number that is returned."""
-        self._last += 1
-        self._answers[self._last] = deque()
-        self._send({"id": self._last, "op": operation, "epoch": self.entry.epoch, "args": arguments})
-        return self._last
+        number = self._last + 1
+        self._send({"id": number, "op": operation, "epoch": self.entry.epoch, "args": arguments})
+        self._answers[number] = deque()
+        self._last = number
+        return number
 
     def result(self, number: int, wait: float | None = TIMEOUT) -> Any:
         """Wait for the result of a call that was begun. Raises as `call` does."""
@@ -175,9 +185,12 @@ class Client:
             return
 
     def _send(self, message: Mapping[str, Any]) -> None:
+        frame = framed(message)
+        if len(frame) > REQUESTS.frame:
+            raise errors.LimitError(f"a call of {len(frame)} bytes; at most {REQUESTS.frame} are allowed")
         try:
             self._socket.settimeout(TIMEOUT)
-            self._socket.sendall(framed(message))
+            self._socket.sendall(frame)
         except TimeoutError:
             raise NoAnswerError(f"{self.entry.address}: does not take what is sent") from None
         except OSError:
@@ -203,15 +216,17 @@ class Client:
                 continue
             if "id" not in frame and "error" in frame:
                 raise _error_of(frame["error"], self.entry)
-            waiting = self._answers.get(frame.get("id", 0))
-            if waiting is not None:
-                waiting.append(frame)
+            number, busy = frame.get("id"), frame.get("busy")
+            if type(number) is int and number in self._answers:
+                self._answers[number].append(frame)
+            elif type(busy) is float or type(busy) is int:
+                self.silence = f"no answer: its event loop has been busy for {busy:.1f} s"
 
     def _receive(self, until: float | None) -> None:
         """Wait until at least one frame has come."""
         while not self._frames:
             if until is not None and time.monotonic() >= until:
-                raise NoAnswerError(f"{self.entry.address}: no answer")
+                raise NoAnswerError(f"{self.entry.address}: {self.silence}")
             self._socket.settimeout(None if until is None else max(0.001, until - time.monotonic()))
             self.read()
 
@@ -327,9 +342,10 @@ def open_all(
     pending: dict[int, tuple[Client, int]] = {}
     silent: list[Silent] = []
     order: list[Client] = []
+    until = time.monotonic() + grace
     for entry in found:
         try:
-            client = Client(entry)
+            client = Client(entry, patience=until - time.monotonic())
             number = client.begin(operation, **arguments)
         except errors.AbsentError:
             continue
@@ -341,7 +357,7 @@ def open_all(
     answers = wait_all(pending, timeout=timeout, grace=grace)
     opened: list[tuple[Client, Any]] = []
     for client in order:
-        answer = answers.get(client, "no answer")
+        answer = answers.get(client, client.silence)
         if client in answers and not isinstance(answer, AiortsError):
             opened.append((client, answer))
         else:

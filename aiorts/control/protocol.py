@@ -4,7 +4,9 @@ A client begins with hello: `{"hello": {"oldest": 1, "newest": 1, "who": "aiorts
 protocol that both speak, its address and its epoch. Then calls go `{"id": 1, "op": "profile", "epoch": "...", "args":
 {...}}`, answered by one `{"id": 1, "ok": value}` or `{"id": 1, "error": {"code": ..., "text": ...}}`. An operation that
 streams goes on after its "ok" with `{"id": 1, "item": value, "missed": 0}` until `{"id": 1, "end": value}`, or until
-the client sends `{"id": 1, "cancel": true}`. Keys that are not known are passed over.
+the client sends `{"id": 1, "cancel": true}`. Each call has one answer that is its last: an "error", an "end", or the
+"ok" of an operation that does not stream; one that is cancelled too. While the kernel's event loop is held up,
+`{"busy": seconds}` says so. Keys that are not known are passed over.
 """
 
 from __future__ import annotations
@@ -16,14 +18,14 @@ import msgpack  # type: ignore[import-untyped]
 
 from aiorts.errors import ControlError, LimitError, WireError
 from aiorts.model.plain import plain
-from aiorts.wire.limits import MIB, Limits
+from aiorts.wire.limits import KIB, MIB, Limits
 from aiorts.wire.scan import count_values
 
 OLDEST: Final = 1
 """The oldest protocol that is spoken here."""
 NEWEST: Final = 1
-REQUESTS: Final = Limits(frame=4 * MIB, string=65_536, values=8_192, length=8_192)
-"""Of what clients send: the worst frame takes some milliseconds to decode."""
+REQUESTS: Final = Limits(frame=512 * KIB, string=65_536, values=8_192, length=8_192)
+"""Of what clients send: the worst frame takes 3 ms to decode."""
 ANSWERS: Final = 512 * MIB
 """Bytes of the longest frame that a client takes from a kernel."""
 WAITING: Final = 256
@@ -61,15 +63,19 @@ def frames(buffer: bytearray, longest: int) -> Iterator[bytes]:
     Raises:
         LimitError: a frame says that it is longer than `longest`.
     """
-    while len(buffer) >= _LENGTH:
+    while has_frame(buffer, longest):
         length = int.from_bytes(buffer[:_LENGTH], "big")
-        if length > longest:
-            raise LimitError(f"a frame of {length} bytes; at most {longest} are allowed")
-        if len(buffer) < _LENGTH + length:
-            return
         frame = bytes(memoryview(buffer)[_LENGTH : _LENGTH + length])
         del buffer[: _LENGTH + length]
         yield frame
+
+
+def has_frame(buffer: bytearray, longest: int) -> bool:
+    """Whether a whole frame is at the beginning of a buffer; LimitError when it says that it is longer than allowed."""
+    length = int.from_bytes(buffer[:_LENGTH], "big")
+    if length > longest and len(buffer) >= _LENGTH:
+        raise LimitError(f"a frame of {length} bytes; at most {longest} are allowed")
+    return len(buffer) >= _LENGTH + length
 
 
 def request_in(frame: bytes) -> dict[Any, Any]:
@@ -79,20 +85,17 @@ def request_in(frame: bytes) -> dict[Any, Any]:
         WireError: it is no map, or not whole, or has more in it than `REQUESTS` allow.
     """
     count_values(frame, REQUESTS)
-    return _map(msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors="replace"))
+    return answer_in(frame)
 
 
 def answer_in(frame: bytes) -> dict[Any, Any]:
     """What a kernel says in a frame; WireError when it is no map."""
     try:
-        return _map(msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors="replace"))
-    except (ValueError, TypeError) as error:
+        value = msgpack.unpackb(frame, strict_map_key=False, raw=False, unicode_errors="replace")
+    except (ValueError, TypeError) as error:  # TypeError: a list or map as a key
         raise WireError(f"a frame that is no msgpack: {error}") from None
-
-
-def _map(value: object) -> dict[Any, Any]:
     if type(value) is not dict:
-        raise WireError(f"expected a map, got {type(value).__name__}")
+        raise WireError(f"a frame that is no map but {type(value).__name__}")
     return value
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from aiorts.control.operation import Right
 from aiorts.control.protocol import WAITING
-from aiorts.errors import AiortsError, BusyError, ControlError, format_error
+from aiorts.errors import AiortsError, ControlError, format_error
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.model.plain import plain
@@ -29,16 +30,23 @@ class Session:
         right: what it may do.
         who: the client, for the log.
         send: takes a message for the client, from any thread, with a function that is called once it is on its way.
+        has_room: whether it takes more than it holds already.
     """
 
     def __init__(
-        self, kernel: Microkernel, right: Right, who: str, send: Callable[[Mapping[str, Any], Callable[[], None]], None]
+        self,
+        kernel: Microkernel,
+        right: Right,
+        who: str,
+        send: Callable[[Mapping[str, Any], Callable[[], None]], None],
+        has_room: Callable[[], bool] = lambda: True,
     ) -> None:
         self.kernel = kernel
         self.right = right
         self.who = who
         self.ended = False
         self._send = send
+        self._has_room = has_room
         self._running: dict[int, Callable[[], object]] = {}
         """By the call's number: what cancels it."""
         self._streams: dict[int, Stream] = {}
@@ -46,7 +54,10 @@ class Session:
         self._keys = 0
 
     def keep(self, end: Callable[[], object]) -> Callable[[], None]:
-        """Call `end` when the session ends, unless the function that is returned is called before."""
+        """Call `end` when the session ends, or at once if it has, unless what is returned is called before."""
+        if self.ended:
+            end()
+            return _nothing
         self._keys += 1
         key = self._keys
         self._kept[key] = end
@@ -81,9 +92,6 @@ class Session:
         """Carry out a call, and send its answer."""
         if self.ended:
             return
-        if number in self._running:
-            self._fail(number, operation, arguments, BusyError(f"a call with the number {number} runs already"))
-            return
         stream = Stream(self, number) if operation.streams else None
         try:
             value = operation.run(self, arguments) if stream is None else operation.run(self, arguments, stream)
@@ -93,32 +101,37 @@ class Session:
         except Exception as error:  # noqa: BLE001 - the border round what a client asked for
             self._fail(number, operation, arguments, error, stream)
             return
-        task = kernel_task(
-            self.kernel.loop,
-            self._wait(number, operation, arguments, value, stream),
-            f"aiorts control {operation.name}",
-        )
+        task = kernel_task(self.kernel.loop, _result(value), f"aiorts control {operation.name}")
         self._running[number] = task.cancel
+        task.add_done_callback(partial(self._ended, number, operation, arguments, value, stream))
 
-    async def _wait(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
-        try:
-            result = await value
-        except asyncio.CancelledError:
-            self._running.pop(number, None)
+    def _ended(
+        self,
+        number: int,
+        operation: Operation,
+        arguments: Any,
+        value: Any,
+        stream: Stream | None,
+        task: asyncio.Task[Any],
+    ) -> None:
+        self._running.pop(number, None)
+        if task.cancelled():
+            if inspect.iscoroutine(value):
+                value.close()  # cancelled before it began
             if stream is not None:
                 stream.close()
             self._audit(operation, arguments, "cancelled")
-            raise
-        except Exception as error:  # noqa: BLE001 - the border round what a client asked for
-            self._running.pop(number, None)
+            self._send(_error(number, ControlError(f"{operation.name}: was cancelled")), _nothing)
+        elif (error := task.exception()) is not None:
             self._fail(number, operation, arguments, error, stream)
         else:
-            self._running.pop(number, None)
-            self._succeed(number, operation, arguments, result, stream)
+            self._succeed(number, operation, arguments, task.result(), stream)
 
     def cancel(self, number: int) -> None:
-        """The client wants no answer any more: end the call."""
-        if (cancel := self._running.pop(number, None)) is not None:
+        """The client wants no more of a call: end it."""
+        if (stream := self._streams.get(number)) is not None:
+            stream.finish()
+        elif (cancel := self._running.get(number)) is not None:
             cancel()
 
     def _succeed(self, number: int, operation: Operation, arguments: Any, value: Any, stream: Stream | None) -> None:
@@ -126,21 +139,22 @@ class Session:
         self._send({"id": number, "ok": value}, _nothing)
         if stream is not None:
             stream.begun()
-            if not stream.ended:
+            if self.ended:
+                stream.close()
+            elif not stream.ended:
                 self._running[number] = stream.close
                 self._streams[number] = stream
 
     def _fail(
-        self, number: int, operation: Operation, arguments: Any, error: Exception, stream: Stream | None = None
+        self, number: int, operation: Operation, arguments: Any, error: BaseException, stream: Stream | None
     ) -> None:
         if stream is not None:
             stream.close()
-        code = error.code if isinstance(error, AiortsError) else ControlError.code
-        text = str(error) if isinstance(error, AiortsError) else f"{operation.name}: {format_error(error)}"
         if not isinstance(error, AiortsError):
             LOG.error("%s: %s failed: %s", self.who, operation.name, format_error(error), exc_info=error)
-        self._audit(operation, arguments, f"refused: {code}: {text}")
-        self._send({"id": number, "error": {"code": code, "text": text}}, _nothing)
+            error = ControlError(f"{operation.name}: {format_error(error)}")
+        self._audit(operation, arguments, f"refused: {error.code}: {error}")
+        self._send(_error(number, error), _nothing)
 
     def _audit(self, operation: Operation, arguments: Any, outcome: str) -> None:
         """One line for each call that changes something: who, what, outcome."""
@@ -177,7 +191,7 @@ class Stream:
     @property
     def has_room(self) -> bool:
         """Whether an item that is sent now is not dropped."""
-        return self._made - self._gone < WAITING
+        return self._made - self._gone < WAITING and self.session._has_room()
 
     def on_close(self, closer: Callable[[], object]) -> None:
         """Call `closer` once when the stream ends, whoever ends it."""
@@ -226,6 +240,14 @@ class Stream:
 
     def _count(self) -> None:
         self._gone += 1
+
+
+async def _result(value: Awaitable[Any]) -> Any:
+    return await value
+
+
+def _error(number: int, error: AiortsError) -> dict[str, Any]:
+    return {"id": number, "error": {"code": error.code, "text": str(error)}}
 
 
 def _nothing() -> None:

@@ -12,11 +12,10 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.control.operation import Operation
-from aiorts.control.protocol import REQUESTS, WAITING, agreed, framed, frames, request_in
+from aiorts.control.operation import Operation, Right
+from aiorts.control.protocol import REQUESTS, WAITING, agreed, framed, frames, has_frame, request_in
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.model.reading import from_plain
-from aiorts.wire.limits import MIB
 
 if TYPE_CHECKING:
     from aiorts.control.server.listener import Listener
@@ -25,21 +24,44 @@ if TYPE_CHECKING:
 HELLO_SECONDS: Final = 5.0
 """Within which a client has to say hello."""
 STALL_SECONDS: Final = 30.0
-"""After which a client that does not read what was sent is cut off."""
+"""After which a client that does not read what was sent, or does not end what it began to say, is cut off."""
 CALLS_PER_SECOND: Final = 2_000
 """Of one client; beyond that it is read more slowly."""
 _BURST: Final = 500
-_PER_TURN: Final = 32
+_PER_TURN: Final = 8
 """Calls of one client that are taken before the others have their turn."""
 _PAUSE: Final = 0.01
 """Seconds until a client that has used up its calls has some again."""
-_UNREAD: Final = 8 * MIB
-"""Bytes that may wait for a client before no more of its calls are taken."""
 _CHUNK: Final = 1 << 16
 
 
+class Call:
+    """What a client asked for, on its way to the loop."""
+
+    __slots__ = ("begun_at", "connection", "handed_at", "number", "run", "took", "view")
+
+    def __init__(self, connection: Connection, number: int, run: Callable[[], None], *, view: bool) -> None:
+        self.connection = connection
+        self.number = number
+        self.run = run
+        self.view = view
+        """Whether it only looks: calls that do are carried out one after the other."""
+        self.handed_at = time.monotonic()
+        self.begun_at: float | None = None
+        self.took: float | None = None
+        """Seconds of the loop; what it began may go on."""
+
+    def __call__(self) -> None:
+        """Carry it out; on the loop."""
+        self.begun_at = began = time.monotonic()
+        try:
+            self.run()
+        finally:
+            self.took = time.monotonic() - began
+
+
 class Connection:
-    """One client. Everything here is called in the thread of the socket, `put` excepted."""
+    """One client. Everything here is called in the thread of the socket, `put` and `has_room` excepted."""
 
     def __init__(self, listener: Listener, connected: socket.socket) -> None:
         self.socket = connected
@@ -48,19 +70,21 @@ class Connection:
         self.closed = False
         self.closing = False
         """Whether it is closed once all is sent."""
-        self.over_at: float | None = self.since + HELLO_SECONDS
-        """When it is cut off unless something happens."""
         self.watched = 0
         """What the selector looks for: EVENT_READ, EVENT_WRITE."""
+        self.unsent = 0
+        """Bytes that wait to be sent."""
         self._listener = listener
         self._in = bytearray()
-        self._frames: deque[bytes] = deque()
         self._out: deque[tuple[memoryview, Callable[[], None]]] = deque()
-        self._unsent = 0
-        self._calls = 0
-        """That wait or run; those of streams until they have begun."""
+        self._over_at = {"hello": self.since + HELLO_SECONDS}
+        """When it is cut off, by what it has to do before."""
+        self._open: dict[int, bool] = {}
+        """Calls without their last answer, by number; whether each streams."""
         self._tokens = float(_BURST)
         self._filled_at = self.since
+        self._used = 0.0
+        self._used_at = self.since
         self._process = _peer(connected)
 
     # -- in --------------------------------------------------------------------------------------------------------
@@ -68,14 +92,37 @@ class Connection:
     @property
     def takes(self) -> bool:
         """Whether more of what it sends is read now."""
-        return not self.closing and self._unsent < _UNREAD and len(self._frames) == 0
+        return not self.closing and not self.asks and self.has_room()
+
+    @property
+    def asks(self) -> bool:
+        """Whether it has said something that is not looked at yet."""
+        return has_frame(self._in, REQUESTS.frame)
+
+    @property
+    def waits(self) -> bool:
+        """Whether it waits for an answer."""
+        return bool(self._open)
 
     @property
     def resumes_at(self) -> float | None:
         """When calls that wait for its share of time are taken; None: there are none."""
-        if not self._frames or self._unsent >= _UNREAD:
+        if self.closing or not self.asks or not self.has_room():
             return None
         return self._filled_at if self._tokens >= 1 else self._filled_at + _PAUSE
+
+    def used(self, now: float) -> float:
+        """Seconds of loop and thread that its calls took of late: half as much after each second."""
+        return self._used * 0.5 ** (now - self._used_at)
+
+    def use(self, seconds: float) -> None:
+        """Its calls took so many seconds."""
+        now = time.monotonic()
+        self._used, self._used_at = self.used(now) + seconds, now
+
+    def overdue(self, now: float) -> bool:
+        """Whether it is to be cut off; not for a hello that it has said and nobody has looked at."""
+        return any(now >= at for what, at in self._over_at.items() if what != "hello" or not self.asks)
 
     def read(self) -> None:
         """Take what it has sent."""
@@ -89,11 +136,19 @@ class Connection:
             self.closed = True
             return
         self._in += data
+        self._look()
+
+    def _look(self) -> None:
+        """See whether there is a whole frame, and since when there is not."""
         try:
-            self._frames.extend(frames(self._in, REQUESTS.frame))
+            whole = self.asks
         except WireError as error:
             self.refuse(error)
-        self.work()
+            return
+        if whole or not self._in:
+            self._over_at.pop("frame", None)
+        else:
+            self._over_at.setdefault("frame", time.monotonic() + STALL_SECONDS)
 
     def work(self) -> None:
         """Carry out what it asked for, as far as it is its turn."""
@@ -101,10 +156,11 @@ class Connection:
         self._tokens = min(_BURST, self._tokens + (now - self._filled_at) * CALLS_PER_SECOND)
         self._filled_at = now
         for _ in range(_PER_TURN):
-            if not self._frames or self._tokens < 1 or self._unsent >= _UNREAD or self.closing:
+            if self.closing or not self.asks or self._tokens < 1 or not self.has_room() or not self._listener.ready:
                 return
             self._tokens -= 1
-            self._take(self._frames.popleft())
+            self._take(next(frames(self._in, REQUESTS.frame)))
+            self._look()
 
     def _take(self, frame: bytes) -> None:
         try:
@@ -115,35 +171,39 @@ class Connection:
         except AiortsError as error:
             self.refuse(error)
             return
-        number = request.get("id")
+        session, number = self.session, request.get("id")
         if type(number) is not int or not 0 < number < 2**53:
             self.refuse(WireError(f"a call without a number: id = {number!r:.50}"))
             return
         if request.get("cancel"):
-            self._listener.hand_over(lambda session=self.session: session.cancel(number))  # type: ignore[misc]
+            if number in self._open:
+                self._listener.hand_over(Call(self, number, lambda: session.cancel(number), view=False))
             return
         try:
-            operation, arguments = self._checked(request)
+            operation, arguments = self._checked(number, request)
         except AiortsError as error:
             self._answer({"id": number, "error": {"code": error.code, "text": str(error)}})
             return
-        self._calls += 1
-        self._listener.hand_over(
-            lambda session=self.session: session.begin(number, operation, arguments)  # type: ignore[misc]
-        )
+        self._open[number] = operation.streams
+        view = operation.right is Right.VIEW
+        self._listener.hand_over(Call(self, number, lambda: session.begin(number, operation, arguments), view=view))
 
     def _greet(self, request: dict[Any, Any]) -> None:
         hello = request.get("hello")
         if not isinstance(hello, dict):
             raise ControlError("expected hello first; what connects is no client of aiorts")
-        client = str(hello.get("who", ""))[:100].replace("\n", " ")
+        client = "".join(one if one.isprintable() else " " for one in f"{hello.get('who', ''):.100}")
         who = f"{client} [{self._process}]"
-        protocol = agreed(hello.get("oldest"), hello.get("newest"), who)
+        try:
+            protocol = agreed(hello.get("oldest"), hello.get("newest"), who)
+        except ControlError as error:
+            self._listener.warn(str(error))
+            raise
         self.session = self._listener.greeted(self, who)
-        self.over_at = None
+        self._over_at.pop("hello", None)
         self._answer({"hello": {"protocol": protocol, **self._listener.hello}})
 
-    def _checked(self, request: dict[Any, Any]) -> tuple[Operation, Any]:
+    def _checked(self, number: int, request: dict[Any, Any]) -> tuple[Operation, Any]:
         """What is called, and with what; raises when it may not be."""
         name = request.get("op")
         operation = self._listener.operations.get(name) if isinstance(name, str) else None
@@ -153,20 +213,22 @@ class Connection:
             raise StaleError(
                 f"{name}: meant for a kernel that has ended; another has its address now. Nothing was done; try again"
             )
-        arguments = from_plain(operation.arguments, request.get("args") or {})
+        arguments = from_plain(operation.arguments, request.get("args", {}))
         needed, right = operation.needed(arguments), self._listener.right
         if not right.allows(needed):
             raise DeniedError(f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}")
-        if self._calls >= WAITING:
+        if number in self._open:
+            raise BusyError(f"{name}: a call with the number {number} runs already")
+        if len(self._open) >= WAITING:
             raise BusyError(f"{name}: {WAITING} calls of this client wait already; wait for their answers")
         return operation, arguments
 
     def refuse(self, error: AiortsError) -> None:
         """Say what is wrong, and end the session."""
-        self._frames.clear()
-        self._answer({"error": {"code": error.code, "text": str(error)}})
+        self._in.clear()
         self.closing = True
-        self.over_at = time.monotonic() + HELLO_SECONDS
+        self._over_at["end"] = time.monotonic() + HELLO_SECONDS
+        self._answer({"error": {"code": error.code, "text": str(error)}})
 
     # -- out -------------------------------------------------------------------------------------------------------
 
@@ -174,16 +236,30 @@ class Connection:
         """Send a message; `sent` is called once it is on its way. From any thread."""
         self._listener.put(self, message, sent)
 
-    def _answer(self, message: Mapping[str, Any]) -> None:
-        self.queue(message, _nothing)
+    def has_room(self) -> bool:
+        """Whether what waits to be sent is no more than is left for a client. From any thread."""
+        return self.unsent <= max(self._listener.room, _CHUNK)
 
-    def queue(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
-        """Send a message when the client takes it."""
-        if "item" not in message and "end" not in message and "id" in message:
-            self._calls = max(0, self._calls - 1)
+    def say_busy(self, seconds: float) -> None:
+        """Tell a client that waits that the loop is held up."""
+        if (self._open or self.asks) and not self._out:
+            self._answer({"busy": round(seconds, 1)})
+
+    def _answer(self, message: Mapping[str, Any]) -> None:
+        self._queue(message, _nothing)
+
+    def deliver(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
+        """Send what a call of it gave."""
+        number: int = message["id"]
+        if "error" in message or "end" in message or ("ok" in message and not self._open.get(number)):
+            self._open.pop(number, None)
+        self._queue(message, sent)
+
+    def _queue(self, message: Mapping[str, Any], sent: Callable[[], None]) -> None:
         frame = framed(message)
         self._out.append((memoryview(frame), sent))
-        self._unsent += len(frame)
+        self.unsent += len(frame)
+        self._listener.unsent += len(frame)
         if len(self._out) == 1:
             self.write()
 
@@ -199,19 +275,29 @@ class Connection:
             try:
                 count = self.socket.send(rest)
             except BlockingIOError:
-                self.over_at = self.over_at or time.monotonic() + STALL_SECONDS
+                self._over_at.setdefault("read", time.monotonic() + STALL_SECONDS)
                 return
             except OSError:
                 self.closed = True
                 return
-            self._unsent -= count
-            self.over_at = None if self.session is not None and not self.closing else self.over_at
+            self.unsent -= count
+            self._listener.unsent -= count
+            self._over_at.pop("read", None)
             if count < len(rest):
                 self._out[0] = (rest[count:], sent)
             else:
                 self._out.popleft()
                 sent()
         self.closed = self.closed or self.closing
+
+    def end(self) -> None:
+        """Close it: what waits to be sent is not sent any more."""
+        self.closed = True
+        self.socket.close()
+        self._listener.unsent -= self.unsent
+        self.unsent = 0
+        while self._out:
+            self._out.popleft()[1]()
 
 
 def _peer(connected: socket.socket) -> str:

@@ -6,6 +6,7 @@ carried out between two instants: neither the socket nor a client that waits hol
 
 from __future__ import annotations
 
+import contextlib
 import os
 import selectors
 import socket
@@ -13,21 +14,40 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.server.connection import Connection, peer_credentials
+from aiorts.control.server.connection import Call, Connection, peer_credentials
+from aiorts.control.server.pace import Pace
 from aiorts.control.session import LOG, Session
 from aiorts.errors import BusyError, format_error
+from aiorts.wire.limits import MIB
 
 if TYPE_CHECKING:
     from aiorts.control.folder import Claim
     from aiorts.kernel.microkernel import Microkernel
 
-_CLIENTS: Final = 64
+_CLIENTS: Final = 256
 """At most; the oldest that has not said hello makes room for another."""
 _TICK: Final = 1.0
 """Seconds between two looks at clients that are overdue."""
+_ACCEPTED: Final = 16
+"""Clients that are let in at a time."""
+_HANDED: Final = 16
+"""Calls that may wait for the loop."""
+_UNSENT: Final = 12 * MIB
+"""Bytes that may wait for clients: each may have as many as are left free."""
+_LOOP: Final = (0.2, 0.5)
+"""The share of the loop that calls of all clients may take, and the seconds of it that are saved up."""
+_THREAD: Final = (0.2, 0.25)
+"""The same of a processor, for reading and checking what clients say."""
+_SLICE: Final = 0.005
+"""Seconds that the thread takes calls at a time, and that it sleeps at a time when it has used up its share."""
+_VIEW_SECONDS: Final = 0.5
+"""After which the next call that looks is carried out although the one before has no answer."""
+_HELD_SECONDS: Final = 0.1
+"""After which clients are told that the loop is held up; then again and again."""
 
 
 class Listener:
@@ -47,7 +67,19 @@ class Listener:
         self._kernel = kernel
         self._listener = claim.listener
         self._listener.setblocking(False)
+        self.loop_pace = Pace(*_LOOP)
+        self.unsent = 0
+        """Bytes that wait for all clients."""
+        self._thread_pace = Pace(*_THREAD)
         self._connections: set[Connection] = set()
+        self._handed: deque[Call] = deque()
+        """Calls that the loop may not have begun."""
+        self._view: Call | None = None
+        """The call that looks and has no answer yet."""
+        self._told_at = 0.0
+        self._deaf_until = 0.0
+        """When clients are let in again; 0.0: they are."""
+        self._warned: set[str] = set()
         self._outbox: deque[tuple[Connection, Mapping[str, Any], Callable[[], None]]] = deque()
         self._awake = False
         """Whether the thread has been told to look."""
@@ -99,16 +131,51 @@ class Listener:
 
     # -- the thread ------------------------------------------------------------------------------------------------
 
-    def hand_over(self, call: Callable[[], None]) -> None:
+    @property
+    def room(self) -> int:
+        """Bytes that may wait for one client."""
+        return _UNSENT - self.unsent
+
+    @property
+    def ready(self) -> bool:
+        """Whether the loop is to have another call now."""
+        self._settle()
+        view = self._view
+        if view is not None and time.monotonic() - view.handed_at < _VIEW_SECONDS:
+            return False
+        return len(self._handed) < _HANDED and not self.loop_pace.due()
+
+    def _settle(self) -> None:
+        """Count what calls have taken of the loop."""
+        while self._handed and (took := self._handed[0].took) is not None:
+            self._took(self._handed.popleft().connection, took)
+
+    def _took(self, connection: Connection, seconds: float) -> None:
+        connection.use(seconds)
+        self.loop_pace.spend(seconds)
+
+    def hand_over(self, call: Call) -> None:
         """Have the loop carry out a call."""
+        self._handed.append(call)
+        if call.view:
+            self._view = call
+        self._on_loop(call)
+
+    def _on_loop(self, call: Callable[[], None]) -> None:
         try:
             self._hand_over(call)
         except RuntimeError:
             self._ended = True  # the loop is closed
 
+    def warn(self, text: str) -> None:
+        """Log what a client did, the same once."""
+        if text not in self._warned and len(self._warned) < _ACCEPTED:
+            self._warned.add(text)
+            LOG.warning("%s", text)
+
     def greeted(self, connection: Connection, who: str) -> Session:
         """A client has said hello: its session."""
-        return Session(self._kernel, self.right, who, connection.put)
+        return Session(self._kernel, self.right, who, connection.put, connection.has_room)
 
     def _serve(self) -> None:
         try:
@@ -127,39 +194,82 @@ class Listener:
             self._wake_out.close()
 
     def _turn(self, selector: selectors.BaseSelector) -> None:
-        for key, _ in selector.select(self._patience()):
-            if key.fileobj is self._listener:
-                self._accept(selector)
-            elif key.fileobj is self._wake_out:
-                self._hear()
-            elif isinstance(key.data, Connection):
-                if key.data.has_more:
-                    key.data.write()
-                if key.data.takes:
-                    key.data.read()
+        """What is sent is never held up; what clients say is, once it takes more than its share of a processor."""
+        owed = self._thread_pace.due()
+        if owed:
+            time.sleep(min(owed, _SLICE))
+        else:
+            events = selector.select(self._patience())
+            began = time.thread_time()
+            for key, mask in events:
+                if key.fileobj is self._listener:
+                    self._let_in(selector)
+                elif key.fileobj is self._wake_out:
+                    self._hear()
+                elif isinstance(key.data, Connection) and mask & selectors.EVENT_READ and key.data.takes:
+                    self._guarded(key.data, key.data.read)
+            self._work(began + _SLICE)
+            self._thread_pace.spend(time.thread_time() - began)
         self._deliver()
+        self._tell_busy()
         now = time.monotonic()
         for connection in tuple(self._connections):
-            if connection.resumes_at is not None:
-                connection.work()
-            if connection.over_at is not None and now >= connection.over_at:
+            if connection.has_more:
+                self._guarded(connection, connection.write)
+            if connection.overdue(now):
                 connection.closed = True
             _watch(selector, connection)
             if connection.closed:
                 self._end(connection)
+        if self._deaf_until and now >= self._deaf_until:
+            self._deaf_until = 0.0
+            selector.register(self._listener, selectors.EVENT_READ)
+
+    def _work(self, until: float) -> None:
+        """Take calls until so much time of the thread: first of those clients whose calls took least time of late."""
+        now = time.monotonic()
+        asking = [one for one in self._connections if one.resumes_at is not None and not one.closed]
+        for connection in sorted(asking, key=lambda one: (one.used(now), one.since)):
+            began = time.thread_time()
+            if not self.ready or began >= until:
+                return
+            self._guarded(connection, connection.work)
+            connection.use(time.thread_time() - began)
+
+    def _guarded(self, connection: Connection, do: Callable[[], None]) -> None:
+        try:
+            do()
+        except Exception as error:  # noqa: BLE001 - what one client says harms that client only
+            self.warn(f"a client was cut off: {format_error(error)}")
+            connection.closed = True
 
     def _patience(self) -> float:
         """Seconds until something is due although nothing comes."""
-        resumes = [one.resumes_at for one in self._connections]
-        due = min((at for at in resumes if at is not None), default=None)
-        return _TICK if due is None else min(_TICK, max(0.0, due - time.monotonic()))
+        due = [at for one in self._connections if (at := one.resumes_at) is not None]
+        now = time.monotonic()
+        if due and self.ready:
+            return min(_TICK, max(0.0, min(due) - now))
+        if due or self._handed:
+            return self.loop_pace.due() or _HELD_SECONDS
+        return max(0.0, self._deaf_until - now) if self._deaf_until else _TICK
+
+    def _tell_busy(self) -> None:
+        """Tell clients that wait when the loop has not begun a call for a while."""
+        self._settle()
+        if not self._handed:
+            return
+        now = time.monotonic()
+        held = now - (self._handed[0].begun_at or self._handed[0].handed_at)
+        if held >= _HELD_SECONDS and now >= self._told_at + _HELD_SECONDS:
+            self._told_at = now
+            for connection in tuple(self._connections):
+                if not connection.closed:
+                    self._guarded(connection, partial(connection.say_busy, held))
 
     def _hear(self) -> None:
-        self._awake = False
-        try:
+        with contextlib.suppress(BlockingIOError):
             self._wake_out.recv(64)
-        except BlockingIOError:
-            return
+        self._awake = False  # what is put from here on wakes again; what was put before is delivered in this turn
 
     def _deliver(self) -> None:
         while self._outbox:
@@ -167,20 +277,40 @@ class Listener:
             if connection.closed:
                 sent()
                 continue
+            item = "item" in message
+            began = time.thread_time()
             try:
-                connection.queue(message, sent)
+                connection.deliver(message, sent)
             except Exception as error:  # noqa: BLE001 - a result that cannot be sent harms its own client only
                 LOG.error("an answer could not be sent: %s", format_error(error), exc_info=error)
                 connection.closed = True
+            if not item:
+                self._thread_pace.spend(time.thread_time() - began)
+                self._answered(connection, message["id"])
 
-    def _accept(self, selector: selectors.BaseSelector) -> None:
-        try:
-            connected, _ = self._listener.accept()
-        except OSError:
-            return
+    def _answered(self, connection: Connection, number: int) -> None:
+        view = self._view
+        if view is not None and view.connection is connection and view.number == number:
+            self._view = None
+            if view.begun_at is not None:
+                self._took(connection, max(0.0, time.monotonic() - view.begun_at - (view.took or 0.0)))
+
+    def _let_in(self, selector: selectors.BaseSelector) -> None:
+        for _ in range(_ACCEPTED):
+            try:
+                connected, _address = self._listener.accept()
+            except BlockingIOError:
+                return
+            except OSError:  # no descriptor is left: those that wait are let in later
+                selector.unregister(self._listener)
+                self._deaf_until = time.monotonic() + _TICK
+                return
+            self._accept(connected)
+
+    def _accept(self, connected: socket.socket) -> None:
         credentials = peer_credentials(connected)
         if credentials is not None and credentials[1] != os.geteuid():
-            LOG.warning("a client of user %d was refused", credentials[1])
+            self.warn(f"a client of user {credentials[1]} was refused")
             connected.close()
             return
         connected.setblocking(False)
@@ -195,9 +325,11 @@ class Listener:
 
     def _end(self, connection: Connection) -> None:
         self._connections.discard(connection)
-        connection.socket.close()
+        connection.end()
+        if self._view is not None and self._view.connection is connection:
+            self._view = None
         if connection.session is not None:
-            self.hand_over(connection.session.end)
+            self._on_loop(connection.session.end)
 
 
 def _watch(selector: selectors.BaseSelector, connection: Connection) -> None:

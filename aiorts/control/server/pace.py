@@ -1,0 +1,35 @@
+"""How much of a second may be used up: saved while it is not, up to a limit."""
+
+from __future__ import annotations
+
+import time
+
+
+class Pace:
+    """A share of the time that goes by.
+
+    Args:
+        share: of each second, what may be used.
+        most: seconds that can be saved up.
+    """
+
+    def __init__(self, share: float, most: float) -> None:
+        self._share = share
+        self._most = most
+        self._left = most
+        self._at = time.monotonic()
+
+    def spend(self, seconds: float) -> None:
+        """So much has been used."""
+        self._fill()
+        self._left -= seconds
+
+    def due(self) -> float:
+        """Seconds until something may be used again; 0.0: now."""
+        self._fill()
+        return max(0.0, -self._left / self._share)
+
+    def _fill(self) -> None:
+        now = time.monotonic()
+        self._left = min(self._most, self._left + (now - self._at) * self._share)
+        self._at = now
