@@ -350,7 +350,7 @@ def open_all(
         except errors.AbsentError:
             continue
         except (AiortsError, OSError) as error:
-            silent.append(Silent(entry, str(error)))
+            silent.append(Silent(entry, _why(entry, error)))
             continue
         pending[client.fileno()] = (client, number)
         order.append(client)
@@ -362,8 +362,12 @@ def open_all(
             opened.append((client, answer))
         else:
             client.close()
-            silent.append(Silent(client.entry, str(answer)))
+            silent.append(Silent(client.entry, _why(client.entry, answer)))
     return opened, silent
+
+
+def _why(entry: Entry, answer: object) -> str:
+    return str(answer).removeprefix(f"{entry.address}: ")
 
 
 def wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace: float) -> dict[Client, Any]:

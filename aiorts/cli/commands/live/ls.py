@@ -35,7 +35,7 @@ def ls(name: str, long: bool, as_json: bool) -> int:
         for one in shown:
             say(_text(one, long=long))
         for silent in found.silent:
-            say(f"{silent.entry.name}/  no answer (process {silent.entry.pid})")
+            say(f"{silent.entry.name}/  {silent.why} (process {silent.entry.pid})")
         if not shown and not found.silent:
             say("nothing runs that can be reached")
     return exits.DONE
