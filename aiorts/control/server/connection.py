@@ -113,7 +113,7 @@ class Connection:
 
     def used(self, now: float) -> float:
         """Seconds of loop and thread that its calls took of late: half as much after each second."""
-        return self._used * 0.5 ** (now - self._used_at)
+        return float(self._used * 0.5 ** (now - self._used_at))
 
     def use(self, seconds: float) -> None:
         """Its calls took so many seconds."""
