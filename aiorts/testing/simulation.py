@@ -23,6 +23,7 @@ import heapq
 import inspect
 import math
 import selectors
+import time
 from collections import deque
 from collections.abc import Coroutine
 from functools import partial
@@ -54,6 +55,9 @@ _NEVER_S = 1e15
 
 _POLL_EVERY = 256
 """Turns between looks at the loop's own wake-up socket while there is nothing else to poll."""
+
+_WAY_S = 0.0002
+"""Real seconds that the interpreter is left to a thread that wants it."""
 
 
 def simulate(
@@ -156,6 +160,8 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._anyio = AnyioThreads(self)
         self._outside: deque[Callable[[], object]] = deque()
         """What other threads want done between two instants."""
+        self._ways: list[Callable[[], bool]] = []
+        """Whether threads want to run that a loop which never waits would keep from it."""
         super().__init__(_JumpingSelector(self))
         if seed is not None:
             self._process_events = partial(_shuffled, self, self._process_events, Shuffle(seed))
@@ -275,6 +281,16 @@ class SimulatedLoop(asyncio.SelectorEventLoop):
         self._check_closed()
         self._outside.append(callback)
         self._write_to_self()
+
+    def give_way(self, wanted: Callable[[], bool]) -> Callable[[], None]:
+        """Let a thread run whenever `wanted()` says that it has something to do, until what is returned is called."""
+        self._ways.append(wanted)
+        return lambda: self._ways.remove(wanted)
+
+    def _give_way(self) -> None:
+        for wanted in self._ways:
+            if wanted():
+                time.sleep(_WAY_S)
 
     def _take_outside(self) -> bool:
         """Make the next such call ready; False when there is none."""
@@ -412,6 +428,8 @@ class _JumpingSelector(selectors.BaseSelector):
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         self._turns += 1
+        if self._turns % _POLL_EVERY == 0:
+            self._loop._give_way()
         if self._awaited or len(self._passive) > 1 or self._turns % _POLL_EVERY == 0:
             events = self._real.select(0)
             if events:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import selectors
 import socket
 import threading
@@ -91,6 +92,11 @@ class Listener:
         self._hand_over: Callable[[Callable[[], None]], object] = getattr(
             loop, "call_between_instants", loop.call_soon_threadsafe
         )
+        self._selector = selectors.DefaultSelector()
+        self._works = False
+        """Whether the thread does something, and does not wait for it."""
+        give_way: Callable[[Callable[[], bool]], Callable[[], None]] = getattr(loop, "give_way", lambda _: _nothing)
+        self._keep_way = give_way(self._wants)
         self._thread = threading.Thread(target=self._serve, name=f"aiorts control {kernel.name}", daemon=True)
         self._thread.start()
 
@@ -117,9 +123,17 @@ class Listener:
     def close(self, timeout: float) -> None:
         """Send what waits, end all sessions and the thread, within `timeout` seconds. On the loop."""
         self.end_sessions()
+        self._keep_way()
         self._ended = True
         self._wake()
         self._thread.join(timeout)
+
+    def _wants(self) -> bool:
+        """Whether there is something to do for the thread: on a loop that never waits it would not come to it."""
+        try:
+            return self._works or bool(select.select([self._selector], [], [], 0)[0])
+        except (ValueError, OSError):  # it has ended, or its number is too high for this call
+            return False
 
     def _wake(self) -> None:
         if not self._awake:
@@ -179,7 +193,7 @@ class Listener:
 
     def _serve(self) -> None:
         try:
-            with selectors.DefaultSelector() as selector:
+            with self._selector as selector:
                 selector.register(self._listener, selectors.EVENT_READ)
                 selector.register(self._wake_out, selectors.EVENT_READ)
                 while not self._ended:
@@ -197,9 +211,13 @@ class Listener:
         """What is sent is never held up; what clients say is, once it takes more than its share of a processor."""
         owed = self._thread_pace.due()
         if owed:
+            self._works = False
             time.sleep(min(owed, _SLICE))
+            self._works = True
         else:
-            events = selector.select(self._patience())
+            patience, self._works = self._patience(), False
+            events = selector.select(patience)
+            self._works = True
             began = time.thread_time()
             for key, mask in events:
                 if key.fileobj is self._listener:
@@ -330,6 +348,10 @@ class Listener:
             self._view = None
         if connection.session is not None:
             self._on_loop(connection.session.end)
+
+
+def _nothing() -> None:
+    """Ends nothing."""
 
 
 def _watch(selector: selectors.BaseSelector, connection: Connection) -> None:
