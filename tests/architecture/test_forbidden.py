@@ -83,8 +83,8 @@ BROAD_EXCEPT = {
     "aiorts/kernel/connections.py:contained",
     # Round what a client asked for, and round the thread that serves clients: the system goes on without them.
     "aiorts/control/session.py:begin",
-    "aiorts/control/session.py:_wait",
     "aiorts/control/session.py:end",
+    "aiorts/control/server/listener.py:_guarded",
     "aiorts/control/server/listener.py:_serve",
     "aiorts/control/server/listener.py:_deliver",
     "aiorts/kernel/service.py:notify",
