@@ -51,6 +51,7 @@ _COMMANDS: Final = {
     "bw": ("aiorts.cli.commands.live.measure.rates:bw", "Show how many bytes pass a connector or port each second."),
     "delay": ("aiorts.cli.commands.live.measure.rates:delay", "Show how long samples are on their way, and how old."),
     "hz": ("aiorts.cli.commands.live.measure.rates:hz", "Show how many samples pass a connector or port each second."),
+    "top": ("aiorts.cli.commands.live.measure.top:top", "Watch connectors, contexts and components of what runs."),
     "vlog": ("aiorts.cli.commands.live.vlog:vlog", "Show the log of components that run, and set its level."),
     "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),
     "stop": ("aiorts.cli.commands.live.lifecycle:stop", "End a run in order."),

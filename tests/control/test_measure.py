@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from aiorts.cli.app import run_command
-from aiorts.cli.commands.live.measure.rates import duration
 from aiorts.cli.commands.live.measure.readings import Rates, rate_of
+from aiorts.cli.commands.live.measure.spans import span_text
 from aiorts.control import Client
 from aiorts.errors import ConfigurationError, StateError, WiringError
 from aiorts.testing import simulate
@@ -207,5 +207,5 @@ async def test_who_may_only_look_reads_a_delay_that_is_measured_and_measures_non
 
 
 def test_spans_of_time_have_three_digits() -> None:
-    shown = [duration(ns) for ns in (0, 999, 1000, 12_345, 999_900, 10**6, 2 * 10**9, 5000 * 10**9)]
+    shown = [span_text(ns) for ns in (0, 999, 1000, 12_345, 999_900, 10**6, 2 * 10**9, 5000 * 10**9)]
     assert shown == ["0 ns", "999 ns", "1 us", "12.3 us", "1000 us", "1 ms", "2 s", "5000 s"]

@@ -11,6 +11,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
 from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
+from aiorts.cli.commands.live.measure.spans import span_plain, span_text
 from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
@@ -161,7 +162,7 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
                 return False  # nothing was read yet
             for edge in meant:
                 found = now["timed"].get(edge.name, {})
-                _print(edge, _spans(found), {what: _seconds(found.get(what)) for what in _TIMED}, as_json=as_json)
+                _print(edge, _spans(found), {what: span_plain(found.get(what)) for what in _TIMED}, as_json=as_json)
             return True
 
         return show
@@ -188,26 +189,11 @@ def _spans(found: Mapping[str, Any]) -> str:
     if not found:
         return "nothing was read"
     texts = [
-        f"{what} p50 {duration(found[what][1])}  p99 {duration(found[what][2])}  max {duration(found[what][3])}"
+        f"{what} p50 {span_text(found[what][1])}  p99 {span_text(found[what][2])}  max {span_text(found[what][3])}"
         for what in _TIMED
         if what in found
     ]
     return f"{'  '.join(texts)}  samples {found['latency'][0]}"
-
-
-def _seconds(spans: Any) -> dict[str, float] | None:
-    if spans is None:
-        return None
-    count, p50, p99, most = spans
-    return {"samples": count, "p50": p50 / 1e9, "p99": p99 / 1e9, "max": most / 1e9}
-
-
-def duration(ns: float) -> str:
-    """A span of time in three or four digits."""
-    for unit, size in (("s", 1e9), ("ms", 1e6), ("us", 1e3)):
-        if abs(ns) >= size:
-            return f"{ns / size:.3g} {unit}" if abs(ns) < 999 * size else f"{ns / size:.0f} {unit}"
-    return f"{ns:.0f} ns"
 
 
 def _bytes(count: float) -> str:

@@ -1,0 +1,21 @@
+"""Spans of time, as they are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def span_text(ns: float) -> str:
+    """A span of time in three or four digits."""
+    for unit, size in (("s", 1e9), ("ms", 1e6), ("us", 1e3)):
+        if abs(ns) >= size:
+            return f"{ns / size:.3g} {unit}" if abs(ns) < 999 * size else f"{ns / size:.0f} {unit}"
+    return f"{ns:.0f} ns"
+
+
+def span_plain(spans: Sequence[int] | None) -> dict[str, float] | None:
+    """What the kernel says of the spans it has taken, in seconds."""
+    if spans is None:
+        return None
+    count, p50, p99, most = spans
+    return {"samples": count, "p50": p50 / 1e9, "p99": p99 / 1e9, "max": most / 1e9}

@@ -1,0 +1,232 @@
+"""What `aiorts top` shows: rows of connectors, contexts and components, sorted, filtered and cut to a terminal.
+
+Two readings of the counters and a view make lines of text; nothing here reads, waits or prints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from aiorts.cli.commands.live.edges import Edge
+from aiorts.cli.commands.live.measure.readings import Counters, rate_of
+from aiorts.cli.commands.live.measure.spans import span_plain, span_text
+from aiorts.cli.console.quote import cells_of
+from aiorts.cli.console.report import printed
+from aiorts.late import dataclass
+
+KINDS: Final = ("connectors", "contexts", "components")
+SORTS: Final = ("name", "rate", "dropped", "buffered", "late")
+_HEADS: Final[Mapping[str, tuple[str, ...]]] = {
+    "connectors": ("CONNECTOR", "RATE/S", "BUFFERED", "DROPPED/S", "LATENCY", "P99", "DROPPED"),
+    "contexts": ("CONTEXT", "RATE/S", "OF", "LATE P50", "P99", "MAX", "OVERRUNS", "SKIPPED"),
+    "components": ("COMPONENT", "STATE", "CALLS"),
+}
+_SHORTEST: Final = 3
+"""Lines of a table below which it is not begun: title, one row, how many more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table."""
+
+    cells: tuple[str, ...]
+    plain: Mapping[str, Any]
+    """As JSON has it."""
+    order: Mapping[str, float]
+    """By what it is sorted, the greatest first."""
+
+    @property
+    def name(self) -> str:
+        """What it is of."""
+        return self.cells[0]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What is to be seen of the tables, and in which order."""
+
+    kinds: tuple[str, ...] = KINDS
+    sort: str = "name"
+    reverse: bool = False
+    text: str = ""
+    """Only rows with this in the name."""
+    first: int = 0
+    """Rows that are scrolled away."""
+
+    def rows(self, table: Sequence[Row]) -> list[Row]:
+        """Those that are to be seen."""
+        text = self.text.casefold()
+        fitting = [row for row in table if text in row.name.casefold()] if text else list(table)
+        if self.sort == "name":
+            return sorted(fitting, key=lambda row: row.name, reverse=self.reverse)
+        return sorted(fitting, key=lambda row: row.order.get(self.sort, 0.0), reverse=not self.reverse)
+
+
+Tables = Mapping[str, Sequence[Row]]
+
+
+def tables(now: Counters, before: Counters | None, edges: Mapping[str, Edge]) -> Tables:
+    """The rows of all tables; rates only where there is a reading before."""
+    old = now if before is None else before
+    return {
+        "connectors": [_connector(edges.get(name), name, now, old) for name in now["connectors"]],
+        "contexts": [_context(name, now, old) for name in now["contexts"]],
+        "components": [_component(name, one, old) for name, one in now["components"].items()],
+    }
+
+
+def _connector(edge: Edge | None, name: str, now: Counters, old: Counters) -> Row:
+    written, delivered, buffered, dropped, measure = now["connectors"][name]
+    lost, rate = sum(dropped.values()), rate_of(now, old, name)
+    before = old["connectors"].get(name)
+    losing = None if before is None else _per_second(lost - sum(before[3].values()), now, old)
+    timed = now["timed"].get(name, {})
+    latency = timed.get("latency")
+    reasons = ", ".join(f"{reason} {count}" for reason, count in sorted(dropped.items()))
+    empty = "..." if measure else ""
+    p50, p99 = (empty, empty) if latency is None else (span_text(latency[1]), span_text(latency[2]))
+    path = name if edge is None else edge.path
+    return Row(
+        (path, _number(rate), str(buffered), _number(losing) if lost else "", p50, p99, reasons),
+        {
+            "name": name,
+            "from": "" if edge is None else edge.out,
+            "to": "" if edge is None else edge.in_,
+            "rate": rate,
+            "written": written,
+            "delivered": delivered,
+            "buffered": buffered,
+            "dropped": dropped,
+            "measure": measure,
+            "latency": span_plain(latency),
+            "age": span_plain(timed.get("age")),
+        },
+        {
+            "rate": -1.0 if rate is None else rate,
+            "dropped": float(lost),
+            "buffered": float(buffered),
+            "late": 0.0 if latency is None else float(latency[2]),
+        },
+    )
+
+
+def _context(name: str, now: Counters, old: Counters) -> Row:
+    one: Mapping[str, Any] = now["contexts"][name]
+    before = old["contexts"].get(name)
+    rate = None if before is None else _per_second(one["cycles"] - before["cycles"], now, old)
+    late = [one[f"lateness_{which}_ns"] for which in ("p50", "p99", "max")]
+    wanted = "" if one["rate"] is None else f"{one['rate']:g}"
+    state = _number(rate) if one["running"] else "stopped"
+    counts = (one["overruns"], one["skipped"])
+    return Row(
+        (
+            name,
+            state,
+            wanted,
+            *(span_text(ns) if wanted else "" for ns in late),
+            *(str(one) if one else "" for one in counts),
+        ),
+        {"name": name, "cycles_per_second": rate, **one},
+        {"rate": rate or 0.0, "dropped": float(sum(counts)), "late": float(late[1])},
+    )
+
+
+def _component(name: str, one: Mapping[str, Any], old: Counters) -> Row:
+    states = ", ".join(dict.fromkeys(one["states"].values())) or "in no context"
+    failed = " (failed)" if one["failed"] and "error" not in one["states"].values() else ""
+    texts = [
+        f"{path} {each['calls']}" + (f" ({each['failures']} failed)" if each["failures"] else "")
+        for path, each in one.get("calls", {}).items()
+    ]
+    texts += [f"{path} {each['accepted']} by threads" for path, each in one.get("thread_writes", {}).items()]
+    worst = 2.0 * bool(one["failed"]) + ("active" not in one["states"].values())
+    return Row((name, states + failed, ", ".join(texts)), {"name": name, **one}, {"dropped": worst, "late": worst})
+
+
+def _per_second(more: int, now: Counters, old: Counters) -> float | None:
+    span_ns = now["at_ns"] - old["at_ns"]
+    return None if span_ns <= 0 or more < 0 else more * 1e9 / span_ns
+
+
+def _number(rate: float | None) -> str:
+    """A rate in few digits."""
+    if rate is None:
+        return "-"
+    return f"{rate:.0f}" if rate >= 10_000 else f"{rate:.1f}"
+
+
+# -- lines -------------------------------------------------------------------------------------------------------------
+
+
+def text_of(found: Tables, view: View) -> list[str]:
+    """All rows, as many lines as it takes."""
+    lines: list[str] = []
+    for kind in view.kinds:
+        rows = view.rows(found[kind])
+        if rows:
+            lines += ["", *_columns(kind, rows)] if lines else _columns(kind, rows)
+    return lines
+
+
+def screen_of(found: Tables, view: View, head: str, foot: str, width: int, height: int) -> list[str]:
+    """Just so many lines, none wider than `width`."""
+    parts = {kind: view.rows(found[kind]) for kind in view.kinds}
+    lines = [head]
+    left = height - 2
+    for kind, room in zip(parts, _rooms([len(rows) for rows in parts.values()], left), strict=True):
+        rows = parts[kind]
+        first = min(view.first, max(0, len(rows) - (room - 1)))
+        shown = rows[first : first + room - 1]
+        if room and rows:
+            more = f"  {first + 1}-{first + len(shown)} of {len(rows)}" if len(shown) < len(rows) else ""
+            title, *body = _columns(kind, shown)
+            lines += [title + more, *body]
+    lines += [""] * (height - 1 - len(lines))
+    return [fitted(line, width) for line in (*lines[: height - 1], foot)][:height]
+
+
+def _rooms(counts: Sequence[int], left: int) -> list[int]:
+    """Lines for each table with its title: what is short is whole, what is long shares the rest, the first has most."""
+    wanted = [count + 1 if count else 0 for count in counts]
+    rooms = [0] * len(wanted)
+    for place in range(len(wanted) - 1, 0, -1):
+        share = max(_SHORTEST, left // 4) if any(wanted[:place]) else left
+        rooms[place] = min(wanted[place], share, left)
+        left -= rooms[place]
+    rooms[0] = min(wanted[0], left)
+    left -= rooms[0]
+    for place in range(1, len(wanted)):  # what the first does not need
+        more = min(left, wanted[place] - rooms[place])
+        rooms[place] += more
+        left -= more
+    return [room if room > 1 else 0 for room in rooms]
+
+
+def _columns(kind: str, rows: Sequence[Row]) -> list[str]:
+    """Title and rows, in columns: names and what is said in words to the left, numbers to the right."""
+    cells = [[printed(cell) for cell in one] for one in (_HEADS[kind], *(row.cells for row in rows))]
+    count = len(cells[0])
+    widths = [max(cells_of(row[column]) for row in cells) for column in range(count)]
+    words = {0, count - 1} if kind != "contexts" else {0}
+    words |= {1} if kind == "components" else set()
+    lines = []
+    for row in cells:
+        padded = [
+            cell + " " * (width - cells_of(cell)) if place in words else " " * (width - cells_of(cell)) + cell
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(padded).rstrip())
+    return lines
+
+
+def fitted(line: str, width: int) -> str:
+    """The line, cut to so many columns."""
+    if line.isascii():
+        return line[:width]
+    used = 0
+    for place, character in enumerate(line):
+        used += cells_of(character)
+        if used > width:
+            return line[:place]
+    return line
