@@ -28,6 +28,8 @@ _SECTIONS: Final = (
             "comp",
             "ctx",
             "fsm",
+            "call",
+            "goal",
             "reload",
             "exit",
             "top",

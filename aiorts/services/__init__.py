@@ -12,6 +12,7 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.services.goal_keeper import GoalAccepted, GoalEnded, GoalKeeper
     from aiorts.services.goals import Goal
+    from aiorts.services.outside_caller import OutsideCaller
     from aiorts.services.service_ends import Provided, Required
     from aiorts.services.service_heritage import ServiceHeritage
     from aiorts.services.service_port import Made, Service, ServiceConnector, ServiceEnd, ServicePort
@@ -22,6 +23,7 @@ _late(
     {
         "aiorts.services.goal_keeper": "GoalAccepted GoalEnded GoalKeeper",
         "aiorts.services.goals": "Goal",
+        "aiorts.services.outside_caller": "OutsideCaller",
         "aiorts.services.service_ends": "Provided Required",
         "aiorts.services.service_heritage": "ServiceHeritage",
         "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort",

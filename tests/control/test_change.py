@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, Kernel, Param
+from aiorts import Component, Kernel, Param, PeriodicContext
 from aiorts.composites import Composite
 from aiorts.control import Client
 from aiorts.errors import DeniedError
@@ -192,3 +193,26 @@ async def test_who_may_only_look_changes_nothing() -> None:
 
         await with_client("looks", ask)
         assert (len(kernel.components), len(kernel.connectors)) == (2, 1)
+
+
+class Slow(Component):
+    step: float = Param(1.0)
+    released: asyncio.Event
+
+    async def on_deactivated(self) -> None:
+        await self.released.wait()
+
+
+async def test_a_kernel_that_closes_changes_nothing_more(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        slow = await kernel.create(Slow, "slow0")
+        slow.released = asyncio.Event()
+        await kernel.start(PeriodicContext(rate=10.0), slow, activate=True)
+        closing = asyncio.ensure_future(kernel.aclose())
+        await kernel.closing
+        for words in (("comp", "create", "FlexiDump"), ("con", "counter0.out", "reader0.in"), ("exit", "reader0")):
+            status, text = await commanded(capsys, *words)
+            assert (status, "E-ABSENT" in text) == (6, True), text
+        slow.released.set()
+        await closing
+    assert (await commanded(capsys, "conf", "slow0"))[0] == 6

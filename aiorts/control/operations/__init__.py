@@ -20,6 +20,7 @@ from aiorts.control.operations import (
     look,
     machines,
     reloading,
+    services,
     statistics,
     wiring,
 )
@@ -34,6 +35,7 @@ _ROWS: Final = (
     *look.ROWS,
     *machines.ROWS,
     *reloading.ROWS,
+    *services.ROWS,
     *statistics.ROWS,
     *wiring.ROWS,
 )

@@ -15,7 +15,7 @@ from typing import Any, Final
 import click
 
 from aiorts.control import Client, Entry, Silent, entries, open_all
-from aiorts.errors import AbsentError, NoAnswerError
+from aiorts.errors import AbsentError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
 
@@ -159,6 +159,8 @@ def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None)
     found = Kernels([Running(client, names) for client, names in opened], silent)
     try:
         yield found
+    except ClosedError as error:  # it has ended meanwhile, or is about to
+        raise AbsentError(str(error)) from None
     finally:
         found.close()
 

@@ -1,0 +1,102 @@
+"""`aiorts call` and `goal`: methods of services of what runs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.live.components import pairs
+from aiorts.cli.commands.live.target import Kernels, complete, kernels
+from aiorts.cli.console.output import say, say_json, say_line, say_now
+from aiorts.errors import ControlError, GoalCancelled, GoalFailed
+
+_WORDS: Any = "[VALUE | NAME=VALUE]..."
+
+
+@click.command(short_help="Call a service of what runs.")
+@click.argument("path", metavar="COMPONENT.PORT.METHOD", shell_complete=complete)
+@click.argument("words", nargs=-1, metavar=_WORDS)
+@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Give up after S seconds.")
+@click.option("--json", "as_json", is_flag=True, help='One JSON document: {"value": ...}.')
+def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> int:
+    """Call METHOD and print its result as JSON; what returns nothing prints nothing.
+
+    Arguments are given by position, by NAME=VALUE, or all of them as one JSON list or object. Each is read by the type
+    that the interface says: a number, a text, JSON for records and lists. Ctrl-C cancels the call.
+    """
+    with kernels() as found:
+        one = found.find(path)
+        given = _given(found, path, words)
+        answer = one.client.call("call", timeout + 2.0, timeout=timeout, **given)
+    if as_json:
+        say_json(answer)
+    elif answer["value"] is not None:
+        say(_text(answer["value"]))
+    return exits.DONE
+
+
+@click.command(short_help="Send a goal, and show its feedback.")
+@click.argument("path", metavar="COMPONENT.PORT.METHOD", shell_complete=complete)
+@click.argument("words", nargs=-1, metavar=_WORDS)
+@click.option(
+    "--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds until it is accepted."
+)
+@click.option("--json", "as_json", is_flag=True, help="A JSON object in a line for each feedback, and for the end.")
+def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> int:
+    """Send a goal to METHOD, print its feedback as it comes and, at the end, its result.
+
+    Arguments are those of aiorts call. Ctrl-C asks to cancel it, as any end of this command does. The status is 1 where
+    it failed or was cancelled.
+    """
+    with kernels() as found:
+        one = found.find(path)
+        stream = one.client.stream("goal", timeout + 2.0, timeout=timeout, **_given(found, path, words))
+        for feedback in stream:
+            if as_json:
+                say_line({"feedback": feedback, "missed": stream.missed})
+            else:
+                say_now(_text(feedback))
+        end = stream.result
+    if as_json:
+        say_line(end)
+    elif end["state"] != "succeeded":
+        raise (GoalCancelled if end["state"] == "cancelled" else GoalFailed)(end["text"])
+    elif end["result"] is not None:
+        say(_text(end["result"]))
+    return exits.DONE if end["state"] == "succeeded" else exits.FAILED
+
+
+def _given(found: Kernels, path: str, words: tuple[str, ...]) -> dict[str, Any]:
+    """The path as the kernel has it, and the arguments."""
+    one = found.find(path)
+    if not one.component or "." not in one.port:
+        raise ControlError(f"{path}: expected COMPONENT.PORT.METHOD")
+    whole = _json(words[0]) if len(words) == 1 else None
+    if isinstance(whole, dict):
+        return {"path": one.path, "kwargs": whole}
+    if isinstance(whole, list):
+        return {"path": one.path, "args": whole}
+    named = tuple(word for word in words if word.partition("=")[0].isidentifier() and "=" in word)
+    return {"path": one.path, "args": [word for word in words if word not in named], "kwargs": pairs(named)}
+
+
+def _json(word: str) -> Any:
+    """What a word is as a JSON list or object; None where it is neither."""
+    from json import loads
+
+    if not word.startswith(("{", "[")):
+        return None
+    try:
+        return loads(word)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _text(value: Any) -> str:
+    from json import dumps
+
+    from aiorts.cli.console.output import plain
+
+    return dumps(plain(value), allow_nan=False)

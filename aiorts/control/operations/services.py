@@ -1,0 +1,127 @@
+"""Operations that call services: a call and its result, a goal and what becomes of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.arguments import read_arguments
+from aiorts.control.operations.known import absent, component_named
+from aiorts.control.session import Session, Stream
+from aiorts.control.values import Done
+from aiorts.errors import AbsentError, ControlError, GoalCancelled, GoalFailed
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.late import dataclass
+from aiorts.services import Goal, OutsideCaller, Provided, ServicePort
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Calling:
+    """A call of a method of a service."""
+
+    path: str
+    """ "component.port.method", with the interface before the method where the port has several that have it."""
+    args: tuple[Any, ...] = ()
+    """By position; a text is read by the type that the interface says."""
+    kwargs: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """By name."""
+    timeout: float = 5.0
+    """Seconds of the kernel's clock until the call is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a method has answered."""
+
+    value: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class GoalEnd:
+    """How a goal has ended."""
+
+    state: str
+    """ "succeeded", "failed" or "cancelled"."""
+    result: Any = None
+    reason: str = ""
+    """Of one that failed, what `GoalStatistics.failed` counts it under."""
+    text: str = ""
+    """Why it failed or was cancelled."""
+
+
+async def _call(session: Session, given: Calling) -> Result:
+    caller, method = _caller(session, given)
+    try:
+        if caller.answers_with_goal(method):
+            raise ControlError(f"{given.path}: answers with a goal; send it with `aiorts goal`")
+        args, kwargs = read_arguments(given.path, caller.signature(method), given.args, given.kwargs)
+        return Result(await caller.call(method, args, kwargs, given.timeout))
+    finally:
+        caller.close()
+
+
+async def _goal(session: Session, given: Calling, stream: Stream) -> Done:
+    """Send a goal; its feedback streams until it ends, and it is asked to cancel when the stream ends before."""
+    caller, method = _caller(session, given)
+    try:
+        if not caller.answers_with_goal(method):
+            raise ControlError(f"{given.path}: answers at once, with no goal; call it with `aiorts call`")
+        args, kwargs = read_arguments(given.path, caller.signature(method), given.args, given.kwargs)
+        goal = await caller.call(method, args, kwargs, given.timeout)
+    except BaseException:
+        caller.close()
+        raise
+    task = kernel_task(session.kernel.loop, _follow(goal, stream), f"aiorts control goal {given.path}")
+    task.add_done_callback(lambda _: caller.close())
+    stream.on_close(lambda: None if asyncio.current_task() is task else task.cancel())
+    return Done()
+
+
+async def _follow(goal: Goal[Any, Any], stream: Stream) -> None:
+    async for feedback in goal:
+        stream.send(feedback)
+    try:
+        stream.finish(GoalEnd("succeeded", await goal.result()))
+    except GoalFailed as error:
+        stream.finish(GoalEnd("failed", reason=error.reason, text=str(error)))
+    except GoalCancelled as error:
+        stream.finish(GoalEnd("cancelled", text=str(error)))
+
+
+def _caller(session: Session, given: Calling) -> tuple[OutsideCaller, str]:
+    """A caller of the interface that a path means, and the name of the method."""
+    name, *rest = given.path.split(".")
+    component = component_named(session, name)
+    if not 2 <= len(rest) <= 3:
+        raise AbsentError(f"{given.path:.80}: expected component.port.method")
+    port, *_, method = rest
+    services = {path: one for path, one in component.ports.items() if isinstance(one, ServicePort)}
+    if port not in services:
+        raise absent(f"{name}.{port:.80}: no such service port", port, services)
+    ends = [one for one in services[port].interfaces if isinstance(one, Provided)]
+    if len(rest) == 3:
+        named = [one for one in ends if one.instance == rest[1]]
+        if not named:
+            what = f"{name}.{port}.{rest[1]:.80}: no such interface that is provided"
+            raise absent(what, rest[1], [one.instance for one in ends])
+        ends = named
+    having = [one for one in ends if method in one.spec.methods]
+    if len(having) > 1:
+        paths = ", ".join(f"{name}.{port}.{one.instance}.{method}" for one in having)
+        raise AbsentError(f"{given.path}: {len(having)} interfaces have this method: {paths}; say which")
+    if not having:
+        methods = [each for one in ends for each in one.spec.methods]
+        raise absent(f"{given.path:.80}: no such method that is provided", method, methods)
+    return OutsideCaller(having[0]), method
+
+
+ROWS: Final = (
+    Operation("call", "Call a method of a service.", Calling, Result, Right.OPERATE, _call),
+    Operation("goal", "Send a goal, and stream its feedback.", Calling, Done, Right.OPERATE, _goal, streams=True),
+)
