@@ -13,6 +13,7 @@ __all__ = (
     "SLOW_READER",
     "AbsentError",
     "AiortsError",
+    "AmbiguousError",
     "BusyError",
     "CallTimeout",
     "ClosedError",
@@ -324,9 +325,15 @@ class NoAnswerError(ControlError, TimeoutError):
 
 
 class AbsentError(ControlError, LookupError):
-    """Nothing that runs has this name, or several things have it: says which there are."""
+    """Nothing that runs has this name: says which is near, or which there are."""
 
     code = "E-ABSENT"
+
+
+class AmbiguousError(AbsentError):
+    """Several things that run have this name: says which, each with its kernel."""
+
+    code = "E-AMBIGUOUS"
 
 
 class StaleError(ControlError):

@@ -57,6 +57,7 @@ TABLE = (
 """Status and meaning, in words for people."""
 _OF_CODE = {
     "E-ABSENT": ABSENT,
+    "E-AMBIGUOUS": ABSENT,
     "E-COMPONENT": FAILED,
     "E-DENIED": DENIED,
     "E-GOAL-CANCELLED": FAILED,

@@ -121,6 +121,7 @@ EXPECTED = {
     "F16": "No home, a folder that is gone or may not be written: it works, or says in a line why not.",
     "F17": "No list of arguments gives a traceback; a wrong one is a line and status 2.",
     "F18": "With `--json` standard output is JSON to its last line, whatever goes wrong.",
+    "F19": "What is named and absent, ambiguous, denied or does not answer: four sentences, four codes.",
     "F20": "A system file of another version of the format is told which one is read.",
     "G01": "Too few descriptors are one line that names who wanted one.",
     "G02": "What finds no memory is refused alone; the rest lives.",

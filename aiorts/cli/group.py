@@ -19,6 +19,8 @@ _SECTIONS: Final = (
         "What runs",
         (
             "ls",
+            "cat",
+            "find",
             "activate",
             "deactivate",
             "reset",

@@ -25,14 +25,19 @@ CODES: Final[dict[str, Code]] = {
         "Let CancelledError pass in the hook it names; blocking code belongs in a ThreadContext.",
     ),
     "E-ABSENT": Code(
-        "Nothing that runs has this name, or several things have it.",
-        "A component that is gone or spelt otherwise, or the same name in two kernels.",
-        "`aiorts ls` shows what runs; write kernel/component where two have the name.",
+        "Nothing that runs has this name.",
+        "A component that is gone or spelt otherwise, or a kernel that cannot be reached.",
+        "`aiorts ls` shows what runs.",
     ),
     "E-AIORTS": Code(
         "An error of aiorts that has no code of its own.",
         "An extension raises AiortsError itself.",
         "Look with --debug which extension raised it; its author derives the error with a `code` of its own.",
+    ),
+    "E-AMBIGUOUS": Code(
+        "Several things that run have this name.",
+        "The same system runs twice, or two kernels have a component of the same name.",
+        "Write one of the names that the message lists: kernel/component.",
     ),
     "E-AWAIT": Code(
         "A coroutine was made and never awaited: it did nothing.",

@@ -9,7 +9,7 @@ from typing import Any, Final
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.target import Found, Kernels, complete, kernels
+from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.errors import ConfigurationError, ControlError
 
@@ -19,7 +19,7 @@ _FILE: Final = click.Path(dir_okay=False, allow_dash=True)
 
 @click.command(short_help="Show and change parameters and sets of what runs.")
 @click.argument("name", default="", metavar="[KERNEL/][COMPONENT]", shell_complete=complete)
-@click.argument("changes", nargs=-1, metavar="[[SET.]PARAM=VALUE]...")
+@click.argument("changes", nargs=-1, metavar="[[SET.]PARAM=VALUE]...", shell_complete=complete_changes)
 @click.option("--activate", metavar="SET", help="Make this set the active one.")
 @click.option("--add", multiple=True, metavar="SET", help="Add a set; repeatable.")
 @click.option("--remove", multiple=True, metavar="SET", help="Remove a set; repeatable.")

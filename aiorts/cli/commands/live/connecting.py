@@ -11,7 +11,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.components import absolute
 from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json
-from aiorts.errors import AbsentError, ControlError
+from aiorts.errors import AmbiguousError, ControlError
 from aiorts.model.options import OWN_KEYS
 
 _OF_THE_WRITER: Final = ("dataflow", "subscription", "push", "push_rate", "skip", "out_length", "stamp", "convert")
@@ -60,7 +60,9 @@ def _disconnect(words: tuple[str, ...], wait: float, as_json: bool) -> int:
     with kernels() as found:
         named = [one for one in found.running if len(words) == 1 and _name(words[0], one) in one.names["connectors"]]
         if len(named) > 1:
-            raise AbsentError(f"{words[0]}: {len(named)} kernels have a connector of this name; write the kernel first")
+            raise AmbiguousError(
+                f"{words[0]}: {len(named)} kernels have a connector of this name; write the kernel first"
+            )
         if named:
             ended = named[0].client.call("disconnect", wait, names=[_name(words[0], named[0])])
         else:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from aiorts.cli.commands.live.target import Kernels, Running, _fits, kernels
+from aiorts.cli.commands.live.target import Kernels, Running, kernels
 from aiorts.errors import AbsentError
 from aiorts.late import dataclass
 
@@ -46,7 +46,7 @@ def find_edges(found: Kernels, word: str) -> tuple[Running, tuple[Edge, ...]]:
     path = path.replace(" ", "")
     hits: list[tuple[Running, tuple[Edge, ...]]] = []
     for one in found.running:
-        if not kernel or _fits(kernel, one):
+        if not kernel or one.fits(kernel):
             meant = tuple(edge for edge in edges(one.names).values() if _means(path, edge))
             hits += [(one, meant)] if meant else []
     if len(hits) > 1:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.commands.live.target import complete, complete_kernels, kernels
 from aiorts.errors import StateError
 
 
@@ -41,7 +41,7 @@ reset = _command("reset", "Take components out of error. * and ? in quotes stand
 
 
 @click.command(short_help="End a run in order.")
-@click.argument("kernel", default="", shell_complete=complete)
+@click.argument("kernel", default="", shell_complete=complete_kernels)
 @click.option("--timeout", type=click.FloatRange(min=0.001), default=10.0, metavar="S", help="Wait S seconds for it.")
 def stop(kernel: str, timeout: float) -> int:
     """End the run KERNEL in order, as SIGTERM does, and wait until it has ended.

@@ -8,43 +8,103 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.target import Running, complete, kernels
+from aiorts.cli.commands.live.named import Named, named, outlines
+from aiorts.cli.commands.live.target import Kernels, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, table
 
 
-@click.command(short_help="List the kernels that run, and their components.")
-@click.argument("name", default="", metavar="[KERNEL|COMPONENT]", shell_complete=complete)
+@click.command(short_help="List the kernels that run, their components and ports.")
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete)
 @click.option("-l", "--long", "long", is_flag=True, help="With the state of each component, and its contexts.")
+@click.option("-R", "--recursive", "ports", is_flag=True, help="With the ports of each component.")
+@click.option("--timeout", type=click.FloatRange(min=0.001), default=1.0, metavar="S", help="Wait S seconds.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
-def ls(name: str, long: bool, as_json: bool) -> int:
-    """List what runs: every kernel of this user that can be reached, and its components.
+def ls(names: tuple[str, ...], long: bool, ports: bool, timeout: float, as_json: bool) -> int:
+    """List what runs: every kernel of this user that can be reached, and its components; of a component its ports.
 
-    `aiorts run` can be reached unless --control=off; a program or a filter where it asks for it. A kernel that does not
-    answer, stopped or stuck, shows as such.
+    NAME is a kernel, a component, a port, a context or a connector: `comp`, `comp.port`, `kernel/comp.port`; * and ?
+    in quotes stand for any characters. `aiorts run` can be reached unless --control=off; a program or a filter where it
+    asks for it. A kernel that does not answer, stopped or stuck, shows as such.
     """
-    with kernels() as found:
-        shown = [one for one in found.running if not name or name in (one.name, *one.names["components"])]
-        if name and not shown:
-            found.find(name)
+    with kernels(timeout) as found:
+        every = [Named(one, "kernel", "") for one in found.running]
+        shown = [one for word in names for one in named(found, word)] if names else every
+        shown = list({one.full: one for one in shown}.values())
         if as_json:
             say_json({
-                "kernels": [{"kernel": one.name, "pid": one.client.entry.pid, **one.names} for one in shown],
+                "kernels": [_document(one, shown, ports=ports) for one in found.running if _is_of(one, shown)],
                 "no_answer": [one.entry.name for one in found.silent],
             })  # fmt: skip
             return exits.DONE
         for one in shown:
-            say(_text(one, long=long))
-        for silent in found.silent:
-            say(f"{silent.entry.name}/  {silent.why} (process {silent.entry.pid})")
-        if not shown and not found.silent:
-            say("nothing runs that can be reached")
+            say(_text(one, long=long, ports=ports))
+        if not names:
+            _say_silent(found)
     return exits.DONE
 
 
-def _text(one: Running, *, long: bool) -> str:
-    rows = [_row(one.names, component, long=long) for component in one.names["components"]]
-    head = f"{one.name}/" if not long else f"{one.name}/  process {one.client.entry.pid}, {one.names['state']}"
-    return "\n".join((head, table(rows))) if rows else head
+def _say_silent(found: Kernels) -> None:
+    for silent in found.silent:
+        say(f"{silent.entry.name}/  {silent.why} (process {silent.entry.pid})")
+    if not found.running and not found.silent:
+        say("nothing runs that can be reached")
+
+
+# -- as JSON -----------------------------------------------------------------------------------------------------------
+
+
+def _is_of(running: Running, shown: list[Named]) -> bool:
+    return any(one.running is running for one in shown)
+
+
+def _document(running: Running, shown: list[Named], *, ports: bool) -> dict[str, Any]:
+    """A kernel with what is meant of it; ports, where they are asked for, by component."""
+    meant = [one for one in shown if one.running is running]
+    names = dict(running.names)
+    of = dict.fromkeys(one.name.partition(".")[0] for one in meant if one.kind in ("component", "port"))
+    if not any(one.kind == "kernel" for one in meant):
+        names["components"] = {name: names["components"][name] for name in of}
+        for kind in ("context", "connector"):
+            wanted = {one.name for one in meant if one.kind == kind}
+            names[f"{kind}s"] = {name: one for name, one in names[f"{kind}s"].items() if name in wanted}
+    if ports or of:
+        names["outlines"] = outlines(running, *(() if ports else of)) if names["components"] else {}
+    return {"kernel": running.name, "pid": running.client.entry.pid, **names}
+
+
+# -- as text -----------------------------------------------------------------------------------------------------------
+
+
+def _text(one: Named, *, long: bool, ports: bool) -> str:
+    names = one.running.names
+    if one.kind == "kernel":
+        return _kernel(one, long=long, ports=ports)
+    if one.kind == "port":
+        return f"{one.full}  {_kind((one.outline or {})['ports'][one.name.partition('.')[2]])}"
+    if one.kind != "component":
+        return f"{one.full}  {one.kind} of {', '.join(names[f'{one.kind}s'][one.name]) or 'nothing'}"
+    head = f"{one.full}  {'  '.join(_row(names, one.name, long=True)[1:])}".rstrip() if long else one.full
+    return "\n".join(filter(None, (head, _ports(outlines(one.running, one.name)[one.name], "  "))))
+
+
+def _kernel(one: Named, *, long: bool, ports: bool) -> str:
+    names, client = one.running.names, one.running.client
+    lines = [one.full if not long else f"{one.full}  process {client.entry.pid}, {names['state']}"]
+    rows = table([_row(names, component, long=long) for component in names["components"]])
+    if not ports:
+        return "\n".join(filter(None, (*lines, rows)))
+    every = outlines(one.running) if rows else {}
+    for component, row in zip(names["components"], rows.split("\n"), strict=bool(rows)):
+        lines += filter(None, (row, _ports(every.get(component, {"ports": {}}), "    ")))
+    return "\n".join(lines)
+
+
+def _ports(outline: Mapping[str, Any], indent: str) -> str:
+    return table([(port["direction"], name, port["type"]) for name, port in outline["ports"].items()], indent=indent)
+
+
+def _kind(port: Mapping[str, Any]) -> str:
+    return f"{port['direction']} {port['type']}"
 
 
 def _row(names: Mapping[str, Any], component: str, *, long: bool) -> tuple[str, ...]:

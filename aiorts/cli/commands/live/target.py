@@ -10,17 +10,18 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
 from aiorts.control import Client, Entry, Silent, entries, open_all
-from aiorts.errors import AbsentError, ClosedError, NoAnswerError
+from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
 
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
 """Endings of words that are files."""
+T = TypeVar("T")
 _SHOWN: Final = 10
 _GLOB: Final = re.compile(r"[*?\[]")
 
@@ -42,6 +43,10 @@ class Running:
     def name(self) -> str:
         """The kernel's, without the host."""
         return self.client.entry.name
+
+    def fits(self, kernel: str) -> bool:
+        """Whether a word means this kernel: its name or "host/name", in which * ? [] stand for any characters."""
+        return _matches(self.client.entry, kernel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +91,12 @@ class Kernels:
         """The one thing that a word means.
 
         Raises:
-            AbsentError: nothing has the name, or several have; says which.
+            AbsentError: nothing has the name.
+            AmbiguousError: several have; says which.
             NoAnswerError: the kernel that is meant does not answer.
         """
         found = self.all(word)
-        if len(found) > 1:
-            shown = ", ".join(one.full for one in found[:_SHOWN])
-            raise AbsentError(f"{word}: {len(found)} have this name: {shown}; write the kernel before it")
-        return found[0]
+        return the_one(word, found, [one.full for one in found])
 
     def all(self, word: str) -> tuple[Found, ...]:
         """Everything that a word means; in it, * ? [] stand for any characters.
@@ -108,7 +111,7 @@ class Kernels:
         found = [
             Found(one, name, port or "")
             for one in self.running
-            if not kernel or _fits(kernel, one)
+            if not kernel or one.fits(kernel)
             for name in _of(one, component, bare=bool(kernel))
         ]
         if found:
@@ -118,13 +121,13 @@ class Kernels:
 
     def kernel(self, word: str = "") -> Running:
         """The kernel of this name, or the only one that runs; raises as `find`."""
-        fitting = [one for one in self.running if not word or _fits(word, one)]
+        fitting = [one for one in self.running if not word or one.fits(word)]
         if len(fitting) == 1:
             return fitting[0]
         if not fitting:
             self._nothing(word or "a kernel", word, "")
         shown = ", ".join(one.name for one in fitting[:_SHOWN])
-        raise AbsentError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
+        raise AmbiguousError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
 
     def _nothing(self, word: str, kernel: str, component: str) -> None:
         """Raise: nothing that answers has this name."""
@@ -165,10 +168,6 @@ def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None)
         found.close()
 
 
-def _fits(kernel: str, one: Running) -> bool:
-    return _matches(one.client.entry, kernel)
-
-
 def _matches(entry: Entry, kernel: str) -> bool:
     return fnmatchcase(entry.address if "/" in kernel else entry.name, kernel)
 
@@ -183,11 +182,59 @@ def _of(one: Running, component: str, *, bare: bool) -> list[str]:
     return [name for name in known if fnmatchcase(name, component)]
 
 
+def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
+    """What a word means, of which there is at least one; AmbiguousError, with the names, where there are several."""
+    if len(found) > 1:
+        more = ", ..." if len(names) > _SHOWN else ""
+        raise AmbiguousError(
+            f"{word}: {len(found)} have this name: {', '.join(names[:_SHOWN])}{more}; write one of these"
+        )
+    return found[0]
+
+
+# -- completion --------------------------------------------------------------------------------------------------------
+
+_PATIENCE: Final = 0.08
+"""Seconds that a press of the Tab key waits for kernels."""
+
+
 def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    """Completes names of components that run."""
+    """Completes what runs: components, their ports after a dot, kernels with a slash."""
+    with kernels(_PATIENCE) as found:
+        head, dot, _ = incomplete.rpartition(".")
+        if dot:
+            outlines = _outlines(found, head)
+            return _items((f"{head}.{port}" for one in outlines for port in one["ports"]), incomplete)
+        words = [name for one in found.running for name in one.names["components"]]
+        words += [f"{one.name}/" for one in found.running]
+        if "/" in incomplete:
+            words += [f"{one.name}/{name}" for one in found.running for name in one.names["components"]]
+    return _items(words, incomplete)
+
+
+def complete_kernels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes names of kernels."""
+    with kernels(_PATIENCE) as found:
+        return _items((one.name for one in found.running), incomplete)
+
+
+def complete_changes(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes PARAM=VALUE for the component that the command names, as far as the sign."""
+    with kernels(_PATIENCE) as found:
+        outlines = _outlines(found, str(ctx.params.get("name") or ""))
+        return _items((f"{name}=" for one in outlines for name in one["params"]), incomplete)
+
+
+def _outlines(found: Kernels, word: str) -> list[Any]:
+    try:
+        return [
+            one.client.call("outline", _PATIENCE, components=[one.component])[one.component] for one in found.all(word)
+        ]
+    except (AiortsError, KeyError):
+        return []
+
+
+def _items(words: Iterable[str], incomplete: str) -> list[Any]:
     from aiorts.cli.console.completion import items
 
-    with kernels(timeout=0.1) as found:
-        words = [name for one in found.running for name in one.names["components"]]
-        words += [f"{one.name}/{name}" for one in found.running for name in one.names["components"]]
     return items(dict.fromkeys(words), incomplete)

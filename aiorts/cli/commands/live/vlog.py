@@ -11,7 +11,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.target import Found, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now, table
-from aiorts.errors import AbsentError, ControlError
+from aiorts.errors import AmbiguousError, ControlError
 
 LEVELS: Final = ("debug", "info", "warning", "error", "critical")
 
@@ -57,7 +57,7 @@ def _meant(found: list[Found], kernel: Any) -> tuple[Running, list[str]]:
     if not found:
         return kernel(), []
     if len({one.client for one in found}) > 1:
-        raise AbsentError(f"{', '.join(one.full for one in found[:10])}: of several kernels; name those of one")
+        raise AmbiguousError(f"{', '.join(one.full for one in found[:10])}: of several kernels; name those of one")
     for one in found:
         if one.port:
             raise ControlError(f"{one.full}: a component has a log, {one.port!r} of it has none")

@@ -9,14 +9,14 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.console.output import say_line, say_now
 
 _LONGEST = 80
 
 
 @click.command(short_help="Print what happens in a kernel: states, connections, errors.")
-@click.argument("kernel", default="", shell_complete=complete)
+@click.argument("kernel", default="", shell_complete=complete_kernels)
 @click.option("--kind", "kinds", multiple=True, metavar="NAME", help="Only events of this kind; repeatable.")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N events.")
 @click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds.")

@@ -1,0 +1,100 @@
+"""Everything a word may mean to commands that look: a component or port, else a context or connector, else a kernel.
+
+A component comes first; `name/` is the kernel of that name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+from aiorts.cli.commands.live.target import Found, Kernels, Running
+from aiorts.errors import AbsentError, NoAnswerError
+from aiorts.late import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """One thing that runs, of whatever kind."""
+
+    running: Running
+    kind: str
+    """"kernel", "component", "port", "context" or "connector"."""
+    name: str
+    """As the kernel calls it; "" for the kernel itself."""
+    outline: Mapping[str, Any] | None = None
+    """Of a port's component: its type, ports and parameters."""
+
+    @property
+    def full(self) -> str:
+        """With the kernel's name."""
+        return f"{self.running.name}/{self.name}"
+
+    def report(self) -> Mapping[str, Any]:
+        """What the kernel reports of it: a part of its profile, of the kernel all."""
+        client = self.running.client
+        if self.kind == "kernel":
+            whole: Mapping[str, Any] = client.call("profile")
+            return whole
+        component = self.name.partition(".")[0]
+        asked = {"port": ("components", component)}.get(self.kind, (f"{self.kind}s", self.name))
+        part: Mapping[str, Any] = client.call("part", **{asked[0]: [asked[1]]})
+        return part
+
+
+def named(found: Kernels, word: str) -> tuple[Named, ...]:
+    """What a word means; in it, * ? [] stand for any characters.
+
+    Raises:
+        AbsentError: nothing has the name.
+        NoAnswerError: nothing has it, and a kernel that may have it does not answer.
+        InvalidNameError: it has more parts than a name.
+    """
+    meant: list[Named] = []
+    missing: Exception | None = None
+    try:
+        for one in found.all(word):
+            meant += _parts(one)
+    except (AbsentError, NoAnswerError) as error:
+        missing = error
+    if meant := meant or list(_others(found, word)):
+        return tuple(meant)
+    raise missing or _no_port(found.all(word)[0], word)
+
+
+def _parts(one: Found) -> Iterator[Named]:
+    if not one.port:
+        yield Named(one.running, "component" if one.component else "kernel", one.component)
+        return
+    outline = outlines(one.running, one.component)[one.component]
+    for port in outline["ports"]:
+        if fnmatchcase(port, one.port):
+            yield Named(one.running, "port", f"{one.component}.{port}", outline)
+
+
+def _others(found: Kernels, word: str) -> Iterator[Named]:
+    kernel, _, rest = word.rpartition("/")
+    for one in found.running:
+        if kernel and not one.fits(kernel):
+            continue
+        for kind in ("context", "connector"):
+            names = (name for name in one.names[f"{kind}s"] if fnmatchcase(name, rest))
+            yield from (Named(one, kind, name) for name in names)
+        if not kernel and one.fits(word):
+            yield Named(one, "kernel", "")
+
+
+def _no_port(one: Found, word: str) -> AbsentError:
+    from difflib import get_close_matches
+
+    ports = list(outlines(one.running, one.component)[one.component]["ports"])
+    near = get_close_matches(one.port, ports, n=1)
+    hint = f"did you mean {one.component}.{near[0]}?" if near else f"its ports: {', '.join(ports[:10]) or 'none'}"
+    return AbsentError(f"{word}: {one.component} has no such port; {hint}")
+
+
+def outlines(running: Running, *components: str) -> Mapping[str, Any]:
+    """Type, ports and parameters of components, by name; of all where none is given."""
+    found: Mapping[str, Any] = running.client.call("outline", components=components)
+    return found

@@ -1,0 +1,109 @@
+"""Operations that look at a part of the system, so that nobody carries the whole profile for one component."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.known import absent, component_named, context_named
+from aiorts.control.session import Session
+from aiorts.late import dataclass
+from aiorts.observe import SystemPart, system_part
+
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What is asked about, by name. With a component come its connectors and its contexts."""
+
+    components: tuple[str, ...] = ()
+    connectors: tuple[str, ...] = ()
+    contexts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Outlined:
+    """Components; none is all."""
+
+    components: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PortOutline:
+    """What a port is, in two words."""
+
+    direction: str
+    """"in", "out" or "service"."""
+    type: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """What a component is made of, by name."""
+
+    type: str
+    """"module:Class"."""
+    ports: Mapping[str, PortOutline] = field(default_factory=lambda: _NOTHING)
+    params: tuple[str, ...] = ()
+
+
+def _part(session: Session, given: Parts) -> SystemPart:
+    kernel = session.kernel
+    for name in given.components:
+        component_named(session, name)
+    for name in given.contexts:
+        context_named(session, name)
+    known = (*kernel.connectors, *kernel.service_connectors)
+    for name in given.connectors:
+        if name not in known:
+            raise absent(f"{name:.80}: no such connector", name, known)
+    return system_part(kernel, given.components, given.connectors, given.contexts)
+
+
+def _outline(session: Session, given: Outlined) -> Mapping[str, Outline]:
+    kernel = session.kernel
+    chosen = {name: component_named(session, name) for name in given.components} or {
+        name: one for name, one in kernel.components.items() if not kernel.registry.is_arriving(one)
+    }
+    return MappingProxyType(
+        {
+            name: Outline(
+                f"{type(one).__module__}:{type(one).__qualname__}",
+                MappingProxyType({port.name: _port(port) for port in one.ports.values()}),
+                tuple(one.params),
+            )
+            for name, one in chosen.items()
+        }
+    )
+
+
+def _port(port: Any) -> PortOutline:
+    profile = port.profile
+    types = ", ".join(f"{one.polarity} {one.type}" for one in profile.interfaces) or profile.type
+    return PortOutline(profile.direction, types)
+
+
+ROWS: Final = (
+    Operation(
+        "outline",
+        "Types, ports and parameters of components, by name.",
+        Outlined,
+        Mapping[str, Outline],
+        Right.VIEW,
+        _outline,
+        idempotent=True,
+    ),
+    Operation(
+        "part",
+        "Reports of components with their connectors and contexts, of connectors, of contexts.",
+        Parts,
+        SystemPart,
+        Right.VIEW,
+        _part,
+        idempotent=True,
+    ),
+)

@@ -1,0 +1,62 @@
+"""The profile of a part of a system: taken on the loop, at one moment, as the profile of the whole is."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.late import dataclass
+from aiorts.observe import profiling
+from aiorts.observe.profiles import ComponentReport, ConnectorReport, ContextReport, ServiceConnectorReport
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+
+_frozen: Final = MappingProxyType
+_NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class SystemPart:
+    """The reports of a part of the system, as the whole profile has them."""
+
+    components: Mapping[str, ComponentReport] = field(default_factory=lambda: _NOTHING)
+    connectors: Mapping[str, ConnectorReport] = field(default_factory=lambda: _NOTHING)
+    service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
+    contexts: Mapping[str, ContextReport] = field(default_factory=lambda: _NOTHING)
+
+
+def system_part(
+    kernel: Microkernel, components: Collection[str], connectors: Collection[str], contexts: Collection[str]
+) -> SystemPart:
+    """Components with all connectors and contexts that they are in, and these connectors and contexts."""
+    return SystemPart(
+        _frozen({name: profiling.component_report(kernel.components[name]) for name in components}),
+        _frozen(
+            {
+                name: profiling.connector_report(one)
+                for name, one in kernel.connectors.items()
+                if name in connectors or _touches((one.out.path, one.in_.path), components)
+            }
+        ),
+        _frozen(
+            {
+                name: profiling.service_report(one)
+                for name, one in kernel.service_connectors.items()
+                if name in connectors or _touches((port.path for port in one.ports), components)
+            }
+        ),
+        _frozen(
+            {
+                name: profiling.context_report(one)
+                for name, one in kernel.contexts.items()
+                if name in contexts or not set(components).isdisjoint(one.profile.members)
+            }
+        ),
+    )
+
+
+def _touches(paths: Iterable[str], components: Collection[str]) -> bool:
+    return any(path.partition(".")[0] in components for path in paths)

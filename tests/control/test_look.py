@@ -1,0 +1,173 @@
+"""ls, cat and find show what runs; names mean one thing, or say what is wrong with them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from aiorts import EventContext, Kernel
+from aiorts.cli.app import run_command
+from aiorts.cli.commands.live.ls import ls
+from aiorts.cli.commands.live.target import complete, complete_changes
+from control_parts import Counter, controlled, running, with_client
+
+pytestmark = pytest.mark.anyio
+SYSTEM = Path(__file__).parents[2] / "examples" / "pid" / "system.toml"
+
+
+async def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    """The status of a command and what it printed, while the kernel runs on."""
+    status = await asyncio.to_thread(run_command, words)
+    out, err = capsys.readouterr()
+    return status, out + err
+
+
+@asynccontextmanager
+async def two() -> AsyncIterator[tuple[Kernel, Kernel]]:
+    """Two kernels, unit and other; counter0 is in both, only1 in the second."""
+    async with AsyncExitStack() as stack:
+        unit = await stack.enter_async_context(controlled("unit"))
+        other = await stack.enter_async_context(controlled("other"))
+        await other.create(Counter, "only1")
+        yield unit, other
+
+
+async def test_the_part_of_a_component_is_that_of_the_whole_profile() -> None:
+    async with controlled("part", rate=1.0) as kernel:
+        part = await with_client("part", lambda client: client.call("part", components=["reader0"]))
+        whole = kernel.profile().to_plain()
+        assert part["components"] == {"reader0": whole["components"]["reader0"]}
+        assert list(part["connectors"]) == ["counter0.out-reader0.in"]
+        assert list(part["contexts"]) == ["loop"]
+        assert part["service_connectors"] == {}
+
+
+async def test_ls_shows_kernels_components_ports_and_what_globs_mean(capsys: pytest.CaptureFixture[str]) -> None:
+    async with two():
+        whole = "other/\n  counter0\n  reader0\n  only1\nunit/\n  counter0\n  reader0\n"
+        assert await said(capsys, "ls") == (0, whole)
+        assert await said(capsys, "ls", "unit") == (0, "unit/\n  counter0\n  reader0\n")
+        assert await said(capsys, "ls", "unit/reader0") == (0, "unit/reader0\n  in  in  TimedDouble\n")
+        assert await said(capsys, "ls", "only?.*") == (0, "other/only1.out  out TimedDouble\n")
+        assert await said(capsys, "ls", "unit/loop") == (0, "unit/loop  context of counter0, reader0\n")
+        status, text = await said(capsys, "ls", "-R", "-l", "unit/")
+        assert (status, "counter0  active  loop\n    out  out  TimedDouble\n" in text) == (0, True)
+        status, text = await said(capsys, "ls", "--json", "only1")
+        (kernel,) = json.loads(text)["kernels"]
+        assert (kernel["kernel"], list(kernel["outlines"]), kernel["components"]) == ("other", ["only1"], {"only1": {}})
+
+
+async def test_cat_tells_of_each_kind_of_thing(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        await kernel.start(EventContext(name="events"), await kernel.create(Counter, "idle0"))
+        wanted = {
+            "counter0": ("Writes 1, 2, 3 ...", "active in loop", "step  1.0", "counter0.out -> reader0.in", "100 Hz"),
+            "idle0": ("inactive in events", "not connected"),
+            "counter0.out": ("out TimedDouble", "written"),
+            "counter0.out-reader0.in": ("dropped", "subscription flush"),
+            "loop": ("members  counter0, reader0", "overruns"),
+            "unit": ("3: 2 active, 1 inactive", "SystemClock", "context loop"),
+        }
+        for word, texts in wanted.items():
+            status, text = await said(capsys, "cat", "-l", word)
+            assert (status, [one for one in texts if " ".join(one.split()) not in " ".join(text.split())]) == (0, [])
+        status, text = await said(capsys, "cat", "--json", "counter0.out", "loop")
+        port, context = json.loads(text)
+        assert (port["kind"], port["name"], list(port["components"])) == ("port", "unit/counter0.out", ["counter0"])
+        assert (context["kind"], list(context["contexts"]), context["components"]) == ("context", ["loop"], {})
+
+
+@pytest.mark.parametrize(
+    ("words", "lines"),
+    [
+        (["--type", "Counter"], ["other/counter0", "other/only1", "unit/counter0"]),
+        (["--type", "*:Cou*", "--state", "active"], ["other/counter0", "unit/counter0"]),
+        (["other", "--name", "o*"], ["other/only1"]),
+        (["--port-type", "TimedDouble", "--name", "reader0"], ["other/reader0.in", "unit/reader0.in"]),
+    ],
+)
+async def test_find_prints_the_names_of_what_fits(
+    capsys: pytest.CaptureFixture[str], words: list[str], lines: list[str]
+) -> None:
+    async with two():
+        assert await said(capsys, "find", *words) == (0, "".join(f"{line}\n" for line in lines))
+        assert await said(capsys, "find", "--name", "nosuch") == (1, "")
+
+
+@pytest.mark.fault("F19")
+@pytest.mark.parametrize("command", ["cat", "ls", "activate", "conf"])
+async def test_who_is_absent_is_told_with_who_is_near(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    async with controlled():
+        status, text = await said(capsys, command, "unit/couter0")
+        assert (status, text) == (
+            6,
+            "aiorts: E-ABSENT: unit/couter0: nothing that runs has this name; did you mean counter0?\n",
+        )
+
+
+@pytest.mark.fault("F19")
+async def test_an_ambiguous_name_is_told_with_the_candidates(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "aiorts: E-AMBIGUOUS: counter0: 2 have this name: other/counter0, unit/counter0; write one of these\n"
+    async with two() as (unit, other):
+        assert await said(capsys, "conf", "counter0", "step=3") == (6, text)
+        assert [kernel.components["counter0"].params["step"].value for kernel in (unit, other)] == [1.0, 1.0]
+        assert (await said(capsys, "conf", "only1", "step=3"))[0] == 0
+        assert (await said(capsys, "conf", "unit/counter0", "step=3"))[0] == 0
+        assert (await said(capsys, "conf", f"{other.address}/counter0", "step=4"))[0] == 0
+        assert [kernel.components["counter0"].params["step"].value for kernel in (unit, other)] == [3.0, 4.0]
+
+
+@pytest.mark.fault("F19")
+async def test_who_may_only_look_is_denied(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled(mode="view"):
+        assert (await said(capsys, "cat", "counter0"))[0] == 0
+        status, text = await said(capsys, "deactivate", "counter0")
+        assert (status, text.startswith("aiorts: E-DENIED: deactivate: needs the right 'operate'")) == (4, True)
+
+
+@pytest.mark.fault("F19")
+def test_a_stopped_kernel_gives_no_answer_and_delays_nobody_else(capsys: pytest.CaptureFixture[str]) -> None:
+    with running("stopped", str(SYSTEM)) as process, running("alive", str(SYSTEM)):
+        process.send_signal(signal.SIGSTOP)
+        try:
+            assert run_command(["ls"]) == 0
+            assert f"stopped/  no answer (process {process.pid})" in capsys.readouterr().out
+            assert run_command(["cat", "alive/pid0"]) == 0
+            capsys.readouterr()
+            assert run_command(["cat", "stopped/pid0"]) == 5
+            assert capsys.readouterr().err == (
+                "aiorts: E-NO-ANSWER: stopped/pid0: not found, and no answer from stopped\n"
+            )
+            assert run_command(["find", "--name", "pid0"]) == 5
+            assert capsys.readouterr() == (
+                "alive/pid0\n",
+                "aiorts: E-NO-ANSWER: stopped: no answer; what is in it is not known\n",
+            )
+            assert offered("alive/pid0.") == ["alive/pid0.measured", "alive/pid0.command"]
+        finally:
+            os.kill(process.pid, signal.SIGCONT)
+
+
+def offered(word: str) -> list[str]:
+    return [one.value for one in complete(ls.make_context("ls", []), ls.params[0], word)]
+
+
+async def test_names_ports_and_parameters_are_completed() -> None:
+    def changes() -> list[str]:
+        context = ls.make_context("ls", [])
+        context.params["name"] = "only1"
+        return [one.value for one in complete_changes(context, ls.params[0], "s")]
+
+    async with two():
+        assert await asyncio.to_thread(offered, "o") == ["only1", "other/"]
+        assert await asyncio.to_thread(offered, "unit/") == ["unit/", "unit/counter0", "unit/reader0"]
+        assert await asyncio.to_thread(offered, "only1.") == ["only1.out"]
+        assert await asyncio.to_thread(offered, "nosuch.") == []
+        assert await asyncio.to_thread(changes) == ["step="]
