@@ -20,13 +20,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from aiorts.errors import ControlError
+from aiorts.errors import ConfigurationError, ControlError
 from aiorts.late import dataclass
 
 LONGEST_PATH: Final = 107
 """Bytes of a socket's path that the system takes."""
 _PRIVATE: Final = 0o700
 _LARGEST_FILE: Final = 4096
+_SUFFIXES: Final = (".json", ".part", ".sock")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +48,15 @@ class Entry:
         return self.address.rpartition("/")[2]
 
 
+def is_supported() -> bool:
+    """Whether this system has sockets in folders, and users to whom they belong."""
+    return hasattr(socket, "AF_UNIX") and hasattr(os, "geteuid")
+
+
 def place() -> Path:
-    """The folder's path; it need not be there."""
+    """The folder's path; it need not be there. ControlError: this system has no such sockets."""
+    if not is_supported():
+        raise ControlError("this system has no Unix sockets: what runs on it cannot be reached from other terminals")
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     if runtime and Path(runtime).is_absolute():
         return Path(runtime, "aiorts")
@@ -89,7 +97,7 @@ def check(folder: Path) -> None:
 
 
 def entries() -> tuple[Entry, ...]:
-    """The kernels that have an entry, by address; one may be gone (`discard`).
+    """The kernels that have an entry, by address; one may be gone (`discard`). What one left half made is removed.
 
     Raises:
         ControlError: the folder is not safe.
@@ -97,16 +105,21 @@ def entries() -> tuple[Entry, ...]:
     folder = place()
     try:
         check(folder)
-        files = sorted(folder.glob("*.json"))
+        files = {file.with_suffix(".json") for file in folder.iterdir() if file.suffix in _SUFFIXES}
     except FileNotFoundError:
         return ()
-    found = [entry for file in files if (entry := _read(file)) is not None]
-    return tuple(sorted(found, key=lambda one: one.address))
+    found = {file: _read(file) for file in files}
+    if None in found.values():
+        with contextlib.suppress(OSError, ControlError), _locked(folder, (0.0,)):
+            for file, entry in found.items():
+                if entry is None and _read(file) is None and _is_dead(str(file.with_suffix(".sock"))):
+                    _remove(str(file.with_suffix(".sock")))
+    return tuple(sorted((one for one in found.values() if one is not None), key=lambda one: one.address))
 
 
 def discard(entry: Entry) -> None:
     """Remove an entry that no process listens at."""
-    with contextlib.suppress(OSError), _locked(Path(entry.path).parent):
+    with contextlib.suppress(OSError, ControlError), _locked(Path(entry.path).parent):
         if _is_dead(entry.path):
             _remove(entry.path)
 
@@ -132,25 +145,25 @@ def _is_dead(path: str) -> bool:
 
 
 def _remove(path: str) -> None:
-    for one in (path, str(Path(path).with_suffix(".json"))):
+    for suffix in _SUFFIXES:
         with contextlib.suppress(OSError):
-            os.unlink(one)
+            os.unlink(Path(path).with_suffix(suffix))
 
 
 @contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold the folder: one process at a time adds or removes entries. OSError: another has held it for a second."""
+def _locked(folder: Path, waits: tuple[float, ...] = (0.001, 0.01, 0.1, 0.5, 0.5, 0.0)) -> Iterator[None]:
+    """Hold the folder: one process at a time adds or removes entries. ControlError: another holds it all the time."""
     import fcntl  # late: not every system has it
 
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        for wait in (0.001, 0.01, 0.1, 0.5, 0.5, 0.0):
+        for wait in waits:
             try:
                 fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
                 if not wait:
-                    raise
+                    raise ControlError(f"{folder}: another process holds it; has one of yours been stopped?") from None
                 time.sleep(wait)
         yield
     finally:
@@ -180,9 +193,13 @@ class Claim:
                     who = f"process {holder.pid}" if holder is not None else "another process"
                     raise TakenError(f"{address}: is held by {who}; give another --name, or end that process")
                 _remove(path)
-                listener.bind(path)
-                listener.listen(128)
-                _write(file, {"address": address, "pid": os.getpid(), "started": _started(), "epoch": epoch})
+                try:
+                    listener.bind(path)
+                    listener.listen(128)
+                    _write(file, {"address": address, "pid": os.getpid(), "started": _started(), "epoch": epoch})
+                except BaseException:
+                    _remove(path)
+                    raise
         except BaseException:
             listener.close()
             raise
@@ -196,8 +213,8 @@ class Claim:
             _remove(self.entry.path)
 
 
-class TakenError(ControlError):
-    """Another process has this address."""
+class TakenError(ControlError, ConfigurationError):
+    """Another process has this address: no other may be taken for it."""
 
 
 def _write(file: Path, data: dict[str, object]) -> None:

@@ -13,6 +13,7 @@ import selectors
 import socket
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -97,6 +98,7 @@ class Listener:
         """Whether the thread does something, and does not wait for it."""
         give_way: Callable[[Callable[[], bool]], Callable[[], None]] = getattr(loop, "give_way", lambda _: _nothing)
         self._keep_way = give_way(self._wants)
+        _LISTENERS.add(self)
         self._thread = threading.Thread(target=self._serve, name=f"aiorts control {kernel.name}", daemon=True)
         self._thread.start()
 
@@ -127,6 +129,12 @@ class Listener:
         self._ended = True
         self._wake()
         self._thread.join(timeout)
+
+    def leave(self) -> None:
+        """A child that was forked has nothing to do with it: close what it inherited, or it would keep it open."""
+        for one in (self._listener, self._wake_in, self._wake_out, *(one.socket for one in self._connections)):
+            one.close()
+        self._selector.close()
 
     def _wants(self) -> bool:
         """Whether there is something to do for the thread: on a loop that never waits it would not come to it."""
@@ -348,6 +356,18 @@ class Listener:
             self._view = None
         if connection.session is not None:
             self._on_loop(connection.session.end)
+
+
+_LISTENERS: Final[weakref.WeakSet[Listener]] = weakref.WeakSet()
+
+
+def _leave_all() -> None:
+    for one in tuple(_LISTENERS):
+        one.leave()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_all)
 
 
 def _nothing() -> None:

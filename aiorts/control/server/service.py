@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from aiorts.control.folder import Claim, TakenError
+from aiorts.control.folder import Claim, TakenError, is_supported
 from aiorts.control.operation import Right
 from aiorts.control.server.listener import Listener
 from aiorts.control.session import LOG
@@ -62,7 +62,7 @@ class Control(KernelService):
 
     def configure(self, settings: ControlSettings) -> None:
         self._close()
-        if settings.mode == "off":
+        if settings.mode == "off" or not (settings.name or is_supported()):
             return
         host = _fit(platform.node()) or "host"
         name = settings.name or f"{_fit(settings.program or _program(self.kernel.name))}-{os.getpid()}"
