@@ -43,7 +43,7 @@ _SECTIONS: Final = (
             "stop",
         ),
     ),
-    ("What there is", ("inspect", "types", "plugins")),
+    ("What there is", ("inspect", "types", "plugins", "filter")),
     ("Shell", ("completion",)),
 )
 """Every other command of aiorts stands below "More"."""

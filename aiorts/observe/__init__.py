@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from aiorts.observe.listening import ConnectorEvent, ConnectorEventKind, Listening
     from aiorts.observe.monitor import Monitor
     from aiorts.observe.part import SystemPart, system_part
-    from aiorts.observe.profiles import CompositeReport, ContextReport, MachineReport, ModeReport, SystemProfile
+    from aiorts.observe.profiles import (
+        ComponentReport,
+        CompositeReport,
+        ConnectorReport,
+        ContextReport,
+        MachineReport,
+        ModeReport,
+        SystemProfile,
+    )
     from aiorts.observe.profiling import context_report, system_profile
     from aiorts.observe.reading import profile_from_plain, profile_to_plain
     from aiorts.observe.schema import profile_schema
@@ -36,7 +44,9 @@ _late(
         "aiorts.observe.listening": "ConnectorEvent ConnectorEventKind Listening",
         "aiorts.observe.monitor": "Monitor",
         "aiorts.observe.part": "SystemPart system_part",
-        "aiorts.observe.profiles": "CompositeReport ContextReport MachineReport ModeReport SystemProfile",
+        "aiorts.observe.profiles": (
+            "ComponentReport CompositeReport ConnectorReport ContextReport MachineReport ModeReport SystemProfile"
+        ),
         "aiorts.observe.profiling": "context_report system_profile",
         "aiorts.observe.reading": "profile_from_plain profile_to_plain",
         "aiorts.observe.schema": "profile_schema",

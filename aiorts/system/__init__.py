@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from aiorts.system.blueprint import Blueprint, build, prepare
     from aiorts.system.checks.check import check, check_text
     from aiorts.system.checks.findings import Finding
+    from aiorts.system.checks.running import check_running
     from aiorts.system.draw.graph import GRAPH_FORMATS, graph
+    from aiorts.system.draw.running import running_graph
     from aiorts.system.ending import Ending, ended_in_error, is_source, wait_finished
     from aiorts.system.file.arguments import option_params, parse_options
     from aiorts.system.file.load import load
@@ -49,6 +51,7 @@ __all__ = (
     "SystemFile",
     "build",
     "check",
+    "check_running",
     "check_text",
     "construct",
     "ended_in_error",
@@ -59,6 +62,7 @@ __all__ = (
     "parse",
     "parse_options",
     "prepare",
+    "running_graph",
     "schema",
     "wait_finished",
 )
@@ -70,7 +74,9 @@ _late(
         "aiorts.system.blueprint": "Blueprint build prepare",
         "aiorts.system.checks.check": "check check_text",
         "aiorts.system.checks.findings": "Finding",
+        "aiorts.system.checks.running": "check_running",
         "aiorts.system.draw.graph": "GRAPH_FORMATS graph",
+        "aiorts.system.draw.running": "running_graph",
         "aiorts.system.ending": "Ending ended_in_error is_source wait_finished",
         "aiorts.system.file.arguments": "option_params parse_options",
         "aiorts.system.file.load": "load",

@@ -54,7 +54,7 @@ aiorts/testing
 aiorts/cli/console
 aiorts/cli/runtime
 aiorts/cli/commands/live
-aiorts/cli/commands/live/measure
+aiorts/cli/commands/live/look aiorts/cli/commands/live/measure
 aiorts/cli/commands aiorts/cli/demo
 aiorts/cli
 plugins/aiorts_log plugins/aiorts_bench/harness plugins/aiorts_flexi/common

@@ -131,6 +131,17 @@ def test_aiorts_own_commands_come_first_and_the_clash_is_reported(greets: Path) 
     assert any("command 'two words': such a name cannot be typed" in fault for fault in faults)
 
 
+def test_a_component_with_the_name_of_a_command_is_reached_as_a_filter_and_the_clash_is_named(tmp_path: Path) -> None:
+    part = "from aiorts import Component\nclass Ls(Component):\n    '''Not the command.'''\n"
+    folder = str(project(tmp_path / "part", "part", {"part": part}, {"components/Ls": "part:Ls"}))
+    assert "Not the command." in here("--plugins", folder, "filter", "ls", "--help").stdout
+    assert "List what runs" in here("--plugins", folder, "ls", "--help").stdout
+    done = here("--plugins", folder, "plugins", "--check")
+    assert done.returncode == 1
+    assert "component 'Ls': `aiorts ls` is a command of aiorts, which comes first; rename yours" in done.stderr
+    assert done.stderr.endswith(", or write `aiorts filter ls`\n")
+
+
 @pytest.mark.fault("F05")
 def test_components_that_differ_in_capitals_alone_are_refused_as_a_command(tmp_path: Path) -> None:
     entries = {"components/Good": "greets:Good", "components/GOOD": "greets:Good"}

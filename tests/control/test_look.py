@@ -14,7 +14,7 @@ import pytest
 
 from aiorts import EventContext, Kernel
 from aiorts.cli.app import run_command
-from aiorts.cli.commands.live.ls import ls
+from aiorts.cli.commands.live.look.ls import ls
 from aiorts.cli.commands.live.target import complete, complete_changes
 from control_parts import Counter, controlled, running, with_client
 

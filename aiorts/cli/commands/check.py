@@ -1,4 +1,4 @@
-"""`aiorts check FILE...`: prints the findings of `aiorts.system.checks` for system files."""
+"""`aiorts check FILE...`: prints the findings of `aiorts.system.checks` for system files, and for what runs."""
 
 from __future__ import annotations
 
@@ -12,17 +12,26 @@ from typing import Final
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
+from aiorts.cli.commands.live.target import complete_systems
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
 from aiorts.cli.console.finding import below, line_of
 from aiorts.cli.console.report import has_colours, painted, printed
-from aiorts.system import Finding, check
+from aiorts.system import Finding, check, check_running
 
 _WORDS: Final = {"error": "E", "warning": "W", "note": "N"}
 _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
 
 
-@click.command("check", short_help="Check system files without running them.")
-@click.argument("files", metavar="SYSTEM.toml...", nargs=-1, required=True, type=click.Path())
+@click.command("check", short_help="Check system files without running them, or what runs.")
+@click.argument(
+    "files",
+    metavar="SYSTEM.toml|KERNEL...",
+    nargs=-1,
+    required=True,
+    type=click.Path(),
+    shell_complete=complete_systems,
+)
 @click.option(
     "--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the checked system."
 )
@@ -46,14 +55,23 @@ def check_command(
 ) -> int:
     """Find everything wrong with system files that can be found without running them.
 
+    A word that is no file is a kernel that runs: what failed, is lost or late in it, or never runs.
+
     Component files and plugins are imported, as running would; no hook runs and nothing is opened. Exit status: 0 when
     nothing is wrong, 2 when there are errors; warnings change it to 1, only with --strict.
     """
     counts: Counter[str] = Counter()
     folders = catalogue_of(None, plugins).folders
     for file in files:
-        with quietly():
-            findings = [one for one in check(file, changes, folders) if not (quiet and one.severity == "note")]
+        found: Sequence[Finding]
+        if is_live(file):
+            file, (profile,) = profiles_of(file)
+            found = check_running(profile, file)
+        else:
+            with quietly():
+                found = check(file, changes, folders)
+            tell_of(file, "check")
+        findings = [one for one in found if not (quiet and one.severity == "note")]
         counts.update(one.severity for one in findings)
         _PRINTERS[layout](file, findings)
     if counts["error"]:
@@ -68,7 +86,7 @@ def _text(file: str, findings: Sequence[Finding]) -> None:
         click.echo("\n".join(map(painted, lines) if coloured else lines), color=coloured)
     counts = Counter(one.severity for one in findings)
     summary = ", ".join(f"{counts[word]} {word}{'s' * (counts[word] != 1)}" for word in _WORDS if counts[word])
-    runs = "" if counts["error"] else ", it can run"
+    runs = "" if counts["error"] or file.endswith("/") else ", it can run"
     click.echo(printed(f"{file}: {summary or 'no findings'}{runs}"))
 
 

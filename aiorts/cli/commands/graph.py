@@ -1,4 +1,4 @@
-"""`aiorts graph SYSTEM.toml`: prints a drawing of a system, or writes it to a file."""
+"""`aiorts graph SYSTEM.toml` or the name of what runs: prints a drawing of a system, or writes it to a file."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from typing import Final
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
+from aiorts.cli.commands.live.target import complete_systems
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
 from aiorts.cli.console.finding import below, line_of
 from aiorts.errors import ConfigurationError
-from aiorts.system import GRAPH_FORMATS, check, graph, load
+from aiorts.system import GRAPH_FORMATS, check, graph, load, running_graph
 
 _ENDINGS: Final = {
     "": "mermaid",
@@ -25,8 +27,8 @@ _ENDINGS: Final = {
 }
 
 
-@click.command("graph", short_help="Draw a system file.")
-@click.argument("file", metavar="SYSTEM.toml", type=click.Path(dir_okay=False))
+@click.command("graph", short_help="Draw a system file, or what runs.")
+@click.argument("file", metavar="SYSTEM.toml|KERNEL", type=click.Path(), shell_complete=complete_systems)
 @click.option(
     "--format",
     "language",
@@ -45,19 +47,25 @@ def graph_command(
 ) -> int:
     """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
 
+    A word that is no file is a kernel that runs: it is drawn as it is now, with states, rates and what was dropped.
+
     mermaid is shown by GitHub and many editors, dot is for Graphviz, svg needs no other program. Nothing is run. What
     `aiorts check` reports as an error is printed on standard error; the rest is drawn, and the exit status is 2.
     """
     language = language or _language_of(output)
+    if is_live(file):
+        if changes:
+            raise click.UsageError(f"--set is of a system file, and {file} is none; see aiorts conf")
+        earlier, later = profiles_of(file, 2)[1]
+        _give(output, running_graph(later, language, earlier))
+        return exits.DONE
     system = load(file, changes)
     with quietly():
         catalogue = catalogue_of(system, plugins)
         text = graph(system, language, catalogue)
         wrong = [one for one in check(file, changes, catalogue.folders) if one.severity == "error"]
-    if output is None or output == "-":
-        click.echo(text, nl=False)
-    else:
-        _write(Path(output), text)
+    _give(output, text)
+    tell_of(file, "graph")
     for one in wrong:
         click.echo("\n".join((line_of(one), *below(one))), err=True)
     return exits.REFUSED if wrong else exits.DONE
@@ -69,6 +77,13 @@ def _language_of(output: str | None) -> str:
         there = ", ".join(filter(None, _ENDINGS))
         raise click.UsageError(f"-o {output}: no drawing ends in {ending}; there are {there}; or give --format")
     return _ENDINGS.get(ending, "mermaid")
+
+
+def _give(output: str | None, text: str) -> None:
+    if output is None or output == "-":
+        click.echo(text, nl=False)
+    else:
+        _write(Path(output), text)
 
 
 def _write(path: Path, text: str) -> None:

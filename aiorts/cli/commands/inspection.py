@@ -15,10 +15,13 @@ from typing import Any, Final
 import click
 
 from aiorts import Component, Declaration, MultiModeComponent, declaration_of, exits
+from aiorts.cli.commands.live.look.describing import text_of
+from aiorts.cli.commands.live.look.reading import report_of, tell_of
 from aiorts.cli.commands.record_types import profile_of_type
 from aiorts.cli.console.completion import subjects, type_names
 from aiorts.cli.console.output import plain, say, say_json, table
 from aiorts.cli.console.subjects import Subject, find_subject
+from aiorts.errors import UnknownTypeError
 from aiorts.kernel.extensions.type_modules import import_types
 from aiorts.late import dataclass
 from aiorts.model.profile import MethodProfile, ParameterProfile
@@ -42,8 +45,9 @@ def inspect(
 ) -> int:
     """Show what NAME is: ports, parameters, hooks, documentation, package and source.
 
-    NAME is an installed component (FlexiFilter), FILE.py:Class, package.module:Class, or a record type (TimedPose2D).
-    Nothing is run. With the options of a Flexi component its ports are those that these options give:
+    NAME is an installed component (FlexiFilter), FILE.py:Class, package.module:Class, or a record type (TimedPose2D);
+    else a component or port that runs, shown as aiorts cat -l does. Nothing is run. With the options of a Flexi
+    component its ports are those that these options give:
 
     \b
       aiorts inspect FlexiFilter -i TimedDouble -o TimedLong
@@ -51,7 +55,13 @@ def inspect(
     if name.startswith("-"):
         raise click.NoSuchOption(name)
     import_types(modules)
-    subject = find_subject(name, folders)
+    try:
+        subject = find_subject(name, folders)
+    except UnknownTypeError:
+        if not _inspect_running(name, options, as_json=as_json):
+            raise
+        return exits.DONE
+    tell_of(name, "inspect")
     if subject.is_component:
         drawn = draw(subject, options, name)
         if as_json:
@@ -68,6 +78,21 @@ def inspect(
     else:
         say(_type_text(profile))
     return exits.DONE
+
+
+def _inspect_running(name: str, options: tuple[str, ...], *, as_json: bool) -> bool:
+    """Show what runs under a name, as `aiorts cat -l` does; False where nothing does."""
+    found = report_of(name)
+    if found is None:
+        return False
+    if options:
+        raise click.UsageError(f"{name}: {options[0]!r}: what runs has no options; see aiorts conf")
+    one, report = found
+    if as_json:
+        say_json({"kind": one.kind, "name": one.full, **report})
+    else:
+        say(text_of(one.kind, one.name, one.full, report, long=True))
+    return True
 
 
 # -- components --------------------------------------------------------------------------------------------------------

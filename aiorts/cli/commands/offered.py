@@ -34,7 +34,22 @@ def command_named(name: str, catalogue: Catalogue) -> tuple[click.Command, Exten
 
         extension = extension_of(name, catalogue)
         return _command(name, extension), extension
-    for kind in ("commands", "components"):
+    return _among(name, catalogue, ("commands", "components"))
+
+
+def filter_named(name: str, catalogue: Catalogue) -> click.Command | None:
+    """The filter of a component, installed or as text, whatever commands there are; None without one.
+
+    Raises:
+        PluginError: several plugins have it (all are named), or it cannot be loaded.
+    """
+    as_text = ":" in name or name.endswith(".py")
+    found = command_named(name, catalogue) if as_text else _among(name, catalogue, ("components",))
+    return None if found is None else found[0]
+
+
+def _among(name: str, catalogue: Catalogue, kinds: Collection[str]) -> tuple[click.Command, Extension] | None:
+    for kind in kinds:
         if several := offered(catalogue, kind).get(name):
             first, *others = several
             if others:
@@ -60,6 +75,8 @@ def clashes(catalogue: Catalogue, taken: Collection[str]) -> Iterator[tuple[str,
     for name, several in (*commands.items(), *components.items()):
         if name in taken:
             reason = f"{_called(several[0])}: `aiorts {name}` is a command of aiorts, which comes first; rename yours"
+            if several[0].kind == "components":
+                reason += f", or write `aiorts filter {name}`"
             yield several[0].source, reason
     for name in commands.keys() & components.keys() - set(taken):
         command, component = commands[name][0], components[name][0]

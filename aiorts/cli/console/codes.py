@@ -329,6 +329,16 @@ CODES: Final[dict[str, Code]] = {
         "It is misspelt, belongs to another middleware, or another option makes it meaningless.",
         "Write it as the message shows, or remove it.",
     ),
+    "W-LATE": Code(
+        "Cycles of a context that runs were not done when the next was due: a warning of aiorts check.",
+        "A hook takes too long, or other code holds up the event loop.",
+        "See aiorts help missed-deadline; `aiorts cat -l CONTEXT` says who is to blame.",
+    ),
+    "W-SILENT": Code(
+        "A writer has written nothing for longer than max_gap: a warning of aiorts check about what runs.",
+        "It waits, has failed, or is not active.",
+        "Look at it with `aiorts cat`.",
+    ),
     "W-START": Code(
         "The time of --for was over before everything was started.",
         "What a component's start waits for (start.after, start.wait) takes longer.",

@@ -24,9 +24,14 @@ def graph(system: SystemFile, language: str = "mermaid", catalogue: Catalogue | 
     Raises:
         ValueError: there is no such language.
     """
+    return drawn(picture(system, catalogue), language)
+
+
+def drawn(seen: Picture, language: str) -> str:
+    """The text of a picture; ValueError: there is no such language."""
     if language not in GRAPH_FORMATS:
         raise ValueError(f"language = {language!r}: expected {', '.join(GRAPH_FORMATS)}")
-    return _WRITERS[language](picture(system, catalogue))
+    return _WRITERS[language](seen)
 
 
 # -- Mermaid -----------------------------------------------------------------------------------------------------------

@@ -131,11 +131,17 @@ def _group(
 
 
 def _composite_title(system: SystemFile, name: str) -> str:
+    options = system.composites[name].options
+    return composite_title(
+        name, str(options.get("order", "stated")), str(options.get("errors", "stop")), options.get("groups") or ()
+    )
+
+
+def composite_title(name: str, order: str, errors: str, groups: Iterable[Iterable[str]]) -> str:
     """The title of a composite, with its options that are no defaults."""
-    options, usual = system.composites[name].options, {"order": "stated", "errors": "stop"}
-    words = [str(options[word]) for word, value in usual.items() if options.get(word, value) != value]
-    if options.get("groups"):
-        words.append(" | ".join(", ".join(group) for group in options["groups"]))
+    words = [said for said, usual in ((order, "stated"), (errors, "stop")) if said != usual]
+    if beside := " | ".join(", ".join(group) for group in groups):
+        words.append(beside)
     return ", ".join([f"{name}: composite", *words])
 
 
@@ -175,16 +181,17 @@ def _arrows(found: Survey) -> list[Arrow]:
     arrows = []
     for connection in found.system.connections:
         profile = found.profiles.get(connection.number)
-        label = "" if profile is None else _label(profile[0])
+        said = "" if profile is None else label(profile[0])
         source, *targets = connection.ports
         here = source.partition(".")
         for target in targets:
             there = target.partition(".")
-            arrows.append(Arrow((here[0], here[2]), (there[0], there[2]), label))
+            arrows.append(Arrow((here[0], here[2]), (there[0], there[2]), said))
     return arrows
 
 
-def _label(profile: ConnectorProfile) -> str:
+def label(profile: ConnectorProfile) -> str:
+    """The options of a connector that are no defaults."""
     words: list[str] = []
     if profile.dataflow is not Dataflow.PUSH:
         words.append(profile.dataflow.value)

@@ -218,6 +218,13 @@ def complete_kernels(ctx: click.Context, param: click.Parameter, incomplete: str
         return _items((one.name for one in found.running), incomplete)
 
 
+def complete_systems(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Completes names of kernels, and files where none fits."""
+    from click.shell_completion import CompletionItem
+
+    return complete_kernels(ctx, param, incomplete) or [CompletionItem(incomplete, type="file")]
+
+
 def complete_changes(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
     """Completes PARAM=VALUE for the component that the command names, as far as the sign."""
     with kernels(_PATIENCE) as found:

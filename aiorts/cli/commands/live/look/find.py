@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.named import outlines
+from aiorts.cli.commands.live.look.named import outlines
 from aiorts.cli.commands.live.target import Running, complete_kernels, kernels
 from aiorts.cli.console.output import say, say_json
 from aiorts.cli.console.report import report

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.named import Named, named, outlines
+from aiorts.cli.commands.live.look.named import Named, named, outlines
 from aiorts.cli.commands.live.target import Kernels, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, table
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.describing import text_of
-from aiorts.cli.commands.live.named import named
+from aiorts.cli.commands.live.look.describing import text_of
+from aiorts.cli.commands.live.look.named import named
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say, say_json
 

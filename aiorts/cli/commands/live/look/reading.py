@@ -1,0 +1,95 @@
+"""A running system for commands that otherwise take a file or a type: which it is, its profile, its parts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from aiorts.cli.commands.live.look.named import Named, named
+from aiorts.cli.commands.live.target import is_file, kernels, the_one
+from aiorts.control import entries
+from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ControlError, NoAnswerError
+
+if TYPE_CHECKING:
+    from aiorts.observe import SystemProfile
+
+BETWEEN: Final = 0.5
+"""Seconds between two profiles that rates are taken from."""
+
+
+def is_live(word: str) -> bool:
+    """Whether a word that may be a file is to be looked for among what runs."""
+    return (
+        not is_file(word)
+        and not word.startswith(".")
+        and (word.endswith("/") or not Path(word).exists() or Path(word).is_dir())
+    )
+
+
+def profiles_of(word: str, count: int = 1) -> tuple[str, list[SystemProfile]]:
+    """The name of the kernel that a word means, and as many profiles of it, `BETWEEN` seconds apart.
+
+    Raises:
+        AbsentError: nothing that runs has the name.
+        AmbiguousError: several things have it.
+        ControlError: it is a part of a kernel.
+        NoAnswerError: the kernel does not answer.
+    """
+    from aiorts.observe import SystemProfile, profile_from_plain
+
+    profiles: list[SystemProfile] = []
+    with kernels() as found:
+        try:
+            one = _one(word, named(found, word))
+        except AbsentError as error:
+            raise type(error)(f"{error}; a file is written as ./{word} or with its ending") from None
+        if one.kind != "kernel":
+            raise ControlError(f"{word}: is a {one.kind}, and no system; write its kernel: {one.running.name}/")
+        for number in range(count):
+            if number:
+                time.sleep(BETWEEN)
+            profiles.append(profile_from_plain(SystemProfile, one.running.client.call("profile")))
+    return one.full, profiles
+
+
+def report_of(word: str) -> tuple[Named, Mapping[str, Any]] | None:
+    """What runs under this name and its report; None where nothing has it, and it names no kernel that runs.
+
+    Raises:
+        AmbiguousError: several things have it.
+        AbsentError: it names a kernel, which has no such thing.
+        NoAnswerError: it names a kernel that does not answer.
+    """
+    kernel = word.rpartition("/")[0]
+    if is_file(word) or ":" in word or not (there := entries()):
+        return None
+    with kernels() as found:
+        try:
+            one = _one(word, named(found, word))
+        except (AbsentError, NoAnswerError) as error:
+            if isinstance(error, AmbiguousError) or kernel in {
+                name for each in there for name in (each.name, each.address)
+            }:
+                raise
+            return None
+        return one, one.report()
+
+
+def tell_of(word: str, command: str) -> None:
+    """Say on standard error that something that runs has the name, too, and what shows it."""
+    if is_file(word) or not entries():
+        return
+    with kernels() as found:
+        try:
+            there = named(found, word)
+        except AiortsError:
+            return
+    click.echo(f"aiorts: {there[0].full} runs, too: `aiorts {command} {there[0].full}` shows it", err=True)
+
+
+def _one(word: str, found: tuple[Named, ...]) -> Named:
+    return the_one(word, found, [each.full for each in found])

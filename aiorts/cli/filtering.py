@@ -1,0 +1,42 @@
+"""`aiorts filter NAME`: a component as a filter, also where its name is that of a command."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from aiorts.cli.commands.offered import filter_named, offered
+from aiorts.cli.console.completion import items
+from aiorts.cli.console.plugins_option import catalogue_of
+from aiorts.cli.group import strict
+
+
+def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    return items(offered(catalogue_of(), "components"), incomplete)
+
+
+@click.command(
+    "filter",
+    short_help="Run a component as a filter, whatever its name.",
+    context_settings={"allow_interspersed_args": False, "ignore_unknown_options": True},
+)
+@click.argument("name", metavar="COMPONENT", shell_complete=_names)
+@click.argument("words", nargs=-1, type=click.UNPROCESSED, metavar="[ITS OPTIONS]...")
+@click.pass_context
+def filter_(ctx: click.Context, name: str, words: tuple[str, ...]) -> Any:
+    """Run COMPONENT as a Unix filter for JSON lines, as `aiorts COMPONENT` does where no command has its name.
+
+    COMPONENT is an installed component in lower case or FILE.py:Class.
+    """
+    catalogue = catalogue_of()
+    command = filter_named(name, catalogue)
+    if command is None:
+        from difflib import get_close_matches
+
+        names = list(offered(catalogue, "components"))
+        near = get_close_matches(name[:60], names, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names[:60])}"
+        raise click.UsageError(f"no component {name[:60]!r}; {hint}", ctx)
+    with strict(command).make_context(f"filter {name}", list(words), parent=ctx.parent) as inner:
+        return command.invoke(inner)

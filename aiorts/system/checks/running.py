@@ -1,0 +1,58 @@
+"""What is to be known of a system that runs, from its profile alone: what failed, never runs, is lost or late."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from aiorts.observe import SystemProfile
+from aiorts.system.checks.findings import Finding
+
+
+def check_running(profile: SystemProfile, name: str) -> tuple[Finding, ...]:
+    """The findings about a system that runs, or ran: the worst first.
+
+    Args:
+        profile: of the system, maybe read back.
+        name: what the findings call the system.
+    """
+    order = ("error", "warning", "note")
+    found = [
+        Finding(severity, code, Path(name), 0, 0, 0, where, cause, remedy)
+        for severity, code, where, cause, remedy in _said(profile)
+    ]
+    return tuple(sorted(found, key=lambda one: order.index(one.severity)))
+
+
+def _said(profile: SystemProfile) -> Iterator[tuple[str, str, str, str, str]]:
+    """Severity, code, where, cause and remedy of each."""
+    parts = {part for one in profile.components.values() if one.composite is not None for part in one.composite.parts}
+    for name, one in profile.components.items():
+        where = f"components.{name}"
+        if "error" in one.states.values():
+            cause = f"{name} is in error: {one.last_error or 'it does not say why'}"
+            yield "error", "E-COMPONENT", where, cause, f"mend the cause, then aiorts reset {name}"
+        elif one.last_error:
+            yield "warning", "E-COMPONENT", where, f"{name} has failed: {one.last_error}", "see aiorts vlog"
+        if not one.states and name not in parts and one.composite is None:
+            yield "warning", "W-UNUSED", where, f"{name} is in no context and never runs", "start it in a context"
+        free = [port.name for port in one.ports.values() if not port.connectors]
+        if free and one.composite is None:
+            word = "ports have" if len(free) > 1 else "port has"
+            more = f" and {len(free) - 6} more" if len(free) > 6 else ""
+            yield "note", "N-OPEN", where, f"{len(free)} {word} no connection: {', '.join(free[:6])}{more}", ""
+    for name, wire in profile.connectors.items():
+        where, ledger = f"connectors.{name}", wire.ledger
+        if dropped := sum(ledger.dropped.values()):
+            lost = ", ".join(f"{count} {reason}" for reason, count in ledger.dropped.items() if count)
+            cause = f"{dropped} of {ledger.written} samples were dropped ({lost})"
+            yield "warning", "W-DROPPED", where, cause, "see aiorts help slow-reader"
+        if ledger.silent:
+            cause = f"{wire.source} has not written for longer than max_gap"
+            yield "warning", "W-SILENT", where, cause, f"look at {wire.source.partition('.')[0]} with aiorts cat"
+    for name, context in profile.contexts.items():
+        where, counts = f"contexts.{name}", context.statistics
+        if counts.overruns:
+            blame = f", the last by {counts.last_blame.place}" if counts.last_blame is not None else ""
+            cause = f"{counts.overruns} of {counts.cycles} cycles were not done when the next was due{blame}"
+            yield "warning", "W-LATE", where, cause, "see aiorts help missed-deadline"
