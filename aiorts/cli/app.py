@@ -39,6 +39,7 @@ _COMMANDS: Final = {
     "deactivate": ("aiorts.cli.commands.live.lifecycle:deactivate", "Deactivate components that run."),
     "reset": ("aiorts.cli.commands.live.lifecycle:reset", "Take components out of error."),
     "act": ("aiorts.cli.commands.live.lifecycle:activate", "Short for activate."),
+    "batch": ("aiorts.cli.commands.live.batch:batch", "Carry out commands for what runs, from a file."),
     "call": ("aiorts.cli.commands.live.calling:call", "Call a service of what runs."),
     "comp": ("aiorts.cli.commands.live.components:comp", "Create and remove components; members of composites."),
     "con": ("aiorts.cli.commands.live.connecting:connect", "Short for connect."),

@@ -20,6 +20,12 @@ from control_parts import WAIT, commanded, entry_of
 pytestmark = pytest.mark.anyio
 
 
+@pytest.fixture
+def anyio_backend() -> str:
+    """One loop is enough: what a command does passes through the socket."""
+    return "asyncio"
+
+
 class Side(enum.Enum):
     LEFT = 1
     RIGHT = 2

@@ -19,6 +19,12 @@ from control_parts import Counter, Reader, commanded, controlled, with_client
 pytestmark = pytest.mark.anyio
 
 
+@pytest.fixture
+def anyio_backend() -> str:
+    """One loop is enough: what a command does passes through the socket."""
+    return "asyncio"
+
+
 async def test_parameters_are_in_force_when_conf_returns_read_by_their_types(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

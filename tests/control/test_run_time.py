@@ -15,6 +15,12 @@ from control_parts import Reader, commanded, controlled
 pytestmark = pytest.mark.anyio
 
 
+@pytest.fixture
+def anyio_backend() -> str:
+    """One loop is enough: what a command does passes through the socket."""
+    return "asyncio"
+
+
 async def test_contexts_start_change_and_stop(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled() as kernel:
         assert await commanded(capsys, "ctx", "rate", "loop", "250") == (0, "")

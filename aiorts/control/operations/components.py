@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.composites import Composite
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.known import component_named, context_named
 from aiorts.control.session import Session
 from aiorts.control.values import Done
 from aiorts.errors import StateError
 from aiorts.late import dataclass
+
+if TYPE_CHECKING:
+    from aiorts.composites import Composite
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -89,6 +91,8 @@ async def _remove_members(session: Session, given: Membership) -> Done:
 
 
 def _composite(session: Session, given: Membership) -> tuple[Composite, list[Any]]:
+    from aiorts.composites import Composite  # late: most systems have none
+
     found = component_named(session, given.composite)
     if not isinstance(found, Composite):
         raise StateError(f"{given.composite}: is no composite but a {type(found).__name__}")

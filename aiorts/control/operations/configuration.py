@@ -7,7 +7,6 @@ from dataclasses import field
 from types import MappingProxyType
 from typing import Any, Final
 
-from aiorts.configuration import ConfigurationFiles
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.known import absent, component_named
 from aiorts.control.session import Session
@@ -90,11 +89,15 @@ async def _configure(session: Session, given: Configuring) -> Done:
 
 
 def _dump(session: Session, given: Chosen) -> Document:
+    from aiorts.configuration import ConfigurationFiles  # late: few ask for it
+
     chosen = tuple(component_named(session, name) for name in given.components)
     return Document(session.kernel.service(ConfigurationFiles).text(chosen))
 
 
 async def _load(session: Session, given: Document) -> Done:
+    from aiorts.configuration import ConfigurationFiles  # late: few ask for it
+
     await session.kernel.service(ConfigurationFiles).load_text(given.text, given.name)
     return Done()
 

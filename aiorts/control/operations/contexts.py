@@ -13,11 +13,9 @@ from aiorts.control.session import Session
 from aiorts.control.values import Done
 from aiorts.errors import ConfigurationError, StateError
 from aiorts.kernel.execution.context import Context
-from aiorts.kernel.extensions.arguments import arguments_of, settings_faults, settings_of
-from aiorts.kernel.extensions.loading import load_aside
 from aiorts.late import dataclass
 from aiorts.model.values import convert_value
-from aiorts.observe import ContextReport, context_report
+from aiorts.observe import ContextReport
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 _ORDER: Final = (bool, int, float, str)
@@ -71,10 +69,15 @@ class Joining:
 
 
 def _contexts(session: Session, _: Nothing) -> dict[str, ContextReport]:
+    from aiorts.observe import context_report
+
     return {name: context_report(one) for name, one in session.kernel.contexts.items()}
 
 
 async def _start(session: Session, given: Start) -> Done:
+    from aiorts.kernel.extensions.arguments import settings_faults, settings_of
+    from aiorts.kernel.extensions.loading import load_aside
+
     kernel = session.kernel
     offers = kernel.plugins.extensions("contexts")
     if given.kind not in offers:
@@ -92,6 +95,8 @@ async def _start(session: Session, given: Start) -> Done:
 
 def _read(cls: type, name: str, value: Any) -> Any:
     """An option that was given as text, by its type; what fits none stays, and is refused with all others."""
+    from aiorts.kernel.extensions.arguments import arguments_of
+
     kinds = arguments_of(cls).get(name, (str,))
     for kind in (one for one in _ORDER if isinstance(value, str) and one in kinds):
         try:

@@ -13,7 +13,6 @@ from aiorts.errors import StateError
 from aiorts.kernel.declarations import kinds_of
 from aiorts.late import dataclass
 from aiorts.observe import MachineReport, ModeReport
-from aiorts.statemachines import MultiModeComponent, StateMachineComponent
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +46,8 @@ class Mode:
 
 
 def _machine(session: Session, given: Whose) -> Shown:
+    from aiorts.statemachines import MultiModeComponent, StateMachineComponent  # late: most systems have none
+
     component = component_named(session, given.component)
     reports: dict[str, Any] = {}
     for kind in kinds_of(component):
@@ -60,6 +61,8 @@ def _machine(session: Session, given: Whose) -> Shown:
 
 
 def _send(session: Session, given: Sending) -> Done:
+    from aiorts.statemachines import StateMachineComponent  # late: most systems have none
+
     component = component_named(session, given.component)
     if not isinstance(component, StateMachineComponent):
         raise StateError(f"{given.component}: has no state machine; it is a {type(component).__name__}")
@@ -71,6 +74,8 @@ def _send(session: Session, given: Sending) -> Done:
 
 
 async def _set_mode(session: Session, given: Mode) -> Done:
+    from aiorts.statemachines import MultiModeComponent  # late: most systems have none
+
     component = component_named(session, given.component)
     if not isinstance(component, MultiModeComponent):
         raise StateError(f"{given.component}: has no modes; it is a {type(component).__name__}")

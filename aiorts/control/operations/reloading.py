@@ -8,7 +8,7 @@ from aiorts.control.operation import Operation, Right
 from aiorts.control.session import Session
 from aiorts.errors import ControlError
 from aiorts.late import dataclass
-from aiorts.reload import Reloaded, reload
+from aiorts.reload import Reloaded
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +26,8 @@ class Reload:
 
 
 async def _reload(session: Session, given: Reload) -> Reloaded:
+    from aiorts.reload import reload  # late: most systems never do
+
     kernel = session.kernel
     kernel.check_open("reload")
     component = kernel.components.get(given.type)

@@ -6,17 +6,18 @@ import asyncio
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.operations.arguments import read_arguments
 from aiorts.control.operations.known import absent, component_named
 from aiorts.control.session import Session, Stream
 from aiorts.control.values import Done
 from aiorts.errors import AbsentError, ControlError, GoalCancelled, GoalFailed
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
-from aiorts.services import Goal, OutsideCaller, Provided, ServicePort
+
+if TYPE_CHECKING:
+    from aiorts.services import Goal, OutsideCaller
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -60,8 +61,7 @@ async def _call(session: Session, given: Calling) -> Result:
     try:
         if caller.answers_with_goal(method):
             raise ControlError(f"{given.path}: answers with a goal; send it with `aiorts goal`")
-        args, kwargs = read_arguments(given.path, caller.signature(method), given.args, given.kwargs)
-        return Result(await caller.call(method, args, kwargs, given.timeout))
+        return Result(await _answer(caller, method, given))
     finally:
         caller.close()
 
@@ -72,8 +72,7 @@ async def _goal(session: Session, given: Calling, stream: Stream) -> Done:
     try:
         if not caller.answers_with_goal(method):
             raise ControlError(f"{given.path}: answers at once, with no goal; call it with `aiorts call`")
-        args, kwargs = read_arguments(given.path, caller.signature(method), given.args, given.kwargs)
-        goal = await caller.call(method, args, kwargs, given.timeout)
+        goal = await _answer(caller, method, given)
     except BaseException:
         caller.close()
         raise
@@ -81,6 +80,13 @@ async def _goal(session: Session, given: Calling, stream: Stream) -> Done:
     task.add_done_callback(lambda _: caller.close())
     stream.on_close(lambda: None if asyncio.current_task() is task else task.cancel())
     return Done()
+
+
+async def _answer(caller: OutsideCaller, method: str, given: Calling) -> Any:
+    from aiorts.control.operations.arguments import read_arguments  # late: it needs the record types
+
+    args, kwargs = read_arguments(given.path, caller.signature(method), given.args, given.kwargs)
+    return await caller.call(method, args, kwargs, given.timeout)
 
 
 async def _follow(goal: Goal[Any, Any], stream: Stream) -> None:
@@ -96,6 +102,8 @@ async def _follow(goal: Goal[Any, Any], stream: Stream) -> None:
 
 def _caller(session: Session, given: Calling) -> tuple[OutsideCaller, str]:
     """A caller of the interface that a path means, and the name of the method."""
+    from aiorts.services import OutsideCaller, Provided, ServicePort  # late: most systems have no services
+
     name, *rest = given.path.split(".")
     component = component_named(session, name)
     if not 2 <= len(rest) <= 3:

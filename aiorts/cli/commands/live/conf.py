@@ -110,20 +110,25 @@ def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout
 
             replace_text(Path(dump), text)
     elif load is not None:
-        running.client.call("load_configuration", timeout, text=_read(load), name=load)
+        running.client.call("load_configuration", timeout, text=text_of(load), name=load)
     return exits.DONE
 
 
-def _read(load: str) -> str:
+def text_of(file: str) -> str:
+    """The text of a small file; of standard input for -.
+
+    Raises:
+        ConfigurationError: it cannot be read, or is too long.
+    """
     from pathlib import Path
 
     from aiorts.configuration import read_text
 
-    if load != "-":
-        return read_text(Path(load), _LONGEST)
+    if file != "-":
+        return read_text(Path(file), _LONGEST)
     text = sys.stdin.read(_LONGEST + 1)
     if len(text) > _LONGEST:
-        raise ConfigurationError(f"standard input: longer than {_LONGEST} characters; a configuration file is not")
+        raise ConfigurationError(f"standard input: longer than {_LONGEST} characters")
     return text
 
 

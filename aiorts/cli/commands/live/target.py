@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from typing import Any, Final, TypeVar
 
@@ -157,6 +157,9 @@ def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None)
         timeout: seconds to wait for the first answer.
         select: which kernels; all by default.
     """
+    if _shared:
+        yield from _anew(_shared[-1], select)
+        return
     wanted: Iterable[Entry] = entries()
     opened, silent = open_all([one for one in wanted if select is None or select(one)], "names", timeout=timeout)
     found = Kernels([Running(client, names) for client, names in opened], silent)
@@ -166,6 +169,33 @@ def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None)
         raise AbsentError(str(error)) from None
     finally:
         found.close()
+
+
+_shared: Final[list[Kernels]] = []
+
+
+@contextmanager
+def sharing() -> Iterator[None]:
+    """Have all commands until the end of the block use the sessions that are open now."""
+    with kernels() as found:
+        _shared.append(found)
+        try:
+            yield
+        finally:
+            _shared.remove(found)
+
+
+def _anew(shared: Kernels, select: Callable[[Entry], bool] | None) -> Iterator[Kernels]:
+    """The same sessions, with what is in their kernels by now."""
+    running = []
+    for one in shared.running:
+        if select is None or select(one.client.entry):
+            with suppress(ClosedError):
+                running.append(Running(one.client, one.client.call("names")))
+    try:
+        yield Kernels(running, shared.silent)
+    except ClosedError as error:
+        raise AbsentError(str(error)) from None
 
 
 def _matches(entry: Entry, kernel: str) -> bool:

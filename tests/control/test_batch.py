@@ -1,0 +1,60 @@
+"""Commands for what runs are carried out from a file, over one session."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from control_parts import commanded, controlled
+
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """One loop is enough: what a command does passes through the socket."""
+    return "asyncio"
+
+
+async def test_lines_are_carried_out_in_order_and_each_sees_what_the_others_did(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.txt"
+    file.write_text(
+        "# first the parameters\n"
+        "conf counter0 --add 'fast' fast.step=4 --activate fast\n\n"
+        "aiorts dis counter0\n"
+        "ctx start slow rate=20   # beside\n"
+        "ctx drop loop reader0\n"
+        "ctx add slow reader0\n"
+        "con counter0.out reader0.in --json\n"
+    )
+    async with controlled() as kernel:
+        status, text = await commanded(capsys, "batch", str(file))
+        assert (status, '"full": "overwrite"' in text) == (0, True)
+        assert kernel.components["counter0"].configuration.values["step"] == 4.0
+        assert kernel.contexts["slow"].profile.members == ("reader0",)
+        assert len(kernel.connectors) == 1
+
+
+@pytest.mark.parametrize(
+    ("lines", "status", "text", "step"),
+    [
+        ("conf counter0 step=5\nconf counter0 step=-5\nconf counter0 step=6\n", 2, "robot.txt:2: counter0.step", 5.0),
+        ("conf counter0 step=5\n\nexit reader9\n", 6, "robot.txt:3: reader9", 5.0),
+        ("conf counter0 step=5\nconf --nosuch\n", 2, "robot.txt:2: No such option", 5.0),
+        ("conf counter0 step=5\nrun other.toml\n", 2, "robot.txt:2: run: is no command for what runs", 1.0),
+        ("conf counter0 step=5\nbatch other.txt\n", 2, "robot.txt:2: batch: is no command", 1.0),
+        ("conf counter0 'step=5\n", 2, "robot.txt:1: No closing quotation", 1.0),
+    ],
+)
+async def test_the_first_that_fails_ends_it_with_file_and_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, lines: str, status: int, text: str, step: float
+) -> None:
+    file = tmp_path / "robot.txt"
+    file.write_text(lines)
+    async with controlled() as kernel:
+        found, said = await commanded(capsys, "batch", str(file))
+        assert (found, text in said) == (status, True), said
+        assert kernel.components["counter0"].configuration.values["step"] == step
