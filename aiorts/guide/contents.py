@@ -11,7 +11,10 @@ FOLDER: Final = Path(__file__).with_name("pages")
 SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "tutorial": (
         "Tutorial: an hour from the first component to a plugin",
-        ("component", "ports", "contexts", "parameters", "testing", "system", "recording", "plugin", "fastapi"),
+        (
+            *("component", "ports", "contexts", "parameters", "testing", "system", "recording", "plugin", "fastapi"),
+            "look-into",
+        ),
     ),
     "howto": (
         "How to",
