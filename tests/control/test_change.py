@@ -92,6 +92,10 @@ async def test_a_configuration_is_dumped_and_loaded(capsys: pytest.CaptureFixtur
         assert (await commanded(capsys, "conf", "counter0", "step=7"))[0] == 0
         assert await commanded(capsys, "conf", "--load", file) == (0, "")
         assert counter.configuration.values["step"] == 1.0
+        large = "".join(f"# {number} {'ä' * 60}\n" for number in range(2_000))
+        Path(file).write_text(f"{large}schema = 1\n[components.counter0.sets.default]\nstep = 2.0\n")
+        assert await commanded(capsys, "conf", "--load", file) == (0, "")
+        assert counter.configuration.values["step"] == 2.0
         Path(file).write_text("schema = 1\n[components.nosuch]\n")
         status, text = await commanded(capsys, "conf", "--load", file)
         assert (status, "robot.toml:2" in text, "no such component" in text) == (2, True, True)

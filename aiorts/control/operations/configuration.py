@@ -52,6 +52,14 @@ class Document:
     """A configuration file."""
 
     text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Loading:
+    """A configuration file that is to be in force."""
+
+    parts: tuple[str, ...]
+    """Its text; in parts, since no text of a request is longer than 65,536 bytes."""
     name: str = "configuration"
     """What messages call it."""
 
@@ -95,10 +103,10 @@ def _dump(session: Session, given: Chosen) -> Document:
     return Document(session.kernel.service(ConfigurationFiles).text(chosen))
 
 
-async def _load(session: Session, given: Document) -> Done:
+async def _load(session: Session, given: Loading) -> Done:
     from aiorts.configuration import ConfigurationFiles  # late: few ask for it
 
-    await session.kernel.service(ConfigurationFiles).load_text(given.text, given.name)
+    await session.kernel.service(ConfigurationFiles).load_text("".join(given.parts), given.name)
     return Done()
 
 
@@ -122,5 +130,5 @@ ROWS: Final = (
         _dump,
         idempotent=True,
     ),
-    Operation("load_configuration", "Put a configuration file in force, whole.", Document, Done, Right.OPERATE, _load),
+    Operation("load_configuration", "Put a configuration file in force, whole.", Loading, Done, Right.OPERATE, _load),
 )

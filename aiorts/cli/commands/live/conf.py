@@ -14,6 +14,8 @@ from aiorts.cli.console.output import say, say_json, table
 from aiorts.errors import ConfigurationError, ControlError
 
 _LONGEST: Final = 4 * 1024 * 1024
+_PART: Final = 16_000
+"""Characters that are sent as one text."""
 _FILE: Final = click.Path(dir_okay=False, allow_dash=True)
 
 
@@ -110,7 +112,9 @@ def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout
 
             replace_text(Path(dump), text)
     elif load is not None:
-        running.client.call("load_configuration", timeout, text=text_of(load), name=load)
+        text = text_of(load)
+        parts = [text[at : at + _PART] for at in range(0, len(text), _PART)]
+        running.client.call("load_configuration", timeout, parts=parts, name=load)
     return exits.DONE
 
 
