@@ -68,14 +68,14 @@ class PeriodicContext(Context):
         return None if self._schedule is None or self._fresh else self._schedule.due_ns
 
     @property
-    def statistics(self) -> ContextStatistics:
+    def counts(self) -> ContextStatistics:
         plan = self._schedule
         if plan is None:
-            return super().statistics
+            return super().counts
         late = plan.lateness
         p50, p99 = late.percentiles(50, 99)
         return replace(
-            super().statistics,
+            super().counts,
             skipped=plan.skipped,
             overruns=plan.overruns,
             lateness_max_ns=late.max_ns,

@@ -6,8 +6,11 @@ dicts that go into a frame as they are. None of them takes a sample.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import asyncio
+import math
+from collections.abc import Awaitable, Iterable, Iterator, Mapping
 from functools import partial
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final, TypedDict, TypeVar
 
 from aiorts.clock import SimulatedClock
@@ -28,10 +31,12 @@ from aiorts.wire import MsgpackCodec
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.timing import Spans
 
 T = TypeVar("T")
+_HOLD_SECONDS: Final = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +67,47 @@ class Counters(TypedDict):
     components: dict[str, dict[str, Any]]
 
 
-def _statistics(session: Session, given: Chosen) -> Counters:
+def _statistics(session: Session, given: Chosen) -> Counters | Awaitable[Counters]:
+    """Connectors are counted at one moment; where the rest takes long, the loop has its turns in between."""
     kernel, clock = session.kernel, session.kernel.clock
-    wires = _chosen(kernel.connectors, given.connectors)
-    return {
+    made: Counters = {
         "time_ns": clock.time_ns(),
         "at_ns": clock.monotonic_ns(),
         "simulated": isinstance(clock, SimulatedClock),
-        "connectors": {name: _counted(one) for name, one in wires},
-        "timed": {name: found for name, one in _chosen(kernel.connectors, given.timed) if (found := _timed(one))},
-        "contexts": {name: _context(one) for name, one in _chosen(kernel.contexts, given.contexts)},
-        "components": {name: _component(one) for name, one in _chosen(kernel.components, given.components)},
+        "connectors": {name: _counted(one) for name, one in _chosen(kernel.connectors, given.connectors)},
+        "timed": {},
+        "contexts": {},
+        "components": {},
     }
+    steps = _rest(kernel, given, made)
+    until = math.inf if made["simulated"] else perf_counter() + _HOLD_SECONDS
+    for _ in steps:
+        if perf_counter() >= until:
+            return _in_turns(steps, made)
+    return made
+
+
+async def _in_turns(steps: Iterator[None], made: Counters) -> Counters:
+    until = 0.0
+    for _ in steps:
+        if perf_counter() >= until:
+            await asyncio.sleep(0)
+            until = perf_counter() + _HOLD_SECONDS
+    return made
+
+
+def _rest(kernel: Microkernel, given: Chosen, made: Counters) -> Iterator[None]:
+    """Put in what need not be of one moment, one thing at each step."""
+    for name, wire in tuple(_chosen(kernel.connectors, given.timed)):
+        if found := _timed(wire):
+            made["timed"][name] = found
+        yield
+    for name, context in tuple(_chosen(kernel.contexts, given.contexts)):
+        made["contexts"][name] = _context(context)
+        yield
+    for name, component in tuple(_chosen(kernel.components, given.components)):
+        made["components"][name] = _component(component)
+        yield
 
 
 def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[tuple[str, T]]:
@@ -103,7 +137,7 @@ def _timed(connector: Connector) -> dict[str, tuple[int, int, int, int]]:
 
 
 def _context(context: Context) -> dict[str, Any]:
-    found = context.statistics
+    found = context.counts
     return {
         "rate": context.rate,
         "running": context.running,
