@@ -16,16 +16,19 @@ import sys
 import termios
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+import control_parts
 from aiorts import Kernel
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.edges import Edge
 from aiorts.cli.commands.live.measure.screen import keys_in
 from aiorts.cli.commands.live.measure.table import KINDS, View, fitted, screen_of, tables, text_of
-from control_parts import WAIT, Counter, Reader, controlled
+from aiorts.control import Client
+from control_parts import WAIT, Counter, Reader, controlled, entry_of, running
 
 COLUMNS, LINES = 100, 20
 
@@ -308,3 +311,70 @@ async def test_stopped_with_ctrl_z_the_shell_has_its_terminal() -> None:
 
     async with controlled("stopped"):
         await on_terminal(use)
+
+
+# -- beside runs in processes of their own -----------------------------------------------------------------------------
+
+LOOP = """schema = 1
+[components.counter0]
+type = "control_parts:Counter"
+[components.reader0]
+type = "control_parts:Reader"
+[[connections]]
+from = "counter0.out"
+to = "reader0.in"
+[contexts.loop]
+kind = "periodic"
+rate = 1000.0
+members = ["counter0", "reader0"]
+"""
+
+
+def test_the_rate_is_that_of_the_edge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(control_parts.__file__).parent))
+    (tmp_path / "loop.toml").write_text(LOOP)
+    with running("edge", str(tmp_path / "loop.toml")):
+        words = [sys.executable, "-m", "aiorts", "hz", "counter0.out", "--interval", "0.2", "--count", "5", "--json"]
+        with Client.open(entry_of("edge"), timeout=WAIT) as client:
+            before = client.call("statistics")
+            done = subprocess.run(words, capture_output=True, text=True, timeout=WAIT, check=True)
+            after = client.call("statistics")
+    name = "counter0.out-reader0.in"
+    truth = (after["connectors"][name][0] - before["connectors"][name][0]) * 1e9 / (after["at_ns"] - before["at_ns"])
+    assert json.loads(done.stdout.splitlines()[-1])["rate"] == pytest.approx(truth, rel=0.2)
+
+
+def test_a_simulated_run_with_top_beside_it_records_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(control_parts.__file__).parent))
+    (tmp_path / "loop.toml").write_text(LOOP)
+    simulated = ("--simulate", "--for", "20", "--record")
+    words = [sys.executable, "-m", "aiorts", "top", "--interval", "0.05", "--json"]
+    with running("beside", str(tmp_path / "loop.toml"), *simulated, str(tmp_path / "beside.mcap")) as process:
+        top = subprocess.run(words, capture_output=True, text=True, timeout=WAIT, check=False)
+        process.wait(WAIT)
+    with running("alone", str(tmp_path / "loop.toml"), *simulated, str(tmp_path / "alone.mcap")) as process:
+        process.wait(WAIT)
+    assert (tmp_path / "beside.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
+    assert top.stdout.count("\n") > 0
+    assert top.stderr == "aiorts: beside: has ended\n"
+
+
+@pytest.mark.anyio
+async def test_a_delay_that_is_killed_leaves_nothing_measured() -> None:
+    async with controlled("killed") as kernel:
+        connector = next(iter(kernel.connectors.values()))
+        words = [sys.executable, "-m", "aiorts", "delay", "reader0.in"]
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            async with asyncio.timeout(WAIT):
+                while not connector.profile.measure:
+                    await kernel.sleep(0.01)
+            process.kill()
+            async with asyncio.timeout(WAIT):
+                while connector.profile.measure:
+                    await kernel.sleep(0.01)
+        finally:
+            process.kill()
+            process.wait(WAIT)
