@@ -29,6 +29,7 @@ from aiorts.late import dataclass
 TIMEOUT: Final = 5.0
 """Seconds that a call waits for its answer."""
 _CHUNK: Final = 1 << 18
+_SILENCE: Final = "no answer"
 
 
 class Client:
@@ -51,7 +52,7 @@ class Client:
         """Of calls that run: what has come for each."""
         self._last = 0
         self._gone = ""
-        self.silence = "no answer"
+        self.silence = _SILENCE
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.settimeout(TIMEOUT)
@@ -219,6 +220,7 @@ class Client:
             number, busy = frame.get("id"), frame.get("busy")
             if type(number) is int and number in self._answers:
                 self._answers[number].append(frame)
+                self.silence = _SILENCE
             elif type(busy) is float or type(busy) is int:
                 self.silence = f"no answer: its event loop has been busy for {busy:.1f} s"
 
