@@ -125,6 +125,19 @@ async def test_an_ambiguous_name_is_told_with_the_candidates(capsys: pytest.Capt
 
 
 @pytest.mark.fault("F19")
+@pytest.mark.parametrize(
+    "words", [["deactivate", "counter0"], ["exit", "counter0"], ["cat", "loop"], ["ls", "counter0"]]
+)
+async def test_no_command_takes_several_for_one(capsys: pytest.CaptureFixture[str], words: list[str]) -> None:
+    async with two() as kernels:
+        status, text = await said(capsys, *words)
+        assert (status, text.startswith(f"aiorts: E-AMBIGUOUS: {words[1]}: 2 have this name: other/")) == (6, True)
+        assert [kernel.components["counter0"].states["loop"].value for kernel in kernels] == ["active", "active"]
+        assert (await said(capsys, "deactivate", "*/counter0"))[0] == 0
+        assert [kernel.components["counter0"].states["loop"].value for kernel in kernels] == ["inactive", "inactive"]
+
+
+@pytest.mark.fault("F19")
 async def test_who_may_only_look_is_denied(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled(mode="view"):
         assert (await said(capsys, "cat", "counter0"))[0] == 0

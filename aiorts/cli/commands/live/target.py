@@ -31,6 +31,11 @@ def is_file(word: str) -> bool:
     return word.startswith(("./", "../", "/", "~")) or word.lower().endswith(FILES)
 
 
+def is_glob(word: str) -> bool:
+    """Whether a word may mean several things."""
+    return _GLOB.search(word) is not None
+
+
 @dataclass(frozen=True, slots=True)
 class Running:
     """A kernel that answered, its session open."""
@@ -99,10 +104,11 @@ class Kernels:
         return the_one(word, found, [one.full for one in found])
 
     def all(self, word: str) -> tuple[Found, ...]:
-        """Everything that a word means; in it, * ? [] stand for any characters.
+        """Everything that a word means: one thing, or as many as fit where * ? [] in it stand for any characters.
 
         Raises:
             AbsentError: nothing has the name.
+            AmbiguousError: several have it, and it has no such character; says which.
             NoAnswerError: nothing has it, and a kernel that may have it does not answer.
             InvalidNameError: it has more parts than a name.
         """
@@ -115,6 +121,8 @@ class Kernels:
             for name in _of(one, component, bare=bool(kernel))
         ]
         if found:
+            if not is_glob(word):
+                the_one(word, found, [one.full for one in found])
             return tuple(found)
         self._nothing(word, kernel, component)
         raise AssertionError(word)
@@ -207,7 +215,7 @@ def _of(one: Running, component: str, *, bare: bool) -> list[str]:
     if not component:
         return [""] if bare else []
     known = one.names["components"]
-    if not _GLOB.search(component):
+    if not is_glob(component):
         return [component] if component in known else []
     return [name for name in known if fnmatchcase(name, component)]
 
@@ -224,7 +232,7 @@ def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
 
 # -- completion --------------------------------------------------------------------------------------------------------
 
-_PATIENCE: Final = 0.08
+_PATIENCE: Final = 0.05
 """Seconds that a press of the Tab key waits for kernels."""
 
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from aiorts.cli.commands.live.target import Found, Kernels, Running
-from aiorts.errors import AbsentError, NoAnswerError
+from aiorts.cli.commands.live.target import Found, Kernels, Running, is_glob, the_one
+from aiorts.errors import AbsentError, AmbiguousError, NoAnswerError
 from aiorts.late import dataclass
 
 
@@ -48,6 +48,7 @@ def named(found: Kernels, word: str) -> tuple[Named, ...]:
 
     Raises:
         AbsentError: nothing has the name.
+        AmbiguousError: several have it, and it has no such character.
         NoAnswerError: nothing has it, and a kernel that may have it does not answer.
         InvalidNameError: it has more parts than a name.
     """
@@ -56,9 +57,13 @@ def named(found: Kernels, word: str) -> tuple[Named, ...]:
     try:
         for one in found.all(word):
             meant += _parts(one)
+    except AmbiguousError:
+        raise
     except (AbsentError, NoAnswerError) as error:
         missing = error
     if meant := meant or list(_others(found, word)):
+        if not is_glob(word):
+            the_one(word, meant, [one.full for one in meant])
         return tuple(meant)
     raise missing or _no_port(found.all(word)[0], word)
 
