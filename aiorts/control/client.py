@@ -222,7 +222,7 @@ class Client:
                 self._answers[number].append(frame)
                 self.silence = _SILENCE
             elif type(busy) is float or type(busy) is int:
-                self.silence = f"no answer: its event loop has been busy for {busy:.1f} s"
+                self.silence = f"no answer: its event loop has been busy for at least {busy:.1f} s"
 
     def _receive(self, until: float | None) -> None:
         """Wait until at least one frame has come."""
