@@ -410,4 +410,4 @@ def _ends(node: ast.Call) -> bool:
 
 
 def _is_number(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, int)
+    return isinstance(node, ast.Constant) and type(node.value) is int
