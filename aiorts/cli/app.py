@@ -126,7 +126,9 @@ class _LazyGroup(HelpfulGroup):
         """Run the command; what one of a plugin raises is one line that names the plugin."""
         try:
             return super().invoke(ctx)
-        except (AiortsError, click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+        except BrokenPipeError:
+            return _silenced()  # before click ends the process with a status of its own
+        except (AiortsError, click.ClickException, click.exceptions.Exit, click.Abort):
             raise
         except Exception as error:
             extension = ctx.meta.get(_EXTENSION)

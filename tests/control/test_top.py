@@ -378,3 +378,20 @@ async def test_a_delay_that_is_killed_leaves_nothing_measured() -> None:
         finally:
             process.kill()
             process.wait(WAIT)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("command", ["top", "hz counter0.out"])
+async def test_a_reader_that_has_seen_enough_ends_it_without_a_word(command: str) -> None:
+    def work() -> tuple[int, str]:
+        words = [sys.executable, "-m", "aiorts", *command.split(), "--interval", "0.05"]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stderr is not None
+            assert process.stdout.readline()
+            process.stdout.close()
+            told = process.stderr.read()
+            return process.wait(WAIT), told
+
+    async with controlled("enough"):
+        assert await asyncio.to_thread(work) == (141, "")

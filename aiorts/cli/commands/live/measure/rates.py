@@ -126,7 +126,7 @@ def bw(name: str, interval: float, duration: float | None, count: int | None, as
                 size, why = sizes.get(edge.name, (None, "not looked at yet"))
                 rate = rates[edge.name].windows[-1]
                 through = None if size is None else rate * size
-                text = why if through is None else f"{_bytes(through)}/s  {rate:.3f} Hz x {_bytes(size)}"
+                text = f"{_bytes(rate * size)}/s  {rate:.3f} Hz x {_bytes(size)}" if size is not None else why
                 _print(edge, text, {"bytes_per_second": through, "rate": rate, "bytes": size}, as_json=as_json)
             return bool(ended)
 
@@ -157,13 +157,11 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
 
         def show(now: Counters) -> bool:
             nonlocal first
-            first, was_first = False, first
-            if was_first and wanted:
-                return False  # nothing was read yet
-            for edge in meant:
+            early, first = first and bool(wanted), False  # nothing was read since it is measured
+            for edge in () if early else meant:
                 found = now["timed"].get(edge.name, {})
                 _print(edge, _spans(found), {what: span_plain(found.get(what)) for what in _TIMED}, as_json=as_json)
-            return True
+            return not early
 
         return show
 
