@@ -25,7 +25,7 @@ OLDEST: Final = 1
 """The oldest protocol that is spoken here."""
 NEWEST: Final = 1
 REQUESTS: Final = Limits(frame=512 * KIB, string=65_536, values=8_192, length=8_192)
-"""Of what clients send: the worst frame takes 3 ms to decode."""
+"""Of what clients send: the worst frame takes less than 10 ms to decode."""
 ANSWERS: Final = 512 * MIB
 """Bytes of the longest frame that a client takes from a kernel."""
 WAITING: Final = 256
