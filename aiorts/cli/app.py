@@ -58,6 +58,8 @@ _COMMANDS: Final = {
     "hz": ("aiorts.cli.commands.live.measure.rates:hz", "Show how many samples pass a connector or port each second."),
     "top": ("aiorts.cli.commands.live.measure.top:top", "Watch connectors, contexts and components of what runs."),
     "vlog": ("aiorts.cli.commands.live.vlog:vlog", "Show the log of components that run, and set its level."),
+    "print": ("aiorts.cli.commands.live.samples:print_", "Print the samples of an out-port that runs."),
+    "inject": ("aiorts.cli.commands.live.samples:inject", "Write samples to an in-port that runs."),
     "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),
     "stop": ("aiorts.cli.commands.live.lifecycle:stop", "End a run in order."),
     "filter": ("aiorts.cli.filtering:filter_", "Run a component as a filter, whatever its name."),

@@ -39,6 +39,8 @@ _SECTIONS: Final = (
             "hz",
             "bw",
             "delay",
+            "print",
+            "inject",
             "vlog",
             "watch",
             "stop",

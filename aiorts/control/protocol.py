@@ -33,6 +33,16 @@ WAITING: Final = 256
 _LENGTH: Final = 4
 
 
+class Made:
+    """Base of what is made into plain data where it is sent, in the thread of the socket, and not on the loop."""
+
+    __slots__ = ()
+
+    def message(self) -> Any:
+        """The plain data. It raises nothing."""
+        raise NotImplementedError
+
+
 def agreed(oldest: object, newest: object, who: str) -> int:
     """The newest protocol that both ends speak.
 
@@ -100,6 +110,8 @@ def answer_in(frame: bytes) -> dict[Any, Any]:
 
 
 def _plain(value: object) -> Any:
+    if isinstance(value, Made):
+        return value.message()
     return bytes(value) if isinstance(value, memoryview | bytearray) else plain(value)
 
 

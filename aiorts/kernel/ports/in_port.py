@@ -40,6 +40,15 @@ class InPort(Port[T]):
     direction: ClassVar[str] = "in"
     is_tap: ClassVar[bool] = False
     """Whether a service reads here, and no component."""
+
+    @property
+    def connectors(self) -> tuple[Connector, ...]:
+        """The live connectors of this port, in order of connection; those of services are none of the system's."""
+        found = self._connectors
+        while found and found[-1].out.is_tap:
+            found = found[:-1]
+        return found
+
     _receiver: Receiver
 
     def __init__(

@@ -63,6 +63,8 @@ class OutPort(Port[T]):
     )
 
     direction: ClassVar[str] = "out"
+    is_tap: ClassVar[bool] = False
+    """Whether a service writes here, and no component."""
 
     def __init__(
         self,

@@ -1,7 +1,7 @@
-"""Taps: a service takes what an out-port writes, without being a part of the system.
+"""Taps: a service takes what an out-port writes, or gives an in-port samples, without being a part of the system.
 
-A tap is an in-port of no component. `OutPort.connectors`, `Kernel.connectors`, profiles, supervision and the end of a
-run do not know it: with a tap a system is what it is without. It reads like any in-port, also across threads.
+A tap is a port of no component. `Port.connectors`, `Kernel.connectors`, profiles, supervision and the end of a run do
+not know it: with a tap a system is what it is without. It reads and writes like any port, also across threads.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from aiorts.kernel.ports import wiring
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.host import PortHost
 from aiorts.kernel.ports.in_port import InPort, receiver_of
+from aiorts.kernel.ports.out_port import OutPort
 from aiorts.kernel.ports.port import Turns, refresh
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
-    from aiorts.kernel.ports.out_port import OutPort
     from aiorts.model.profile import ConnectorProfile
 
 
@@ -29,6 +29,22 @@ class Tap(InPort[Any]):
 
     __slots__ = ()
     is_tap = True
+
+
+class Spout(OutPort[Any]):
+    """The writing end of a service. See `Connections.spout`."""
+
+    __slots__ = ()
+    is_tap = True
+
+
+def make_spout(kernel: KernelSide, owner: str, in_: InPort[Any], profile: ConnectorProfile) -> Connector:
+    """Connect an out-port of its own to an in-port."""
+    host = PortHost(owner, Turns())
+    host.kernel = kernel
+    spout = host.ports[in_.path] = Spout(in_.type)
+    spout._attach(host, in_.path)
+    return wiring.wire(kernel, spout, in_, profile)
 
 
 def make_tap(

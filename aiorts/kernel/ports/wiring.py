@@ -91,8 +91,9 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
     # The kernel's own number: each call of `get_ident` makes another, of 32 bytes.
     receiver.thread = kernel.thread_id or get_ident()
     alone = (connector,)  # one object for both ends, where neither has another
+    before = in_.connectors  # without those of services, which come last
     with receiver.guard():
-        in_._connectors += alone
+        in_._connectors = before + alone + in_._connectors[len(before) :]
         receiver.read_stamps += profile.stamp is Stamp.READ
         if settles(profile):
             receiver = fit_receiver(in_)

@@ -1,0 +1,217 @@
+"""`aiorts print` and `aiorts inject`: samples out of what runs, and into it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, TextIO
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.live.curve import Curve
+from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.console.output import say_line, say_now
+from aiorts.cli.console.report import report
+from aiorts.control import Client, Stream
+from aiorts.errors import AbsentError, RecordError
+
+_BATCH: Final = 64
+"""Lines that go in one call."""
+
+
+@click.command("print", short_help="Print the samples of an out-port that runs.")
+@click.argument("port", metavar="COMPONENT.PORT[.FIELD]", shell_complete=complete)
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N samples.")
+@click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds.")
+@click.option("--plot", is_flag=True, help="Draw a number of the samples as a curve.")
+@click.option("--json", "as_json", is_flag=True, hidden=True, help="Lines are JSON anyhow.")
+def print_(port: str, count: int | None, duration: float | None, plot: bool, as_json: bool) -> int:
+    """Print the samples of an out-port as JSON lines, as filters do: they can be piped into filters and `inject`.
+
+    With FIELD, only its value is printed. What this terminal does not take in time is dropped, counted and said on
+    standard error; the system is not slowed down. It ends with the run.
+
+    --plot draws the first number of the samples, or FIELD, over time.
+    """
+    until = None if duration is None else time.monotonic() + duration
+    with kernels() as found:
+        client, path, field = _port(found.find(port), port)
+        stream = client.stream("tap", port=path)
+        items = _first(_items(stream, until), count)
+        if plot:
+            _draw(items, stream, f"{path}.{field}" if field else path, field)
+        else:
+            for item in items:
+                _show(item, stream.began, field)
+        if isinstance(stream.result, str):
+            report("W-CLOSED", stream.result)
+        if stream.missed:
+            report("W-DROPPED", f"{path}: {stream.missed} samples were dropped on the way to this terminal")
+    return exits.DONE
+
+
+def _port(found: Any, word: str) -> tuple[Client, str, str]:
+    """The session, the port and the field that a word means."""
+    port, _, field = found.port.partition(".")
+    if not found.component or not port:
+        raise AbsentError(
+            f"{word}: name a port, such as {found.component or 'component'}.output; `aiorts ls -R` has all"
+        )
+    return found.client, f"{found.component}.{port}", field
+
+
+def _items(stream: Stream, until: float | None) -> Iterator[Mapping[str, Any]]:
+    for item in stream.until(until):
+        if "error" in item:
+            report("E-RECORD", f"{stream.began['port']}: {item['error']}")
+            continue
+        yield item
+
+
+def _first(items: Iterator[Mapping[str, Any]], count: int | None) -> Iterator[Mapping[str, Any]]:
+    for number, item in enumerate(items, 1):
+        yield item
+        if number == count:
+            return
+
+
+def _show(item: Mapping[str, Any], began: Mapping[str, Any], field: str) -> None:
+    if field:
+        say_line(_value(item, field))
+        return
+    line = {"port": began["port"], "type": began["type"], "tm": item["tm"], "data": item["data"]}
+    say_line({key: value for key, value in line.items() if key != "tm" or value is not None})
+
+
+def _value(item: Mapping[str, Any], field: str) -> Any:
+    """The value of a field; RecordError when the sample has none."""
+    value: Any = item["tm"] if field == "tm" else item["data"]
+    names = [] if field in ("tm", "data") else field.removeprefix("data.").split(".")
+    for name in names:
+        if isinstance(value, Mapping) and name in value:
+            value = value[name]
+        elif isinstance(value, list) and name.isdecimal() and int(name) < len(value):
+            value = value[int(name)]
+        else:
+            there = ", ".join(value) if isinstance(value, Mapping) else "no fields"
+            raise RecordError(f"the samples have no {field!r}; there are {there}")
+    return value
+
+
+def _draw(items: Iterator[Mapping[str, Any]], stream: Stream, title: str, field: str) -> None:
+    curve = Curve(title, sys.stdout)
+    try:
+        for item in items:
+            number = _number(_value(item, field) if field else item["data"])
+            if number is None:
+                what = field or "the data"
+                raise RecordError(f"{title}: {what} is no number; name a field that is one, as in COMPONENT.PORT.FIELD")
+            curve.add(item["time_ns"] / 1e9, number, stream.missed)
+    finally:
+        curve.end()
+
+
+def _number(value: Any) -> float | None:
+    """The value if it is a number, else the first number in it."""
+    if isinstance(value, bool):
+        return float(value)
+    if isinstance(value, int | float):
+        return float(value)
+    inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return next((found for one in inner if (found := _number(one)) is not None), None)
+
+
+# -- into what runs ----------------------------------------------------------------------------------------------------
+
+
+@click.command(short_help="Write samples to an in-port that runs.")
+@click.argument("port", metavar="COMPONENT.PORT", shell_complete=complete)
+@click.argument("value", required=False)
+@click.option("--rate", type=click.FloatRange(min=0.001), metavar="HZ", help="Write VALUE again and again.")
+@click.option("--count", type=click.IntRange(min=1), metavar="N", help="Write VALUE N times.")
+@click.option(
+    "--full", type=click.Choice(["reject", "overwrite", "block"]), default="block", help="When there is no room."
+)
+@click.option("--length", type=click.IntRange(min=1), default=8, help="Samples that wait for the reader.")
+@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds for room.")
+@click.option("--json", "as_json", is_flag=True, help="Print the counts as one JSON document.")
+def inject(
+    port: str,
+    value: str | None,
+    rate: float | None,
+    count: int | None,
+    full: str,
+    length: int,
+    timeout: float,
+    as_json: bool,
+) -> int:
+    """Write samples to an in-port of what runs.
+
+    VALUE is JSON: the data of the sample, or {"data": ..., "tm": ...}. Without VALUE, JSON lines are read from standard
+    input until it ends. Each is checked against the type of the port before it is written; of a batch all are, and
+    a bad one ends the command with status 2 and its line. The connection ends with the command.
+
+    \b
+      aiorts inject pid0.measured 0.5
+      aiorts print plant0.output | aiorts inject logger0.input
+    """
+    written = refused = 0
+    with kernels() as found:
+        client, path, field = _port(found.find(port), port)
+        if field:
+            raise AbsentError(f"{port}: samples are written whole; name the in-port, {path}")
+        how: dict[str, Any] = {"port": path, "full": full, "length": length, "timeout": timeout}
+        for lines in _constant(value, rate, count) if value is not None else _batches(sys.stdin):
+            result = client.call("inject", timeout * len(lines) + 5.0, lines=lines, **how)
+            written, refused = written + result["written"], refused + result["refused"]
+            if refused and full == "block":
+                break
+    if as_json:
+        say_line({"written": written, "refused": refused})
+    elif refused:
+        report("W-DROPPED", f"{path}: {refused} samples were refused, since the reader's buffer was full")
+    return exits.FAILED if refused else exits.DONE
+
+
+def _constant(value: str, rate: float | None, count: int | None) -> Iterator[list[str]]:
+    """VALUE once, `count` times, or at a rate."""
+    if rate is None:
+        left = count or 1
+        while left > 0:
+            yield [value] * min(left, _BATCH)
+            left -= _BATCH
+        return
+    begun, number = time.monotonic(), 0
+    while count is None or number < count:
+        time.sleep(max(0.0, begun + number / rate - time.monotonic()))
+        yield [value]
+        number += 1
+
+
+def _batches(stream: TextIO | None) -> Iterator[list[str]]:
+    """The lines of a stream, as many at a time as are there."""
+    if stream is None:
+        return
+    if stream.isatty():
+        say_now("reading JSON lines from this terminal; Ctrl-D ends")
+    lines: list[str] = []
+    for line in stream:
+        if line.strip():
+            lines.append(line.rstrip("\n"))
+        if len(lines) >= _BATCH or (lines and not _more(stream)):
+            yield lines
+            lines = []
+    if lines:
+        yield lines
+
+
+def _more(stream: TextIO) -> bool:
+    """Whether another line can be read without waiting, as far as is known."""
+    import select
+
+    try:
+        return bool(select.select([stream], [], [], 0)[0])
+    except (OSError, ValueError):
+        return False

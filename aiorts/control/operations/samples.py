@@ -1,0 +1,203 @@
+"""Operations that move samples: out of a running system, and into it.
+
+What a tool takes or gives goes over a connector of its own that the system does not know: it takes no place at a port,
+and no end of a run waits for it. Its losses are its own, and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakKeyDictionary
+
+from aiorts.clock import SimulatedClock
+from aiorts.control.operation import Operation, Right
+from aiorts.control.protocol import Made
+from aiorts.control.session import Session, Stream
+from aiorts.errors import AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
+from aiorts.kernel.loop.bus import ComponentRemoved
+from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.service import KernelService
+from aiorts.late import dataclass
+from aiorts.types import full_name, type_name
+from aiorts.wire import LineReader, MsgpackCodec, split_sample
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
+
+_WAITING: Final = 64
+"""Samples that a tap holds until the loop has its turn."""
+_LINES: Final = 1_000
+"""Lines that one call may inject."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tapped:
+    """An out-port whose samples are wanted."""
+
+    port: str
+    """ "component.port"."""
+    frames: bool = False
+    """Encoded by the msgpack codec, for who has the type; else plain data, as JSON lines have it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tap:
+    """What comes over a tap."""
+
+    port: str
+    type: str
+    """The short name."""
+    full_type: str
+    unit: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Injected:
+    """Samples for an in-port."""
+
+    port: str
+    lines: tuple[str, ...]
+    """JSON lines, as filters read them: all are checked before the first is written."""
+    full: str = "reject"
+    """What is done when the reader's buffer is full: "reject", "overwrite" or "block"."""
+    length: int = 8
+    timeout: float | None = 1.0
+    """Seconds that a write waits with "block"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What became of them."""
+
+    written: int
+    refused: int
+    """The reader's buffer was full, also after `timeout`."""
+
+
+class _Tools(KernelService):
+    """Whose taps those of tools are."""
+
+    name = "tool"
+
+
+class _Sample(Made):
+    """A sample on its way to a client."""
+
+    __slots__ = ("_frames", "_sample", "_time_ns")
+
+    def __init__(self, sample: Any, time_ns: int, *, frames: bool) -> None:
+        self._sample, self._time_ns, self._frames = sample, time_ns, frames
+
+    def message(self) -> Any:
+        try:
+            if self._frames:
+                return {"time_ns": self._time_ns, "frame": MsgpackCodec().encode(self._sample)}
+            tm, data = split_sample(self._sample)
+        except (AiortsError, ValueError, TypeError) as error:
+            return {"time_ns": self._time_ns, "error": str(error)}
+        return {"time_ns": self._time_ns, "tm": tm, "data": data}
+
+
+def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
+    """Send each sample from now on; what the client is too slow for is dropped and counted, and holds nobody up."""
+    kernel, out = session.kernel, session.kernel.find(given.port)
+    if isinstance(out, InPort):
+        writers = ", ".join(connector.out.path for connector in out.connectors) or "none is connected"
+        raise WiringError(f"{given.port}: is an in-port; look at the out-port that writes to it: {writers}")
+    if not isinstance(out, OutPort):
+        raise WiringError(f"{given.port}: is no out-port of samples")
+    clock, loop = kernel.clock, kernel.loop
+    simulated, due = isinstance(clock, SimulatedClock), False
+
+    def send() -> None:
+        nonlocal due
+        due = False
+        now_ns = clock.time_ns()
+        for sample in connector.in_.drain():
+            stream.send(_Sample(sample, now_ns, frames=given.frames))
+
+    def take(_: InPort[Any]) -> None:
+        nonlocal due
+        if simulated:
+            send()  # a callback would be one more that is ready at this instant
+        elif not due:
+            due = True
+            loop.call_soon(send)
+
+    connector = kernel.connections.tap(kernel.service(_Tools), out, take, length=_WAITING)
+
+    def look(event: ComponentRemoved) -> None:
+        if event.component == given.port.rpartition(".")[0]:
+            stream.finish(f"{given.port}: its component was removed")
+
+    stream.on_close(connector.close)
+    stream.on_close(kernel.bus.subscribe(ComponentRemoved, look))
+    return Tap(out.path, type_name(out.type), full_name(out.type), out.unit)
+
+
+_SPOUTS: Final[WeakKeyDictionary[Session, dict[str, tuple[Injected, Connector]]]] = WeakKeyDictionary()
+"""Of each session, the connectors it injects by, by in-port."""
+
+
+async def _inject(session: Session, given: Injected) -> Written:
+    """Write samples to an in-port; the connector lasts as long as the session."""
+    in_ = session.kernel.find(given.port)
+    if isinstance(in_, OutPort):
+        raise WiringError(f"{given.port}: is an out-port; samples are injected at an in-port")
+    if not isinstance(in_, InPort):
+        raise WiringError(f"{given.port}: is no in-port of samples")
+    if len(given.lines) > _LINES:
+        raise RecordError(f"inject: {len(given.lines)} lines; at most {_LINES} in a call")
+    samples = _read(in_, given.lines, session.kernel.time_ns())
+    connector = _spout(session, in_, given)
+    written = 0
+    for sample in samples:
+        if connector.closed:
+            raise ClosedError(f"{given.port}: the port is gone; {written} of {len(samples)} samples were written")
+        if given.full == "block":
+            try:
+                await connector.out.write(sample)
+                written += 1
+            except WriteTimeout:
+                return Written(written, len(samples) - written)
+        else:
+            written += connector.out.write_nowait(sample)
+    return Written(written, len(samples) - written)
+
+
+def _read(in_: InPort[Any], lines: tuple[str, ...], now_ns: int) -> list[Any]:
+    reader, samples = LineReader({in_.name: in_.type}), []
+    for number, line in enumerate(lines, 1):
+        try:
+            samples.append(reader.sample(line, now_ns)[1])
+        except AiortsError as error:
+            raise RecordError(f"{in_.path}: line {number}: {error}; nothing of this call was written") from None
+    return samples
+
+
+def _spout(session: Session, in_: InPort[Any], given: Injected) -> Connector:
+    """The connector of this session to an in-port: the one that it has, or another where its options are others."""
+    own = _SPOUTS.setdefault(session, {})
+    before, connector = own.get(given.port, (None, None))
+    options: Mapping[str, Any] = {"length": given.length, "full": given.full, "timeout": given.timeout}
+    if before is not None and connector is not None and not connector.closed and connector.in_ is in_:
+        if (before.length, before.full, before.timeout) == (given.length, given.full, given.timeout):
+            return connector
+        connector.close()
+    made = session.kernel.connections.spout(session.kernel.service(_Tools), in_, options)
+
+    def look(event: ComponentRemoved) -> None:
+        if event.component == given.port.rpartition(".")[0]:
+            made.close()
+
+    session.keep(session.kernel.bus.subscribe(ComponentRemoved, look))
+    session.keep(made.close)
+    own[given.port] = (given, made)
+    return made
+
+
+ROWS: Final = (
+    Operation("inject", "Write samples to an in-port.", Injected, Written, Right.OPERATE, _inject),
+    Operation("tap", "Stream the samples of an out-port.", Tapped, Tap, Right.VIEW, _tap, streams=True),
+)

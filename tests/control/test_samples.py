@@ -1,0 +1,159 @@
+"""Samples go out of a running system and into it; the system is what it is without."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from aiorts import Component, InPort, PeriodicContext
+from aiorts.control import END, Client
+from aiorts.errors import ClosedError, RecordError, WiringError
+from aiorts.testing import simulate
+from aiorts.types import TimedDouble
+from control_parts import WAIT, Counter, controlled, entry_of, with_client
+
+pytestmark = pytest.mark.anyio
+
+
+class Narrow(Component):
+    """Takes one connector and keeps what comes."""
+
+    in_ = InPort(TimedDouble, name="in", max_connectors=1)
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.seen: list[float] = []
+
+    async def on_execute(self) -> None:
+        self.seen += [sample.data for sample in self.in_.drain()]
+
+
+async def opened(name: str) -> Client:
+    return await asyncio.to_thread(lambda: Client.open(entry_of(name), timeout=WAIT))
+
+
+async def until(condition: Any) -> None:
+    async with asyncio.timeout(5):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+async def test_every_sample_comes_in_order_and_the_system_does_not_know() -> None:
+    async with controlled("tapped") as kernel:
+        before = kernel.profile().structure().to_json()
+        with await opened("tapped") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("tap", port="counter0.out"))
+            found = [await asyncio.to_thread(stream.next, WAIT) for _ in range(20)]
+            assert kernel.profile().structure().to_json() == before
+            assert kernel.components["counter0"].ports["out"].connectors == tuple(kernel.connectors.values())
+    assert stream.began["type"] == "TimedDouble"
+    values = [one["data"] for one in found]
+    assert values == [values[0] + number for number in range(20)]
+    assert stream.missed == 0
+
+
+async def test_what_a_reader_is_too_slow_for_is_counted_and_holds_nobody_up() -> None:
+    async with controlled("lossy") as kernel:
+        counter = await kernel.create(Counter, "quick")
+        with await opened("lossy") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("tap", port="quick.out"))
+            for number in range(20_000):
+                counter.out.write_nowait(TimedDouble(data=float(number)))
+                if number % 50 == 0:
+                    await asyncio.sleep(0)
+            await kernel.remove(counter)
+            got = await asyncio.to_thread(lambda: list(stream.until(None)))
+    assert 0 < len(got) < 20_000
+    assert len(got) + stream.missed == 20_000
+    assert [one["data"] for one in got] == sorted(one["data"] for one in got)
+
+
+async def test_a_tap_ends_with_its_component() -> None:
+    async with controlled("gone") as kernel:
+        other = await kernel.create(Counter, "other")
+        with await opened("gone") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("tap", port="other.out"))
+            await kernel.remove(other)
+            assert await asyncio.to_thread(stream.next, WAIT) is END
+    assert "removed" in stream.result
+
+
+async def test_injected_samples_arrive_and_take_no_place() -> None:
+    async with controlled("into") as kernel:
+        narrow = await kernel.create(Narrow, "narrow")
+        await kernel.start(PeriodicContext(rate=100.0, name="second"), narrow, activate=True)
+        lines = ["1", '{"data": 2.5, "tm": 7}']
+        with await opened("into") as client:
+            said = await asyncio.to_thread(lambda: client.call("inject", port="narrow.in", lines=lines))
+            assert said == {"written": 2, "refused": 0}
+            assert narrow.in_.connectors == ()
+            assert len(kernel.connectors) == 1
+            await kernel.connect("counter0.out", "narrow.in")
+            await until(lambda: 2.5 in narrow.seen and len(narrow.seen) > 5)
+        with pytest.raises(WiringError, match="takes 1 connectors"):
+            await kernel.connect("counter0.out", "narrow.in", allow_duplicate=True)
+
+
+async def test_nothing_is_written_where_one_line_is_wrong() -> None:
+    async with controlled("checked") as kernel:
+        narrow = await kernel.create(Narrow, "narrow")
+        with pytest.raises(RecordError, match=r"line 2: .*nothing of this call was written"):
+            await with_client("checked", lambda one: one.call("inject", port="narrow.in", lines=["1", '"x"', "3"]))
+        assert narrow.in_.drain() == []
+
+
+@pytest.mark.parametrize("full", ["reject", "block"])
+async def test_a_full_reader_refuses_and_is_counted(full: str) -> None:
+    async with controlled("full") as kernel:
+        await kernel.create(Narrow, "narrow")
+        with await opened("full") as client:
+            said = await asyncio.to_thread(
+                lambda: client.call(
+                    "inject", WAIT, port="narrow.in", lines=["1"] * 5, length=2, full=full, timeout=0.01
+                )
+            )
+    assert said == {"written": 2, "refused": 3}
+
+
+async def test_what_a_session_injects_by_ends_with_it() -> None:
+    async with controlled("session") as kernel:
+        narrow = await kernel.create(Narrow, "narrow")
+        with await opened("session") as client:
+            await asyncio.to_thread(lambda: client.call("inject", port="narrow.in", lines=["1"]))
+            assert narrow.in_.read_nowait().data == 1.0
+        await until(lambda: repr(narrow.in_).endswith("0 connectors>"))
+
+
+async def test_a_removed_port_ends_what_is_injected() -> None:
+    async with controlled("removed") as kernel:
+        narrow = await kernel.create(Narrow, "narrow")
+        with await opened("removed") as client:
+            call = {"port": "narrow.in", "lines": ["1"] * 50, "length": 2, "full": "block", "timeout": None}
+            number = await asyncio.to_thread(lambda: client.begin("inject", **call))
+            await until(lambda: repr(narrow.in_).endswith("1 connectors>"))
+            await kernel.remove(narrow)
+            with pytest.raises(ClosedError):
+                await asyncio.to_thread(client.result, number, WAIT)
+
+
+@pytest.mark.parametrize(("port", "says"), [("reader0.in", "counter0.out"), ("counter0", "no out-port")])
+async def test_only_out_ports_can_be_tapped(port: str, says: str) -> None:
+    async with controlled("refused"):
+        with pytest.raises(WiringError, match=says):
+            await with_client("refused", lambda client: client.stream("tap", port=port))
+
+
+def test_a_tap_changes_nothing_in_simulated_time() -> None:
+    async def run(*, watched: bool) -> str:
+        async with controlled("still", rate=1000.0) as kernel:
+            client = Client.open(entry_of("still"), timeout=WAIT) if watched else None
+            if client is not None:
+                client.begin("tap", port="counter0.out")
+            await kernel.sleep(3.0)
+            if client is not None:
+                client.close()
+            return kernel.profile().structure().to_json()
+
+    assert simulate(run(watched=True)) == simulate(run(watched=False))
