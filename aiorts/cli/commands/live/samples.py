@@ -46,7 +46,7 @@ def print_(port: str, count: int | None, duration: float | None, plot: bool, as_
             for item in items:
                 _show(item, stream.began, field)
         if isinstance(stream.result, str):
-            report("W-CLOSED", stream.result)
+            report("E-CLOSED", stream.result)
         if stream.missed:
             report("W-DROPPED", f"{path}: {stream.missed} samples were dropped on the way to this terminal")
     return exits.DONE
