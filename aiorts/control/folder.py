@@ -153,8 +153,11 @@ def _remove(path: str) -> None:
 @contextlib.contextmanager
 def _locked(folder: Path, waits: tuple[float, ...] = (0.001, 0.01, 0.1, 0.5, 0.5, 0.0)) -> Iterator[None]:
     """Hold the folder: one process at a time adds or removes entries. ControlError: another holds it all the time."""
-    import fcntl  # late: not every system has it
-
+    try:
+        import fcntl  # late: not every system has it
+    except ImportError:
+        yield  # of two that begin at once with one name, one may take the other's entry
+        return
     opened = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         for wait in waits:
