@@ -332,11 +332,12 @@ def open_all(
 ) -> tuple[list[tuple[Client, Any]], list[Silent]]:
     """Open a session with each kernel and make one call in each, all at the same time.
 
-    A kernel that does not answer delays the others by `grace` seconds at the most.
+    A kernel that says nothing, not even hello, delays the others by `grace` seconds at the most; one whose loop is busy
+    by `timeout`.
 
     Args:
-        timeout: seconds to wait when none has answered.
-        grace: seconds to wait for the others once one has.
+        timeout: seconds to wait when none has answered, and for those that have said hello.
+        grace: seconds to wait for the others once one has answered.
 
     Returns:
         The sessions with the result of the call, in the order given; and who did not answer.
@@ -377,16 +378,21 @@ def wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace
 
     Args:
         pending: by descriptor, the client and the number of its call.
-        timeout: seconds to wait when none has answered.
-        grace: seconds to wait for the others once one has.
+        timeout: seconds to wait when none has answered, and for those that have said hello.
+        grace: seconds to wait for the others once one has answered.
     """
     left = dict(pending)
     results: dict[Client, Any] = {}
     poll = select.poll()
     for descriptor in left:
         poll.register(descriptor, select.POLLIN)
-    until = time.monotonic() + timeout
-    while left and (wait := until - time.monotonic()) > 0:
+    latest = time.monotonic() + timeout
+    patient_until = latest
+    while left:
+        busy = any(client.hello for client, _ in left.values())  # their processes run: only their loops take long
+        wait = (latest if busy else patient_until) - time.monotonic()
+        if wait <= 0:
+            break
         for descriptor, _ in poll.poll(wait * 1000):
             client, number = left[descriptor]
             try:
@@ -398,7 +404,7 @@ def wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace
                 results[client] = error
             poll.unregister(descriptor)
             del left[descriptor]
-            until = min(until, time.monotonic() + grace)
+            patient_until = min(patient_until, time.monotonic() + grace)
     return results
 
 

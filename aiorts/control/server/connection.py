@@ -213,7 +213,10 @@ class Connection:
             raise StaleError(
                 f"{name}: meant for a kernel that has ended; another has its address now. Nothing was done; try again"
             )
-        arguments = from_plain(operation.arguments, request.get("args", {}))
+        unknown: dict[str, Any] = {}
+        arguments = from_plain(operation.arguments, request.get("args", {}), unknown=unknown)
+        if unknown:
+            raise ControlError(f"{name}: no argument {', '.join(unknown)[:200]}; this kernel is of another release")
         needed, right = operation.needed(arguments), self._listener.right
         if not right.allows(needed):
             raise DeniedError(f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}")

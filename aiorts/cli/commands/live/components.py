@@ -67,7 +67,7 @@ def _members(name: str, operation: str, text: str) -> click.Command:
     return click.Command(name, callback=run, params=params, short_help=text, help=text)
 
 
-def _exit(names: tuple[str, ...], wait: float) -> int:
+def _take_out(names: tuple[str, ...], wait: float) -> int:
     with kernels() as found:
         meant = [one for word in names for one in found.all(word)]
         for one in meant:
@@ -81,7 +81,7 @@ def _exit(names: tuple[str, ...], wait: float) -> int:
 def _removing(name: str) -> click.Command:
     return click.Command(
         name,
-        callback=_exit,
+        callback=_take_out,
         params=[
             click.Argument(["names"], nargs=-1, required=True, metavar="COMPONENT...", shell_complete=complete),
             click.Option(
