@@ -30,6 +30,9 @@ PROMISES = {
     "Each component is a command, in lower case": (
         "cli/test_plugins_commands.py::test_a_command_of_a_plugin_ends_as_it_wants"
     ),
+    "show and change a running system without preparation": (
+        "control/test_change.py::test_parameters_are_in_force_when_conf_returns_read_by_their_types"
+    ),
     "a generator that you have already becomes a component": (
         "functions/test_function_use.py::test_an_installed_one_is_a_filter_whose_parameters_are_options"
     ),
