@@ -304,6 +304,16 @@ class Stream:
         self.client._answers.pop(self._number, None)
         return END
 
+    def take(self, timeout: float) -> list[Any]:
+        """The items that have come: at least one, or none at all within `timeout` seconds; END is the last."""
+        try:
+            found = [self.next(timeout)]
+        except NoAnswerError:
+            return []
+        while found[-1] is not END and self.client.answered(self._number):
+            found.append(self.next(0.0))
+        return found
+
     def close(self) -> None:
         """End the operation; idempotent."""
         if not self._ended:

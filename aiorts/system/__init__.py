@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     )
     from aiorts.system.schemas.schema import schema
     from aiorts.system.stdio.frames import FrameInput, FrameOutput
+    from aiorts.system.stdio.live import LiveInput
     from aiorts.system.stdio.pipes import StandardInput, StandardOutput
     from aiorts.system.stdio.stream import LineStream
 
@@ -45,6 +46,7 @@ __all__ = (
     "FrameOutput",
     "Finding",
     "LineStream",
+    "LiveInput",
     "Override",
     "StandardInput",
     "StandardOutput",
@@ -86,6 +88,7 @@ _late(
         ),
         "aiorts.system.schemas.schema": "schema",
         "aiorts.system.stdio.frames": "FrameInput FrameOutput",
+        "aiorts.system.stdio.live": "LiveInput",
         "aiorts.system.stdio.pipes": "StandardInput StandardOutput",
         "aiorts.system.stdio.stream": "LineStream",
     },

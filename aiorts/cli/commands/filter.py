@@ -12,18 +12,19 @@ import inspect
 import shlex
 import sys
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from aiorts import Component, EventContext, InPort, Kernel, declaration_of, exits
 from aiorts.cli.console.completion import completer_of
 from aiorts.cli.console.output import plain, table
-from aiorts.cli.console.report import report_error
+from aiorts.cli.console.report import report, report_error
 from aiorts.cli.runtime.alone import (
     DEFAULT_RATE,
     check_rate,
     connect_input,
+    connect_live,
     connect_output,
     context_for,
     end_with,
@@ -33,12 +34,16 @@ from aiorts.cli.runtime.ends import Ends
 from aiorts.cli.runtime.options import Options, checked
 from aiorts.cli.runtime.session import execute
 from aiorts.cli.runtime.stopping import Stopper
-from aiorts.errors import AiortsError, ComponentError, ConfigurationError
+from aiorts.errors import AbsentError, AiortsError, ComponentError, ConfigurationError, WiringError
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.type_modules import import_types
-from aiorts.system import FrameInput, StandardInput, construct, option_params
+from aiorts.kernel.service import plan_service
+from aiorts.system import FrameInput, LiveInput, StandardInput, construct, option_params
 from aiorts.system.file.setting import ACTIVE, Setting, setting_alone
 from aiorts.types import type_name
+
+if TYPE_CHECKING:
+    from aiorts.control import Stream
 
 _WORDS: Final = {"in": "in ", "out": "out"}
 _STREAMS: Final = ("stdin", "stdout")
@@ -47,6 +52,10 @@ _OURS: Final = (
     click.Option(["--for", "duration"], type=float, metavar="S", help="End after S seconds."),
     click.Option(
         ["--rate"], type=float, metavar="HZ", help=f"Run it periodically; {DEFAULT_RATE:g} when it has no in-port."
+    ),
+    click.Option(["--name"], metavar="NAME", help="Let other terminals reach it by this name."),
+    click.Option(
+        ["--connect"], metavar="[KERNEL/]COMPONENT.PORT", help="Take the samples of what runs, and no standard input."
     ),
     click.Option(["--loop"], type=click.Choice(["auto", "uvloop", "asyncio"]), default="auto", help="The event loop."),
     click.Option(["--codec"], metavar="NAME", help="Binary frames of this codec in place of JSON lines."),
@@ -226,7 +235,12 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
         report_error(error, verbose=False)
         return exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
     ends = Ends(common.get("codec"))
-    filter_ = _Filter(cls, setting, common.get("count"), common.get("rate"), ends)
+    try:
+        stream = _tap(common.get("connect"))
+    except AiortsError as error:
+        report_error(error, verbose=False)
+        return exits.of_error(error)
+    filter_ = _Filter(cls, setting, common.get("count"), common.get("rate"), ends, stream, common.get("name"))
     debug = common["debug"]
     options = checked(
         Options(common.get("loop", "auto"), common.get("duration"), verbose=debug, debug=debug, tell_drops=True)
@@ -238,6 +252,31 @@ def _run(cls: type[Component], table: Iterable[Any], given: Mapping[str, Any], c
             return execute(filter_.make, 1, options, stopper, streams=_STREAMS) or filter_.status
     finally:
         ends.report_rest()
+        if stream is not None:
+            stream.client.close()
+            if stream.missed:
+                what = f"{stream.began['port']}: {stream.missed} samples were dropped on the way to this process"
+                report("W-DROPPED", what)
+
+
+def _tap(word: str | None) -> Stream | None:
+    """The samples of what `--connect` names, in a session of their own."""
+    if word is None:
+        return None
+    from aiorts.cli.commands.live.target import kernels
+    from aiorts.control import Client
+
+    with kernels() as found:
+        one = found.find(word)
+        if not one.component or not one.port:
+            raise AbsentError(f"--connect {word}: name an out-port, as in COMPONENT.PORT; `aiorts ls -R` has all")
+        entry = one.client.entry
+    client = Client.open(entry)
+    try:
+        return client.stream("tap", port=one.path, frames=True)
+    except BaseException:
+        client.close()
+        raise
 
 
 def _checked(cls: type[Component], table: Iterable[Any], params: Mapping[str, Any]) -> Setting:
@@ -262,14 +301,23 @@ class _Filter:
     """The system of one component, standard input and standard output."""
 
     def __init__(
-        self, cls: type[Component], setting: Setting, count: int | None, rate: float | None, ends: Ends
+        self,
+        cls: type[Component],
+        setting: Setting,
+        count: int | None,
+        rate: float | None,
+        ends: Ends,
+        stream: Stream | None,
+        name: str | None,
     ) -> None:
         self._cls = cls
         self._rate = rate
         self._ends = ends
         self._setting = setting
         self._count = count
-        self._input: StandardInput | FrameInput | None = None
+        self._stream = stream
+        self._name = name
+        self._input: StandardInput | FrameInput | LiveInput | None = None
 
     @property
     def status(self) -> int:
@@ -278,6 +326,8 @@ class _Filter:
 
     async def make(self, kernel: Kernel) -> None:
         """Create the components and connect them, readers before writers."""
+        if self._name is not None:
+            plan_service(kernel.plugins, "control", {"name": self._name}).attach(kernel)
         component = await self._setting.create(kernel, self._cls)
         ins = {port.name: port.type for port in component.ports.values() if isinstance(port, InPort)}
         outs = outs_of(component)
@@ -288,9 +338,14 @@ class _Filter:
             parts.insert(0, sink)
         if ins:
             count = None if outs else self._count
-            self._input = await connect_input(kernel, component, self._ends, count=count)
+            if self._stream is not None:
+                self._input = await connect_live(kernel, component, self._ends, self._stream, count=count)
+            else:
+                self._input = await connect_input(kernel, component, self._ends, count=count)
+                _hint_terminal(ins)
             parts.append(self._input)
-            _hint_terminal(ins)
+        elif self._stream is not None:
+            raise WiringError(f"--connect: {component.name} has no in-port that samples could come to")
         fit = context_for(component, kernel.plugins, self._rate)
         for part in parts:
             with contextlib.suppress(ComponentError):  # it is in error, as it would be later on

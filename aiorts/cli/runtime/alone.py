@@ -10,15 +10,17 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import Catalogue, Component, Context, EventContext, InPort, Kernel, OutPort, PeriodicContext
-from aiorts.errors import ConfigurationError, DeclarationError, PluginError
+from aiorts.errors import ConfigurationError, DeclarationError, PluginError, WiringError
 from aiorts.events import StateChanged
 from aiorts.kernel.extensions.arguments import arguments_of, needs_rate, settings_faults, settings_of
 from aiorts.kernel.ports.connector import unread_at
 from aiorts.system import ended_in_error
+from aiorts.types import full_name, type_name
 
 if TYPE_CHECKING:
     from aiorts.cli.runtime.ends import Ends
-    from aiorts.system import FrameInput, StandardInput
+    from aiorts.control import Stream
+    from aiorts.system import FrameInput, LiveInput, StandardInput
 
 DEFAULT_RATE: Final = 10.0
 """Hz of a component without in-ports that says nothing else."""
@@ -114,6 +116,28 @@ async def connect_input(kernel: Kernel, component: Component, ends: Ends, **how:
         await kernel.connect(source.ports[name], component.ports[name], **ways)
     if (skip_bad := getattr(component, "skip_bad", None)) is not None:
         skip_bad(source.refused)
+    return source
+
+
+async def connect_live(
+    kernel: Kernel, component: Component, ends: Ends, stream: Stream, *, count: int | None
+) -> LiveInput:
+    """What takes the samples of another process, connected with the only in-port of the component; as `connect_input`.
+
+    Raises:
+        WiringError: there are several in-ports, or the samples are of another type.
+    """
+    ins = {port.name: port.type for port in component.ports.values() if isinstance(port, InPort)}
+    if len(ins) != 1:
+        raise WiringError(f"--connect: {component.name} has the in-ports {', '.join(ins)}; it is for a single one")
+    ((name, cls),) = ins.items()
+    if stream.began["full_type"] != full_name(cls):
+        raise WiringError(
+            f"--connect: {stream.began['port']} sends {stream.began['type']}, {component.name}.{name} takes "
+            f"{type_name(cls)}; put a flexifilter between them"
+        )
+    source = await kernel.add(ends.live(ins, stream, count=count))
+    await kernel.connect(source.ports[name], component.ports[name], **LOSSLESS)
     return source
 
 

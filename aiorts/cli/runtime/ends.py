@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from aiorts.cli.console.report import report
 from aiorts.errors import ConfigurationError
-from aiorts.system import FrameInput, FrameOutput, StandardInput, StandardOutput
+from aiorts.system import FrameInput, FrameOutput, LiveInput, StandardInput, StandardOutput
 from aiorts.wire import find_codec
 
 if TYPE_CHECKING:
+    from aiorts.control import Stream
     from aiorts.wire import Codec
 
 _SINGLY = 10
@@ -30,6 +31,7 @@ class Ends:
     def __init__(self, codec: str | None) -> None:
         self._codec: Codec | None = None if codec is None else find_codec(codec)
 
+        self._is_live = False
         self.bad = False
         """Whether anything was."""
         self._told: dict[str, list[int]] = {}
@@ -41,6 +43,11 @@ class Ends:
             return StandardInput("stdin", ports, self._complain, **how)
         _check(sys.stdin, "input")
         return FrameInput("stdin", ports, self._codec, self._complain, **how)
+
+    def live(self, ports: Mapping[str, type], stream: Stream, *, count: int | None) -> LiveInput:
+        """What feeds this in-port with the samples of another process."""
+        self._is_live = True
+        return LiveInput("live", ports, stream, self._complain, -1, count=count)
 
     def _complain(self, number: int, why: str) -> None:
         """Tell of a bad one. Of many that are bad for one reason the first are told, then how many there are by now."""
@@ -69,6 +76,9 @@ class Ends:
         self._report(f"{last}: and {count - before - 1} before it, {count} in all: {why}")
 
     def _report(self, what: str) -> None:
+        if self._is_live:
+            report("E-FRAME", f"--connect, sample {what}")
+            return
         code, item = ("E-LINE", "line") if self._codec is None else ("E-FRAME", "frame")
         report(code, f"standard input, {item} {what}")
 

@@ -22,6 +22,8 @@ from aiorts.model.names import split_path
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
 """Endings of words that are files."""
 T = TypeVar("T")
+_STREAMS: Final = ("stdin", "stdout", "live")
+"""Components of a filter that are none of its own: what reads and writes its standard streams."""
 _SHOWN: Final = 10
 _GLOB: Final = re.compile(r"[*?\[]")
 
@@ -120,12 +122,23 @@ class Kernels:
             if not kernel or one.fits(kernel)
             for name in _of(one, component, bare=bool(kernel))
         ]
+        if not found and not kernel and port:
+            found = self._of_lone(component, port)
         if found:
             if not is_glob(word):
                 the_one(word, found, [one.full for one in found])
             return tuple(found)
         self._nothing(word, kernel, component)
         raise AssertionError(word)
+
+    def _of_lone(self, kernel: str, port: str) -> list[Found]:
+        """A port of a kernel with a single component, such as a filter: KERNEL.PORT means it."""
+        found = []
+        for one in self.running:
+            own = [name for name in one.names["components"] if name not in _STREAMS]
+            if one.name == kernel and len(own) == 1:
+                found.append(Found(one, own[0], port))
+        return found
 
     def kernel(self, word: str = "") -> Running:
         """The kernel of this name, or the only one that runs; raises as `find`."""
