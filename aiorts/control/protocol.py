@@ -12,7 +12,7 @@ the client sends `{"id": 1, "cancel": true}`. Each call has one answer that is i
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgpack  # type: ignore[import-untyped]
 
@@ -61,9 +61,9 @@ def agreed(oldest: object, newest: object, who: str) -> int:
 def framed(message: Mapping[str, Any]) -> bytes:
     """A message as its frame; what msgpack does not know is made plain first."""
     try:
-        body: bytes = msgpack.packb(message, default=_plain)
+        body = cast("bytes", msgpack.packb(message, default=_plain))
     except (OverflowError, ValueError):  # an integer of more than 64 bits, or nested deeper than msgpack goes
-        body = msgpack.packb(_shortened(plain(message), 0))
+        body = cast("bytes", msgpack.packb(_shortened(plain(message), 0)))
     return len(body).to_bytes(_LENGTH, "big") + body
 
 
