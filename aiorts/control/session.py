@@ -209,6 +209,10 @@ class Stream:
         self._pass({"id": self._number, "item": item, "missed": missed})
         return True
 
+    def miss(self, count: int) -> None:
+        """Count items that were lost before they could be sent."""
+        self._missed += count
+
     def begun(self) -> None:
         """The operation has said that it began: what came before goes out."""
         early, self._early = self._early or (), None
@@ -218,9 +222,8 @@ class Stream:
     def finish(self, result: Any = None) -> None:
         """Tell the client that there are no more items."""
         if not self.ended:
-            missed, self._missed = self._missed, 0
             self.close()
-            self._pass({"id": self._number, "end": result, "missed": missed})
+            self._pass({"id": self._number, "end": result, "missed": self._missed})
 
     def close(self) -> None:
         """End it without a word; idempotent."""

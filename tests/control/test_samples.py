@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, InPort, PeriodicContext
+from aiorts import Component, InPort, OutPort, PeriodicContext
 from aiorts.control import END, Client
 from aiorts.errors import ClosedError, RecordError, WiringError
 from aiorts.testing import simulate
@@ -68,6 +68,30 @@ async def test_what_a_reader_is_too_slow_for_is_counted_and_holds_nobody_up() ->
     assert 0 < len(got) < 20_000
     assert len(got) + stream.missed == 20_000
     assert [one["data"] for one in got] == sorted(one["data"] for one in got)
+
+
+async def test_a_burst_without_a_turn_of_the_loop_is_counted() -> None:
+    async with controlled("burst") as kernel:
+        counter = await kernel.create(Counter, "quick")
+        with await opened("burst") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("tap", port="quick.out"))
+            for number in range(200):
+                counter.out.write_nowait(TimedDouble(data=float(number)))
+            await kernel.remove(counter)
+            got = await asyncio.to_thread(lambda: list(stream.until(None)))
+    assert len(got) + stream.missed == 200
+    assert got[-1]["data"] == 199.0
+
+
+async def test_a_tap_ends_with_its_port() -> None:
+    async with controlled("port") as kernel:
+        other = await kernel.create(Counter, "other")
+        other.add_port("more", OutPort(TimedDouble))
+        with await opened("port") as client:
+            stream = await asyncio.to_thread(lambda: client.stream("tap", port="other.more"))
+            other.remove_port("more")
+            assert await asyncio.to_thread(stream.next, WAIT) is END
+    assert stream.result == "other.more: was removed"
 
 
 async def test_a_tap_ends_with_its_component() -> None:

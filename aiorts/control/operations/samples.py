@@ -6,7 +6,7 @@ and no end of a run waits for it. Its losses are its own, and counted.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
@@ -15,7 +15,7 @@ from aiorts.control.operation import Operation, Right
 from aiorts.control.protocol import Made
 from aiorts.control.session import Session, Stream
 from aiorts.errors import AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
-from aiorts.kernel.loop.bus import ComponentRemoved
+from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.service import KernelService
 from aiorts.late import dataclass
@@ -108,13 +108,21 @@ def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
     if not isinstance(out, OutPort):
         raise WiringError(f"{given.port}: is no out-port of samples")
     clock, loop = kernel.clock, kernel.loop
-    simulated, due = isinstance(clock, SimulatedClock), False
+    simulated, due, lost = isinstance(clock, SimulatedClock), False, 0
+
+    def drained() -> list[Any]:
+        """What waits; of what found no place among it, how much, is counted first: it is older."""
+        nonlocal lost
+        samples, before = connector.in_.drain(), lost
+        lost = sum(connector.statistics.dropped.values())
+        stream.miss(lost - before)
+        return samples
 
     def send() -> None:
         nonlocal due
         due = False
         now_ns = clock.time_ns()
-        for sample in connector.in_.drain():
+        for sample in drained():
             stream.send(_Sample(sample, now_ns, frames=given.frames))
 
     def take(_: InPort[Any]) -> None:
@@ -127,12 +135,13 @@ def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
 
     connector = kernel.connections.tap(kernel.service(_Tools), out, take, length=_WAITING)
 
-    def look(event: ComponentRemoved) -> None:
-        if event.component == given.port.rpartition(".")[0]:
-            stream.finish(f"{given.port}: its component was removed")
+    def end(why: str) -> None:
+        send()
+        stream.finish(f"{given.port}: {why}")
 
     stream.on_close(connector.close)
-    stream.on_close(kernel.bus.subscribe(ComponentRemoved, look))
+    stream.on_close(lambda: stream.miss(len(drained())))  # before the connector is closed
+    stream.on_close(_when_removed(session, given.port, end))
     return Tap(out.path, type_name(out.type), full_name(out.type), out.unit)
 
 
@@ -187,14 +196,32 @@ def _spout(session: Session, in_: InPort[Any], given: Injected) -> Connector:
         connector.close()
     made = session.kernel.connections.spout(session.kernel.service(_Tools), in_, options)
 
-    def look(event: ComponentRemoved) -> None:
-        if event.component == given.port.rpartition(".")[0]:
-            made.close()
-
-    session.keep(session.kernel.bus.subscribe(ComponentRemoved, look))
+    session.keep(_when_removed(session, given.port, lambda _: made.close()))
     session.keep(made.close)
     own[given.port] = (given, made)
     return made
+
+
+def _when_removed(session: Session, path: str, call: Callable[[str], object]) -> Callable[[], None]:
+    """Call `call` with what was removed, the component of a port or the port; returns what ends this."""
+    bus = session.kernel.bus
+    component, _, name = path.rpartition("/")[2].partition(".")
+
+    def component_removed(event: ComponentRemoved) -> None:
+        if event.component == component:
+            call("its component was removed")
+
+    def port_removed(event: PortRemoved) -> None:
+        if (event.component, event.port.name) == (component, name):
+            call("was removed")
+
+    ends = bus.subscribe(ComponentRemoved, component_removed), bus.subscribe(PortRemoved, port_removed)
+
+    def end() -> None:
+        for one in ends:
+            one()
+
+    return end
 
 
 ROWS: Final = (
