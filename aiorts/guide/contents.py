@@ -40,7 +40,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     ),
     "coming-from": (
         "Coming from",
-        ("openrtm", "ros2", "asyncio", "dora"),
+        ("openrtm", "rtshell", "ros2", "ros2-commands", "asyncio", "dora"),
     ),
 }
 """Folder of a section -> its title and the names of its pages, in the order in which they are read."""
