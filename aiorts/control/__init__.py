@@ -10,15 +10,15 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.control.client import END, TIMEOUT, Client, Silent, Stream, open_all, wait_all
+    from aiorts.control.client import END, TIMEOUT, Client, Silent, Stream, open_all
     from aiorts.control.folder import Entry, entries
 
-__all__ = ("END", "TIMEOUT", "Client", "Entry", "Silent", "Stream", "entries", "open_all", "wait_all")
+__all__ = ("END", "TIMEOUT", "Client", "Entry", "Silent", "Stream", "entries", "open_all")
 
 _late(
     globals(),
     {
-        "aiorts.control.client": "END TIMEOUT Client Silent Stream open_all wait_all",
+        "aiorts.control.client": "END TIMEOUT Client Silent Stream open_all",
         "aiorts.control.folder": "Entry entries",
     },
 )

@@ -367,7 +367,7 @@ def open_all(
             continue
         pending[client.fileno()] = (client, number)
         order.append(client)
-    answers = wait_all(pending, timeout=timeout, grace=grace)
+    answers = _wait_all(pending, timeout=timeout, grace=grace)
     opened: list[tuple[Client, Any]] = []
     for client in order:
         answer = answers.get(client, client.silence)
@@ -383,7 +383,7 @@ def _why(entry: Entry, answer: object) -> str:
     return str(answer).removeprefix(f"{entry.address}: ")
 
 
-def wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace: float) -> dict[Client, Any]:
+def _wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grace: float) -> dict[Client, Any]:
     """The results of calls that were begun, by client, as far as they come in time; an error in place of one.
 
     Args:

@@ -15,7 +15,7 @@ from aiorts.kernel.ports import PortDeclaration, wiring
 from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.features import offer
 from aiorts.kernel.ports.losses import Losses, Unconverted
-from aiorts.kernel.ports.tap import Spout, make_spout, make_tap, resize
+from aiorts.kernel.ports.tap import Injector, make_injector, make_tap, resize
 from aiorts.kernel.quality import FEATURES, Gaps
 from aiorts.kernel.service import notify, report_fault
 from aiorts.model.numbering import Numbering
@@ -153,7 +153,7 @@ class Connections:
 
         return make_tap(self._kernel, service.name, out, profile, contained)
 
-    def spout(self, service: KernelService, in_: InPort[Any], options: Mapping[str, Any]) -> Connector:
+    def inject(self, service: KernelService, in_: InPort[Any], options: Mapping[str, Any]) -> Connector:
         """Let a service write to an in-port, until the returned connector is closed; it writes to `connector.out`.
 
         The system stays what it is, as with `tap`.
@@ -162,11 +162,11 @@ class Connections:
             options: `length`, `full` and `timeout`, as `connect` has them.
 
         Raises:
-            WiringError: an option is wrong, or a real-time thread is at the in-port.
+            WiringError: an option is wrong, or goes with no real-time thread, and one is at the in-port.
         """
         profile, _ = connector_profile(in_.path, options, f"{service.name}-{in_.path}", (in_.path,))
-        wiring.check_features(Spout(in_.type), in_, profile)
-        return make_spout(self._kernel, service.name, in_, profile)
+        wiring.check_features(Injector(in_.type), in_, profile)
+        return make_injector(self._kernel, service.name, in_, profile)
 
     def resize_tap(self, connector: Connector, length: int) -> None:
         """Let a tap leave so many samples unread from now on; those that are there stay."""

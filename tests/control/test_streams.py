@@ -9,7 +9,7 @@ import pytest
 
 from aiorts import Kernel
 from aiorts.control import Client
-from aiorts.errors import ConfigurationError, WiringError
+from aiorts.errors import AbsentError, ConfigurationError
 from control_parts import WAIT, Counter, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
@@ -82,12 +82,24 @@ async def test_the_last_lines_and_those_that_come() -> None:
             kernel.components["counter0"].log.error("two")
             kernel.components["reader0"].log.error("of another")
             kernel.components["counter0"].log.error("three")
-            found = [await asyncio.to_thread(stream.next, WAIT) for _ in range(3)]
+            found = [*stream.began, *[await asyncio.to_thread(stream.next, WAIT) for _ in range(2)]]
     assert [(one["level"], one["component"], one["text"]) for one in found] == [
         ("warning", "counter0", "one 1"),
         ("error", "counter0", "two"),
         ("error", "counter0", "three"),
     ]
+
+
+async def test_the_last_lines_of_many_components_are_all_there() -> None:
+    async with controlled("many") as kernel:
+        for number in range(20):
+            log = (await kernel.create(Counter, f"one{number}")).log
+            for line in range(16):
+                text = f"{line} of {number}"
+                log.warning(text)
+        found = await with_client("many", lambda client: client.stream("log").began)
+    assert {one["text"] for one in found} == {f"{line} of {number}" for line in range(16) for number in range(20)}
+    assert [one["time_ns"] for one in found] == sorted(one["time_ns"] for one in found)
 
 
 async def test_nothing_is_left_of_a_reader_of_the_log() -> None:
@@ -118,7 +130,7 @@ async def test_a_level_is_set_for_one_component_and_put_back_with_the_session() 
 
 async def test_wrong_names_and_levels_are_refused() -> None:
     async with controlled("wrong"):
-        with pytest.raises(WiringError, match="no such component; there are counter0"):
+        with pytest.raises(AbsentError, match="cuonter0: no such component; did you mean counter0"):
             await with_client("wrong", lambda client: client.call("log_levels", components=["cuonter0"]))
         with pytest.raises(ConfigurationError, match="expected debug, info"):
             await with_client("wrong", lambda client: client.call("log_level", level="loud"))

@@ -6,9 +6,10 @@ import logging
 from typing import TYPE_CHECKING, Final
 
 from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.known import component_named
 from aiorts.control.session import Session, Stream
 from aiorts.control.values import Done
-from aiorts.errors import ConfigurationError, WiringError
+from aiorts.errors import ConfigurationError
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.log import LOGGER_NAME
 from aiorts.late import dataclass
@@ -69,8 +70,8 @@ class Logged:
     """Lines that can still be read."""
 
 
-def _lines(session: Session, given: Lines, stream: Stream) -> Done:
-    """Send the last lines of the components, and where it is asked for those that come."""
+def _lines(session: Session, given: Lines, stream: Stream) -> tuple[Line, ...]:
+    """The last lines of the components; those that come are streamed, where they are asked for."""
     kernel, least = session.kernel, _number(given.level)
     chosen = _components(session, given.components)
     behind = kernel.clock.time_ns() - kernel.clock.monotonic_ns()
@@ -81,17 +82,16 @@ def _lines(session: Session, given: Lines, stream: Stream) -> Done:
         for line in log.last_lines
         if _number(line.level.lower()) >= least
     ]
-    for _, line in sorted(found, key=lambda pair: pair[0]):
-        stream.send(line)
+    last = tuple(line for _, line in sorted(found, key=lambda pair: pair[0]))
     if not given.follow:
         stream.finish()
-        return Done()
+        return last
     names = frozenset(one.name for one in chosen) if given.components else None
     handler = _Follower(session, stream, names, least)
     logger = logging.getLogger(_ROOT)
     logger.addHandler(handler)
     stream.on_close(lambda: logger.removeHandler(handler))
-    return Done()
+    return last
 
 
 def _level(session: Session, given: Level) -> Done:
@@ -123,11 +123,7 @@ def _levels(session: Session, given: Lines) -> dict[str, Logged]:
 
 
 def _components(session: Session, names: tuple[str, ...]) -> list[Component]:
-    known = session.kernel.components
-    for name in names:
-        if name not in known:
-            raise WiringError(f"{name}: no such component; there are {', '.join(tuple(known)[:20]) or 'none'}")
-    return [known[name] for name in names] if names else list(known.values())
+    return [component_named(session, name) for name in names] or list(session.kernel.components.values())
 
 
 def _number(level: str) -> int:
@@ -162,7 +158,7 @@ class _Follower(logging.Handler):
 
 
 ROWS: Final = (
-    Operation("log", "Stream the lines of the log.", Lines, Done, Right.VIEW, _lines, streams=True),
+    Operation("log", "The last lines, and a stream.", Lines, tuple[Line, ...], Right.VIEW, _lines, streams=True),
     Operation("log_level", "Set the level of components' logs.", Level, Done, Right.OPERATE, _level, idempotent=True),
     Operation("log_levels", "The level of each log.", Lines, dict[str, Logged], Right.VIEW, _levels, idempotent=True),
 )

@@ -145,7 +145,7 @@ def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
     return Tap(out.path, type_name(out.type), full_name(out.type), out.unit)
 
 
-_SPOUTS: Final[WeakKeyDictionary[Session, dict[str, tuple[Injected, Connector]]]] = WeakKeyDictionary()
+_INJECTORS: Final[WeakKeyDictionary[Session, dict[str, tuple[Injected, Connector]]]] = WeakKeyDictionary()
 """Of each session, the connectors it injects by, by in-port."""
 
 
@@ -159,7 +159,7 @@ async def _inject(session: Session, given: Injected) -> Written:
     if len(given.lines) > _LINES:
         raise RecordError(f"inject: {len(given.lines)} lines; at most {_LINES} in a call")
     samples = _read(in_, given.lines, session.kernel.time_ns())
-    connector = _spout(session, in_, given)
+    connector = _injector(session, in_, given)
     written = 0
     for sample in samples:
         if connector.closed:
@@ -185,17 +185,16 @@ def _read(in_: InPort[Any], lines: tuple[str, ...], now_ns: int) -> list[Any]:
     return samples
 
 
-def _spout(session: Session, in_: InPort[Any], given: Injected) -> Connector:
+def _injector(session: Session, in_: InPort[Any], given: Injected) -> Connector:
     """The connector of this session to an in-port: the one that it has, or another where its options are others."""
-    own = _SPOUTS.setdefault(session, {})
+    own = _INJECTORS.setdefault(session, {})
     before, connector = own.get(given.port, (None, None))
     options: Mapping[str, Any] = {"length": given.length, "full": given.full, "timeout": given.timeout}
     if before is not None and connector is not None and not connector.closed and connector.in_ is in_:
         if (before.length, before.full, before.timeout) == (given.length, given.full, given.timeout):
             return connector
         connector.close()
-    made = session.kernel.connections.spout(session.kernel.service(_Tools), in_, options)
-
+    made = session.kernel.connections.inject(session.kernel.service(_Tools), in_, options)
     session.keep(_when_removed(session, given.port, lambda _: made.close()))
     session.keep(made.close)
     own[given.port] = (given, made)

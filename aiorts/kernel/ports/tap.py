@@ -31,20 +31,20 @@ class Tap(InPort[Any]):
     is_tap = True
 
 
-class Spout(OutPort[Any]):
-    """The writing end of a service. See `Connections.spout`."""
+class Injector(OutPort[Any]):
+    """The writing end of a service. See `Connections.inject`."""
 
     __slots__ = ()
     is_tap = True
 
 
-def make_spout(kernel: KernelSide, owner: str, in_: InPort[Any], profile: ConnectorProfile) -> Connector:
+def make_injector(kernel: KernelSide, owner: str, in_: InPort[Any], profile: ConnectorProfile) -> Connector:
     """Connect an out-port of its own to an in-port."""
     host = PortHost(owner, Turns())
     host.kernel = kernel
-    spout = host.ports[in_.path] = Spout(in_.type)
-    spout._attach(host, in_.path)
-    return wiring.wire(kernel, spout, in_, profile)
+    injector = host.ports[in_.path] = Injector(in_.type)
+    injector._attach(host, in_.path)
+    return wiring.wire(kernel, injector, in_, profile)
 
 
 def make_tap(

@@ -8,7 +8,7 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.components import pairs
-from aiorts.cli.commands.live.target import Kernels, complete, kernels
+from aiorts.cli.commands.live.target import Found, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now
 from aiorts.errors import ControlError, GoalCancelled, GoalFailed
 
@@ -28,8 +28,7 @@ def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     """
     with kernels() as found:
         one = found.find(path)
-        given = _given(found, path, words)
-        answer = one.client.call("call", timeout + 2.0, timeout=timeout, **given)
+        answer = one.client.call("call", timeout + 2.0, timeout=timeout, **_given(one, path, words))
     if as_json:
         say_json(answer)
     elif answer["value"] is not None:
@@ -52,7 +51,7 @@ def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     """
     with kernels() as found:
         one = found.find(path)
-        stream = one.client.stream("goal", timeout + 2.0, timeout=timeout, **_given(found, path, words))
+        stream = one.client.stream("goal", timeout + 2.0, timeout=timeout, **_given(one, path, words))
         for feedback in stream:
             if as_json:
                 say_line({"feedback": feedback, "missed": stream.missed})
@@ -68,9 +67,8 @@ def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
     return exits.DONE if end["state"] == "succeeded" else exits.FAILED
 
 
-def _given(found: Kernels, path: str, words: tuple[str, ...]) -> dict[str, Any]:
+def _given(one: Found, path: str, words: tuple[str, ...]) -> dict[str, Any]:
     """The path as the kernel has it, and the arguments."""
-    one = found.find(path)
     if not one.component or "." not in one.port:
         raise ControlError(f"{path}: expected COMPONENT.PORT.METHOD")
     whole = _json(words[0]) if len(words) == 1 else None

@@ -5,10 +5,8 @@ from __future__ import annotations
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.conf import component_of
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say, say_json
-from aiorts.errors import ControlError
 
 
 @click.group(short_help="Create and remove components; members of composites.")
@@ -51,8 +49,8 @@ def create(
 def _members(name: str, operation: str, text: str) -> click.Command:
     def run(composite: str, members: tuple[str, ...], timeout: float) -> int:
         with kernels() as found:
-            one = component_of(found, composite)
-            chosen = [component_of(found, f"{one.running.name}/{word.rpartition('/')[2]}") for word in members]
+            one = found.component(composite)
+            chosen = [found.component(f"{one.running.name}/{word.rpartition('/')[2]}") for word in members]
             one.client.call(
                 operation, timeout + 2.0, composite=one.component, members=[member.component for member in chosen],
                 timeout=timeout,
@@ -69,11 +67,7 @@ def _members(name: str, operation: str, text: str) -> click.Command:
 
 def _take_out(names: tuple[str, ...], wait: float) -> int:
     with kernels() as found:
-        meant = [one for word in names for one in found.all(word)]
-        for one in meant:
-            if not one.component or one.port:
-                raise ControlError(f"{one.full}: expected a component; aiorts ls shows which there are")
-        for one in meant:
+        for one in found.components(names):
             one.client.call("remove", wait, components=[one.component])
     return exits.DONE
 

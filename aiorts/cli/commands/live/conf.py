@@ -11,7 +11,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
-from aiorts.errors import ConfigurationError, ControlError
+from aiorts.errors import ConfigurationError
 
 _LONGEST: Final = 4 * 1024 * 1024
 _PART: Final = 16_000
@@ -57,7 +57,7 @@ def conf(
             return _file(found, name, dump, load, timeout)
         if not name:
             raise click.UsageError("say which component; aiorts ls shows which there are")
-        one = component_of(found, name)
+        one = found.component(name)
         if changing:
             one.client.call(
                 "configure", timeout, component=one.component, values=values, add=add, remove=remove, activate=activate
@@ -69,18 +69,6 @@ def conf(
         else:
             _show(one, shown, long=long)
     return exits.DONE
-
-
-def component_of(found: Kernels, word: str) -> Found:
-    """The component that a word means.
-
-    Raises:
-        ControlError: it means something else.
-    """
-    one = found.find(word)
-    if not one.component or one.port:
-        raise ControlError(f"{word}: expected a component; aiorts ls shows which there are")
-    return one
 
 
 def _values(changes: tuple[str, ...]) -> dict[str, dict[str, str]]:

@@ -9,7 +9,6 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.components import pairs
-from aiorts.cli.commands.live.conf import component_of
 from aiorts.cli.commands.live.target import Kernels, Running, kernels
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.errors import AbsentError
@@ -69,7 +68,7 @@ def start(name: str, words: tuple[str, ...], kind: str, activate: bool, timeout:
     options = pairs(tuple(word for word in words if "=" in word))
     kernel, slash, bare = name.rpartition("/")
     with kernels() as found:
-        members = [component_of(found, word) for word in words if "=" not in word]
+        members = [found.component(word) for word in words if "=" not in word]
         running = members[0].running if members and not slash else found.kernel(kernel if slash else "")
         _same(running, [one.running for one in members])
         running.client.call(

@@ -8,7 +8,6 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.target import complete, complete_kernels, kernels
-from aiorts.errors import StateError
 
 
 def _command(operation: str, text: str) -> click.Command:
@@ -16,11 +15,7 @@ def _command(operation: str, text: str) -> click.Command:
 
     def run(names: tuple[str, ...], context: str | None, timeout: float) -> int:
         with kernels() as found:
-            meant = [one for word in names for one in found.all(word)]
-            for one in meant:
-                if not one.component or one.port:
-                    raise StateError(f"{one.full}: is no component; `aiorts ls` shows which there are")
-            for one in meant:
+            for one in found.components(names):
                 one.client.call(operation, timeout + 2.0, component=one.component, context=context, timeout=timeout)
         return exits.DONE
 

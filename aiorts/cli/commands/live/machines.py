@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.conf import component_of
 from aiorts.cli.commands.live.target import Found, complete, kernels
 from aiorts.cli.console.output import say, say_json, table
 
@@ -28,7 +27,7 @@ def fsm(component: str, event: str, data: str, mode: str | None, timeout: float,
     if event and mode is not None:
         raise click.UsageError("an event and --mode each need a command of their own")
     with kernels() as found:
-        one = component_of(found, component)
+        one = found.component(component)
         if event:
             one.client.call("send_event", timeout, component=one.component, event=event, data=json_or_text(data))
         elif mode is not None:

@@ -10,18 +10,18 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Never, TypeVar
 
 import click
 
 from aiorts.control import Client, Entry, Silent, entries, open_all
-from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, NoAnswerError
+from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, ControlError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
 
+T = TypeVar("T")
 FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
 """Endings of words that are files."""
-T = TypeVar("T")
 _STREAMS: Final = ("stdin", "stdout", "live")
 """Components of a filter that are none of its own: what reads and writes its standard streams."""
 _SHOWN: Final = 10
@@ -129,7 +129,19 @@ class Kernels:
                 the_one(word, found, [one.full for one in found])
             return tuple(found)
         self._nothing(word, kernel, component)
-        raise AssertionError(word)
+
+    def component(self, word: str) -> Found:
+        """The one component that a word means; raises as `find`, and ControlError where it means something else."""
+        one = self.find(word)
+        _check_component(word, one)
+        return one
+
+    def components(self, words: Iterable[str]) -> list[Found]:
+        """All components that words mean; raises as `all`, and ControlError where one means something else."""
+        found = [one for word in words for one in self.all(word)]
+        for one in found:
+            _check_component(one.full, one)
+        return found
 
     def _of_lone(self, kernel: str, port: str) -> list[Found]:
         """A port of a kernel with a single component, such as a filter: KERNEL.PORT means it."""
@@ -150,7 +162,7 @@ class Kernels:
         shown = ", ".join(one.name for one in fitting[:_SHOWN])
         raise AmbiguousError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
 
-    def _nothing(self, word: str, kernel: str, component: str) -> None:
+    def _nothing(self, word: str, kernel: str, component: str) -> Never:
         """Raise: nothing that answers has this name."""
         mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
         if mute:
@@ -217,6 +229,11 @@ def _anew(shared: Kernels, select: Callable[[Entry], bool] | None) -> Iterator[K
         yield Kernels(running, shared.silent)
     except ClosedError as error:
         raise AbsentError(str(error)) from None
+
+
+def _check_component(word: str, found: Found) -> None:
+    if not found.component or found.port:
+        raise ControlError(f"{word}: expected a component; aiorts ls shows which there are")
 
 
 def _matches(entry: Entry, kernel: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Any, Final
 
 import click
@@ -11,6 +12,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.target import Found, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now, table
+from aiorts.control import Stream
 from aiorts.errors import AmbiguousError, ControlError
 
 LEVELS: Final = ("debug", "info", "warning", "error", "critical")
@@ -42,13 +44,12 @@ def vlog(
         if levels or (wanted is not None and not follow):
             return exits.DONE
         stream = client.stream("log", components=components, level=level, follow=follow)
-        for number, line in enumerate(stream, 1):
-            if stream.missed:
-                say_now(_missed(stream.missed, as_json=as_json))
-                stream.missed = 0
+        for number, line in enumerate(chain(stream.began, stream), 1):
+            _show_missed(stream, as_json=as_json)
             _show(line, as_json=as_json)
             if number == count:
                 break
+        _show_missed(stream, as_json=as_json)
     return exits.DONE
 
 
@@ -74,10 +75,13 @@ def _show(line: Mapping[str, Any], *, as_json: bool) -> None:
     say_now(f"{at:%H:%M:%S}.{at.microsecond // 1000:03d} {line['level']:<8} {who}{line['text']}")
 
 
-def _missed(number: int, *, as_json: bool) -> str:
-    from json import dumps
-
-    return dumps({"missed": number}) if as_json else f"... {number} lines were dropped here: this end was too slow"
+def _show_missed(stream: Stream, *, as_json: bool) -> None:
+    """Say how many lines are missing since the last time, if any are."""
+    missed, stream.missed = stream.missed, 0
+    if missed and as_json:
+        say_line({"missed": missed})
+    elif missed:
+        say_now(f"... {missed} lines were dropped here: this end was too slow")
 
 
 def _show_levels(found: Mapping[str, Mapping[str, Any]], *, as_json: bool) -> None:

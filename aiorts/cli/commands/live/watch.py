@@ -11,6 +11,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.console.output import say_line, say_now
+from aiorts.control import Stream
 
 _LONGEST = 80
 
@@ -33,16 +34,24 @@ def watch(kernel: str, kinds: tuple[str, ...], count: int | None, duration: floa
     with kernels() as found:
         stream = found.kernel(kernel.rstrip("/")).client.stream("events", kinds=kinds)
         for number, item in enumerate(stream.until(until), 1):
-            if stream.missed:
-                say_now(f'{{"missed": {stream.missed}}}' if as_json else f"... {stream.missed} events are missing here")
-                stream.missed = 0
+            _show_missed(stream, as_json=as_json)
             if as_json:
                 say_line(item)
             else:
                 say_now(_text(item))
             if number == count:
                 break
+        _show_missed(stream, as_json=as_json)
     return exits.DONE
+
+
+def _show_missed(stream: Stream, *, as_json: bool) -> None:
+    """Say how many events are missing since the last time, if any are."""
+    missed, stream.missed = stream.missed, 0
+    if missed and as_json:
+        say_line({"missed": missed})
+    elif missed:
+        say_now(f"... {missed} events are missing here")
 
 
 def _text(item: Mapping[str, Any]) -> str:
