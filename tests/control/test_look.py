@@ -158,6 +158,8 @@ def test_a_stopped_kernel_gives_no_answer_and_delays_nobody_else(capsys: pytest.
             assert capsys.readouterr().err == (
                 "aiorts: E-NO-ANSWER: stopped/pid0: not found, and no answer from stopped\n"
             )
+            assert run_command(["inspect", "stopped"]) == 5
+            capsys.readouterr()
             assert run_command(["find", "--name", "pid0"]) == 5
             assert capsys.readouterr() == (
                 "alive/pid0\n",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import field
+from collections.abc import Iterator, Mapping
+from dataclasses import field, fields
 from typing import Any, Final
 
 from aiorts.control.operation import Nothing, Operation, Right
+from aiorts.control.operations.known import absent
 from aiorts.control.session import Session, Stream
-from aiorts.errors import format_error
+from aiorts.errors import ControlError, format_error
 from aiorts.kernel.loop.bus import Event
 from aiorts.late import dataclass
 from aiorts.observe import Change, Changes, SystemProfile, system_profile
@@ -49,6 +50,12 @@ class _Snapshot:
 def _events(session: Session, given: Kinds, stream: Stream) -> int:
     """Send each event from now on; returns the number of the last one before."""
     kernel, kinds = session.kernel, frozenset(given.kinds)
+    known = {cls.__name__: cls for cls in _derived(Event)}
+    for name in given.kinds:
+        if name not in known:
+            raise absent(f"{name[:80]}: no such kind of event", name, known)
+        if known[name].quiet:
+            raise ControlError(f"{name}: is sent only to those in the program who subscribe to this very class")
 
     def note(event: Event) -> None:
         kind = type(event).__name__
@@ -60,12 +67,18 @@ def _events(session: Session, given: Kinds, stream: Stream) -> int:
     return kernel.bus.sequence
 
 
+def _derived(cls: type[Event]) -> Iterator[type[Event]]:
+    for one in cls.__subclasses__():
+        yield one
+        yield from _derived(one)
+
+
 def _fields(event: Event) -> Mapping[str, Any]:
     """The fields of an event; exceptions as their type and text."""
     told: dict[str, Any] = {}
-    for name in event.__dataclass_fields__:
-        value = getattr(event, name)
-        told[name] = format_error(value) if isinstance(value, BaseException) else value
+    for one in fields(event):
+        value = getattr(event, one.name)
+        told[one.name] = format_error(value) if isinstance(value, BaseException) else value
     told.pop("sequence", None)
     return told
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from aiorts.cli.commands.live.target import Kernels, Running, kernels
+from aiorts.cli.commands.live.target import Kernels, Running, kernels, the_one
 from aiorts.errors import AbsentError
 from aiorts.late import dataclass
 
@@ -39,7 +39,8 @@ def find_edges(found: Kernels, word: str) -> tuple[Running, tuple[Edge, ...]]:
     * and ? stand for any characters.
 
     Raises:
-        AbsentError: there is none, or they are of several kernels.
+        AbsentError: there is none.
+        AmbiguousError: they are of several kernels; says which.
         NoAnswerError: the kernel that is meant does not answer.
     """
     kernel, _, path = word.rpartition("/")
@@ -49,13 +50,8 @@ def find_edges(found: Kernels, word: str) -> tuple[Running, tuple[Edge, ...]]:
         if not kernel or one.fits(kernel):
             meant = tuple(edge for edge in edges(one.names).values() if _means(path, edge))
             hits += [(one, meant)] if meant else []
-    if len(hits) > 1:
-        where = ", ".join(one.name for one, _ in hits[:10])
-        raise AbsentError(
-            f"{word}: {len(hits)} kernels have it: {where}; write the kernel before it: {where[:40]}/{word}"
-        )
     if hits:
-        return hits[0]
+        return the_one(word, hits, [f"{one.name}/{path}" for one, _ in hits])
     known = found.find(f"{kernel}/{path.partition('->')[0]}" if kernel else path.partition("->")[0])
     there = ", ".join(edge.path for edge in edges(known.running.names).values()) or "none"
     raise AbsentError(

@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.target import complete, complete_kernels, kernels
+from aiorts.cli.commands.live.target import Found, complete, complete_kernels, is_glob, kernels
+
+_DONE: Final = {"activate": {"active"}, "deactivate": {"inactive"}, "reset": {"active", "inactive"}}
+"""The states in which there is nothing left for it to do."""
 
 
 def _command(operation: str, text: str) -> click.Command:
-    """The command that does this to each component it is given."""
+    """The command that does this to each component it is given; of a pattern to those not yet as it leaves them."""
+
+    def to_do(one: Found, context: str | None) -> bool:
+        states = one.running.names["components"][one.component]
+        return any(
+            state not in _DONE[operation] for name, state in states.items() if context is None or name == context
+        )
 
     def run(names: tuple[str, ...], context: str | None, timeout: float) -> int:
         with kernels() as found:
-            for one in found.components(names):
+            meant = [
+                one
+                for word in names
+                for one in found.components([word])
+                if not is_glob(word) or to_do(one, context)
+            ]
+            for one in meant:
                 one.client.call(operation, timeout + 2.0, component=one.component, context=context, timeout=timeout)
         return exits.DONE
 
@@ -30,9 +46,11 @@ def _command(operation: str, text: str) -> click.Command:
     )
 
 
-activate = _command("activate", "Activate components that run. * and ? in quotes stand for several.")
-deactivate = _command("deactivate", "Deactivate components that run. * and ? in quotes stand for several.")
-reset = _command("reset", "Take components out of error. * and ? in quotes stand for several.")
+activate = _command("activate", "Activate components that run. * and ? in quotes stand for those that are not active.")
+deactivate = _command(
+    "deactivate", "Deactivate components that run. * and ? in quotes stand for those that are not inactive."
+)
+reset = _command("reset", "Take components out of error. * and ? in quotes stand for those that are in error.")
 
 
 @click.command(short_help="End a run in order.")

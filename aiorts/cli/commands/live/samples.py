@@ -95,7 +95,7 @@ def _value(item: Mapping[str, Any], field: str) -> Any:
         elif isinstance(value, list) and name.isdecimal() and int(name) < len(value):
             value = value[int(name)]
         else:
-            there = ", ".join(value) if isinstance(value, Mapping) else "no fields"
+            there = ", ".join(value) if isinstance(value, Mapping) else "tm, data"
             raise RecordError(f"the samples have no {field!r}; there are {there}")
     return value
 

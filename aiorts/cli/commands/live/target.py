@@ -158,23 +158,37 @@ class Kernels:
         if len(fitting) == 1:
             return fitting[0]
         if not fitting:
-            self._nothing(word or "a kernel", word, "")
+            self._nothing(word, word, "")
         shown = ", ".join(one.name for one in fitting[:_SHOWN])
         raise AmbiguousError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
 
     def _nothing(self, word: str, kernel: str, component: str) -> Never:
         """Raise: nothing that answers has this name."""
+        what = f"{word}: " if word else ""
         mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
         if mute:
-            raise NoAnswerError(f"{word}: not found, and no answer from {', '.join(mute[:_SHOWN])}")
+            raise NoAnswerError(f"{what}{'not found, and ' if word else ''}no answer from {', '.join(mute[:_SHOWN])}")
         if not self.running:
-            raise AbsentError(f"{word}: nothing runs that can be reached; start it with `aiorts run`, see `aiorts ls`")
-        known = [name for one in self.running for name in (one.name, *one.names["components"])]
+            raise AbsentError(f"{what}nothing runs that can be reached; start it with `aiorts run`, see `aiorts ls`")
+        wanted = "component" if component else "kernel"
+        if other := self._of_other_kind(kernel if component else "", component or kernel, wanted):
+            raise AbsentError(f"{what}no {wanted} that runs has this name; it is {other}")
+        known = list(dict.fromkeys(name for one in self.running for name in (one.name, *one.names["components"])))
         from difflib import get_close_matches
 
         near = get_close_matches(component or kernel, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN])}"
         raise AbsentError(f"{word}: nothing that runs has this name; {hint}")
+
+    def _of_other_kind(self, kernel: str, name: str, wanted: str) -> str:
+        """What has a name of which nothing of the wanted kind is there, in words; "" where nothing has it."""
+        for one in self.running:
+            if not kernel and wanted != "kernel" and one.name == name:
+                return f"a kernel: {one.name}/"
+            for kind in ("component", "context", "connector"):
+                if kind != wanted and (not kernel or one.fits(kernel)) and name in one.names[f"{kind}s"]:
+                    return f"a {kind} of {one.name}"
+        return ""
 
     def close(self) -> None:
         """End the sessions."""

@@ -64,7 +64,7 @@ def report_of(word: str) -> tuple[Named, Mapping[str, Any]] | None:
         AbsentError: it names a kernel, which has no such thing.
         NoAnswerError: it names a kernel that does not answer.
     """
-    kernel = word.rpartition("/")[0]
+    kernel = word.rpartition("/")[0] or word
     if is_file(word) or ":" in word or not (there := entries()):
         return None
     with kernels() as found:
