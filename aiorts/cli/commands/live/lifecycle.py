@@ -26,10 +26,7 @@ def _command(operation: str, text: str) -> click.Command:
     def run(names: tuple[str, ...], context: str | None, timeout: float) -> int:
         with kernels() as found:
             meant = [
-                one
-                for word in names
-                for one in found.components([word])
-                if not is_glob(word) or to_do(one, context)
+                one for word in names for one in found.components([word]) if not is_glob(word) or to_do(one, context)
             ]
             for one in meant:
                 one.client.call(operation, timeout + 2.0, component=one.component, context=context, timeout=timeout)
