@@ -420,7 +420,7 @@ def _wait_all(pending: Mapping[int, tuple[Client, int]], *, timeout: float, grac
 
 def _command() -> str:
     words: Sequence[str] = sys.argv[:2]
-    return f"{' '.join(os.path.basename(word) for word in words)[:60]} (process {os.getpid()})"
+    return " ".join(os.path.basename(word) for word in words)[:60]
 
 
 def _error_of(found: object, entry: Entry) -> AiortsError:

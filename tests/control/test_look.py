@@ -16,6 +16,7 @@ from aiorts import EventContext, Kernel
 from aiorts.cli.app import run_command
 from aiorts.cli.commands.live.look.ls import ls
 from aiorts.cli.commands.live.target import complete, complete_changes
+from aiorts.control import Client
 from control_parts import Counter, controlled, running, with_client
 
 pytestmark = pytest.mark.anyio
@@ -82,6 +83,17 @@ async def test_cat_tells_of_each_kind_of_thing(capsys: pytest.CaptureFixture[str
         port, context = json.loads(text)
         assert (port["kind"], port["name"], list(port["components"])) == ("port", "unit/counter0.out", ["counter0"])
         assert (context["kind"], list(context["contexts"]), context["components"]) == ("context", ["loop"], {})
+
+
+async def test_cat_of_a_kernel_tells_who_looks_on(capsys: pytest.CaptureFixture[str]) -> None:
+    def look_on(client: Client) -> tuple[int, str]:
+        client.stream("tap", port="counter0.out")
+        status = run_command(["cat", "unit/"])
+        return status, capsys.readouterr().out
+
+    async with controlled():
+        status, text = await with_client("unit", look_on)
+    assert (status, "reads  counter0.out  " in text) == (0, True)
 
 
 @pytest.mark.parametrize(

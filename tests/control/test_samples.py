@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, InPort, OutPort, PeriodicContext
+from aiorts import Component, InPort, OutPort, PeriodicContext, profile_from_plain
 from aiorts.control import END, Client
 from aiorts.errors import ClosedError, RecordError, WiringError
 from aiorts.testing import simulate
@@ -148,6 +148,26 @@ async def test_what_a_session_injects_by_ends_with_it() -> None:
             await asyncio.to_thread(lambda: client.call("inject", port="narrow.in", lines=["1"]))
             assert narrow.in_.read_nowait().data == 1.0
         await until(lambda: repr(narrow.in_).endswith("0 connectors>"))
+
+
+async def test_the_profile_has_the_connectors_of_tools_apart() -> None:
+    async with controlled("apart") as kernel:
+        await kernel.create(Narrow, "narrow")
+        before = tuple(kernel.profile().connectors)
+        with await opened("apart") as client:
+            await asyncio.to_thread(lambda: client.call("inject", port="narrow.in", lines=["1"] * 9, length=4))
+            stream = await asyncio.to_thread(lambda: client.stream("tap", port="counter0.out"))
+            await asyncio.to_thread(stream.next, WAIT)
+            profile = kernel.profile()
+            writes, reads = profile.services["tool"]["connectors"]
+            assert profile_from_plain(type(profile), profile.to_plain()) == profile
+            assert tuple(profile.connectors) == before
+        await until(lambda: "tool" not in kernel.profile().services)
+    assert (writes["port"], writes["reads"], writes["written"], writes["buffered"]) == ("narrow.in", False, 9, 4)
+    assert writes["dropped"] == {"rejected": 5}
+    assert (reads["port"], reads["reads"], reads["dropped"]) == ("counter0.out", True, {})
+    assert reads["written"] == reads["delivered"] + reads["buffered"] >= 1
+    assert writes["client"] == reads["client"] != ""
 
 
 async def test_a_removed_port_ends_what_is_injected() -> None:

@@ -12,12 +12,12 @@ from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
+from aiorts.control.operations.tools import Tools
 from aiorts.control.protocol import Made
 from aiorts.control.session import Session, Stream
 from aiorts.errors import AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
 from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
-from aiorts.kernel.service import KernelService
 from aiorts.late import dataclass
 from aiorts.types import full_name, type_name
 from aiorts.wire import LineReader, MsgpackCodec, split_sample
@@ -75,12 +75,6 @@ class Written:
     """The reader's buffer was full, also after `timeout`."""
 
 
-class _Tools(KernelService):
-    """Whose taps those of tools are."""
-
-    name = "tool"
-
-
 class _Sample(Made):
     """A sample on its way to a client."""
 
@@ -133,7 +127,7 @@ def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
             due = True
             loop.call_soon(send)
 
-    connector = kernel.connections.tap(kernel.service(_Tools), out, take, length=_WAITING)
+    connector = kernel.service(Tools).tap(session.who, out, take, length=_WAITING)
 
     def end(why: str) -> None:
         send()
@@ -194,7 +188,7 @@ def _injector(session: Session, in_: InPort[Any], given: Injected) -> Connector:
         if (before.length, before.full, before.timeout) == (given.length, given.full, given.timeout):
             return connector
         connector.close()
-    made = session.kernel.connections.inject(session.kernel.service(_Tools), in_, options)
+    made = session.kernel.service(Tools).inject(session.who, in_, options)
     session.keep(_when_removed(session, given.port, lambda _: made.close()))
     session.keep(made.close)
     own[given.port] = (given, made)

@@ -53,6 +53,9 @@ def _kernel(full: str, report: Mapping[str, Any], *, long: bool) -> Iterator[str
     yield table([row for row in rows if row[1]])
     for name, one in report["contexts"].items():
         yield from _inside(_context(f"context {name}", one, long=long))
+    if tools := report["services"].get("tool", {}).get("connectors"):
+        yield "  tools"
+        yield table([_tool_row(one) for one in tools], indent="    ")
     failed = [(name, one["last_error"]) for name, one in report["components"].items() if one["last_error"]]
     if failed:
         yield "  errors"
@@ -72,6 +75,16 @@ def _ledgers(connectors: Any) -> str:
     ledgers = [one["ledger"] for one in connectors]
     dropped = sum(sum(one["dropped"].values()) for one in ledgers)
     return f"{len(ledgers)}: {sum(one['written'] for one in ledgers)} written, {dropped} dropped" if ledgers else ""
+
+
+def _tool_row(one: Mapping[str, Any]) -> tuple[str, ...]:
+    lost = sum(one["dropped"].values())
+    return (
+        one["client"],
+        "reads" if one["reads"] else "writes",
+        one["port"],
+        f"{one['written']} samples, {lost} dropped",
+    )
 
 
 def _context(full: str, one: Mapping[str, Any], *, long: bool) -> Iterator[str]:
