@@ -12,13 +12,51 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.control.client import END, TIMEOUT, Client, Silent, Stream, open_all
     from aiorts.control.folder import Entry, entries
+    from aiorts.control.target import (
+        FILES,
+        PATIENCE,
+        Found,
+        Kernels,
+        Running,
+        is_file,
+        is_glob,
+        kernels,
+        likely,
+        outlines,
+        sharing,
+        the_one,
+    )
 
-__all__ = ("END", "TIMEOUT", "Client", "Entry", "Silent", "Stream", "entries", "open_all")
+__all__ = (
+    "END",
+    "FILES",
+    "PATIENCE",
+    "TIMEOUT",
+    "Client",
+    "Entry",
+    "Found",
+    "Kernels",
+    "Running",
+    "Silent",
+    "Stream",
+    "entries",
+    "is_file",
+    "is_glob",
+    "kernels",
+    "likely",
+    "open_all",
+    "outlines",
+    "sharing",
+    "the_one",
+)
 
 _late(
     globals(),
     {
         "aiorts.control.client": "END TIMEOUT Client Silent Stream open_all",
         "aiorts.control.folder": "Entry entries",
+        "aiorts.control.target": (
+            "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
+        ),
     },
 )

@@ -1,0 +1,303 @@
+"""What a word of a command line means among running kernels: which kernel, which component, which port.
+
+A word is `component`, `component.port`, `kernel/component.port` or `host/kernel/component.port`. A short one is enough
+where one kernel only has it. A file ends in .toml, .xml, .yaml or .mcap, or begins with ./ or /; all else is a name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
+from typing import Any, Final, Never, TypeVar
+
+from aiorts.control.client import Client, Silent, open_all
+from aiorts.control.folder import Entry, entries
+from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, ControlError, NoAnswerError
+from aiorts.late import dataclass
+from aiorts.model.names import split_path
+
+T = TypeVar("T")
+FILES: Final = (".toml", ".xml", ".yaml", ".yml", ".mcap")
+"""Endings of words that are files."""
+_STREAMS: Final = ("stdin", "stdout", "live")
+"""Components of a filter that are none of its own: what reads and writes its standard streams."""
+_SHOWN: Final = 10
+_GLOB: Final = re.compile(r"[*?\[]")
+
+
+def is_file(word: str) -> bool:
+    """Whether a word of a command line is a file, not the name of something that runs."""
+    return word.startswith(("./", "../", "/", "~")) or word.lower().endswith(FILES)
+
+
+def is_glob(word: str) -> bool:
+    """Whether a word may mean several things."""
+    return _GLOB.search(word) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A kernel that answered, its session open."""
+
+    client: Client
+    names: Mapping[str, Any]
+    """What the operation `names` said: components, contexts, connectors."""
+
+    @property
+    def name(self) -> str:
+        """The kernel's, without the host."""
+        return self.client.entry.name
+
+    def fits(self, kernel: str) -> bool:
+        """Whether a word means this kernel: its name or "host/name", in which * ? [] stand for any characters."""
+        return _matches(self.client.entry, kernel)
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One thing that runs."""
+
+    running: Running
+    component: str
+    """"" where the kernel itself is meant."""
+    port: str = ""
+    """What stands after the component: a port, a parameter, anything of it; "" where nothing does."""
+
+    @property
+    def client(self) -> Client:
+        """The session with its kernel."""
+        return self.running.client
+
+    @property
+    def path(self) -> str:
+        """As the kernel itself calls it: "component" or "component.port"."""
+        return f"{self.component}.{self.port}" if self.port else self.component
+
+    @property
+    def full(self) -> str:
+        """With the kernel's name."""
+        return f"{self.running.name}/{self.path}" if self.path else self.running.name
+
+
+class Kernels:
+    """The kernels that run, each with an open session.
+
+    Attributes:
+        running: those that answered.
+        silent: those that did not.
+    """
+
+    def __init__(self, running: Sequence[Running], silent: Sequence[Silent]) -> None:
+        self.running = tuple(running)
+        self.silent = tuple(silent)
+
+    def find(self, word: str) -> Found:
+        """The one thing that a word means.
+
+        Raises:
+            AbsentError: nothing has the name.
+            AmbiguousError: several have; says which.
+            NoAnswerError: the kernel that is meant does not answer.
+        """
+        found = self.all(word)
+        return the_one(word, found, [one.full for one in found])
+
+    def all(self, word: str) -> tuple[Found, ...]:
+        """Everything that a word means: one thing, or as many as fit where * ? [] in it stand for any characters.
+
+        Raises:
+            AbsentError: nothing has the name.
+            AmbiguousError: several have it, and it has no such character; says which.
+            NoAnswerError: nothing has it, and a kernel that may have it does not answer.
+            InvalidNameError: it has more parts than a name.
+        """
+        host, kernel, component, port = split_path(word)
+        kernel = f"{host}/{kernel}" if host else kernel or ""
+        found = [
+            Found(one, name, port or "")
+            for one in self.running
+            if not kernel or one.fits(kernel)
+            for name in _of(one, component, bare=bool(kernel))
+        ]
+        if not found and not kernel and port:
+            found = self._of_lone(component, port)
+        if found:
+            if not is_glob(word):
+                the_one(word, found, [one.full for one in found])
+            return tuple(found)
+        self._nothing(word, kernel, component)
+
+    def component(self, word: str) -> Found:
+        """The one component that a word means; raises as `find`, and ControlError where it means something else."""
+        one = self.find(word)
+        _check_component(word, one)
+        return one
+
+    def components(self, words: Iterable[str]) -> list[Found]:
+        """All components that words mean; raises as `all`, and ControlError where one means something else."""
+        found = [one for word in words for one in self.all(word)]
+        for one in found:
+            _check_component(one.full, one)
+        return found
+
+    def _of_lone(self, kernel: str, port: str) -> list[Found]:
+        """A port of a kernel with a single component, such as a filter: KERNEL.PORT means it."""
+        found = []
+        for one in self.running:
+            own = [name for name in one.names["components"] if name not in _STREAMS]
+            if one.name == kernel and len(own) == 1:
+                found.append(Found(one, own[0], port))
+        return found
+
+    def kernel(self, word: str = "") -> Running:
+        """The kernel of this name, or the only one that runs; raises as `find`."""
+        fitting = [one for one in self.running if not word or one.fits(word)]
+        if len(fitting) == 1:
+            return fitting[0]
+        if not fitting:
+            self._nothing(word, word, "")
+        shown = ", ".join(one.name for one in fitting[:_SHOWN])
+        raise AmbiguousError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
+
+    def _nothing(self, word: str, kernel: str, component: str) -> Never:
+        """Raise: nothing that answers has this name."""
+        what = f"{word}: " if word else ""
+        mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
+        if mute:
+            raise NoAnswerError(f"{what}{'not found, and ' if word else ''}no answer from {', '.join(mute[:_SHOWN])}")
+        if not self.running:
+            raise AbsentError(f"{what}nothing runs that can be reached; start it with `aiorts run`, see `aiorts ls`")
+        wanted = "component" if component else "kernel"
+        if other := self._of_other_kind(kernel if component else "", component or kernel, wanted):
+            raise AbsentError(f"{what}no {wanted} that runs has this name; it is {other}")
+        known = list(dict.fromkeys(name for one in self.running for name in (one.name, *one.names["components"])))
+        from difflib import get_close_matches
+
+        near = get_close_matches(component or kernel, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN])}"
+        raise AbsentError(f"{word}: nothing that runs has this name; {hint}")
+
+    def _of_other_kind(self, kernel: str, name: str, wanted: str) -> str:
+        """What has a name of which nothing of the wanted kind is there, in words; "" where nothing has it."""
+        for one in self.running:
+            if not kernel and wanted != "kernel" and one.name == name:
+                return f"a kernel: {one.name}/"
+            for kind in ("component", "context", "connector"):
+                if kind != wanted and (not kernel or one.fits(kernel)) and name in one.names[f"{kind}s"]:
+                    return f"a {kind} of {one.name}"
+        return ""
+
+    def close(self) -> None:
+        """End the sessions."""
+        for one in self.running:
+            one.client.close()
+
+
+@contextmanager
+def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None) -> Iterator[Kernels]:
+    """Open a session with each kernel of this user that runs.
+
+    Args:
+        timeout: seconds to wait for the first answer.
+        select: which kernels; all by default.
+    """
+    if _shared:
+        yield from _anew(_shared[-1], select)
+        return
+    wanted: Iterable[Entry] = entries()
+    opened, silent = open_all([one for one in wanted if select is None or select(one)], "names", timeout=timeout)
+    found = Kernels([Running(client, names) for client, names in opened], silent)
+    try:
+        yield found
+    except ClosedError as error:  # it has ended meanwhile, or is about to
+        raise AbsentError(str(error)) from None
+    finally:
+        found.close()
+
+
+_shared: Final[list[Kernels]] = []
+
+
+@contextmanager
+def sharing() -> Iterator[None]:
+    """Have all commands until the end of the block use the sessions that are open now."""
+    with kernels() as found:
+        _shared.append(found)
+        try:
+            yield
+        finally:
+            _shared.remove(found)
+
+
+def _anew(shared: Kernels, select: Callable[[Entry], bool] | None) -> Iterator[Kernels]:
+    """The same sessions, with what is in their kernels by now."""
+    running = []
+    for one in shared.running:
+        if select is None or select(one.client.entry):
+            with suppress(ClosedError):
+                running.append(Running(one.client, one.client.call("names")))
+    try:
+        yield Kernels(running, shared.silent)
+    except ClosedError as error:
+        raise AbsentError(str(error)) from None
+
+
+def _check_component(word: str, found: Found) -> None:
+    if not found.component or found.port:
+        raise ControlError(f"{word}: expected a component; aiorts ls shows which there are")
+
+
+def _matches(entry: Entry, kernel: str) -> bool:
+    return fnmatchcase(entry.address if "/" in kernel else entry.name, kernel)
+
+
+def _of(one: Running, component: str, *, bare: bool) -> list[str]:
+    """The components of a kernel that a name means; the kernel itself for its name alone."""
+    if not component:
+        return [""] if bare else []
+    known = one.names["components"]
+    if not is_glob(component):
+        return [component] if component in known else []
+    return [name for name in known if fnmatchcase(name, component)]
+
+
+def the_one(word: str, found: Sequence[T], names: Sequence[str]) -> T:
+    """What a word means, of which there is at least one; AmbiguousError, with the names, where there are several."""
+    if len(found) > 1:
+        more = ", ..." if len(names) > _SHOWN else ""
+        raise AmbiguousError(
+            f"{word}: {len(found)} have this name: {', '.join(names[:_SHOWN])}{more}; write one of these"
+        )
+    return found[0]
+
+
+# -- completion --------------------------------------------------------------------------------------------------------
+
+PATIENCE: Final = 0.05
+"""Seconds that a press of the Tab key waits for kernels."""
+
+
+def likely(incomplete: str) -> list[str]:
+    """The words that the beginning of one may mean: components, their ports after a dot, kernels with a slash."""
+    with kernels(PATIENCE) as found:
+        head, dot, _ = incomplete.rpartition(".")
+        if dot:
+            words = [f"{head}.{port}" for one in outlines(found, head) for port in one["ports"]]
+        else:
+            words = [name for one in found.running for name in one.names["components"]]
+            words += [f"{one.name}/" for one in found.running]
+            if "/" in incomplete:
+                words += [f"{one.name}/{name}" for one in found.running for name in one.names["components"]]
+    return [word for word in dict.fromkeys(words) if word.startswith(incomplete)]
+
+
+def outlines(found: Kernels, word: str) -> list[Any]:
+    """What the components that a word means are made of; nothing where no answer comes at once."""
+    try:
+        return [
+            one.client.call("outline", PATIENCE, components=[one.component])[one.component] for one in found.all(word)
+        ]
+    except (AiortsError, KeyError):
+        return []
