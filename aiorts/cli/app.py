@@ -74,6 +74,7 @@ _SHOWN: Final = 60
 """Components that the help names."""
 _DELIVERED: Final = {
     "aiorts_bench.cli:bench": "Measure this machine: push policies, contexts, scale and more.",
+    "aiorts_foxglove.command:foxglove": "Show what runs in Foxglove.",
     "aiorts_log.commands.command:log": "Recordings: look, convert, compare, draw, salvage.",
 }
 """One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from aiorts_log.analysis.info import RecordingInfo, info_of
     from aiorts_log.commands.moment import moment_ns
     from aiorts_log.errors import DamagedError, RecordingError
+    from aiorts_log.mcap.encodings import encoder, schema_of
     from aiorts_log.mcap.reader import RecordedPort, RecordedSample, Recording, RecordingReader
     from aiorts_log.mcap.salvage import SalvageReport, salvage
     from aiorts_log.mcap.source import Limits
@@ -57,10 +58,12 @@ __all__ = (
     "about_system",
     "check_parts",
     "check_target",
+    "encoder",
     "info_of",
     "moment_ns",
     "open_recording",
     "salvage",
+    "schema_of",
 )
 
 late(
@@ -69,6 +72,7 @@ late(
         "aiorts_log.analysis.info": "RecordingInfo info_of",
         "aiorts_log.commands.moment": "moment_ns",
         "aiorts_log.errors": "DamagedError RecordingError",
+        "aiorts_log.mcap.encodings": "encoder schema_of",
         "aiorts_log.mcap.reader": "RecordedPort RecordedSample Recording RecordingReader",
         "aiorts_log.mcap.salvage": "SalvageReport salvage",
         "aiorts_log.mcap.source": "Limits",

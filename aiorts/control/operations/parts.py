@@ -12,6 +12,7 @@ from aiorts.control.operations.known import absent, component_named, context_nam
 from aiorts.control.session import Session
 from aiorts.late import dataclass
 from aiorts.observe import SystemPart, system_part
+from aiorts.types import full_name
 
 _NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -39,6 +40,8 @@ class PortOutline:
     direction: str
     """"in", "out" or "service"."""
     type: str
+    full_type: str = ""
+    """By which it is known to other processes; "" of a service port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +87,7 @@ def _outline(session: Session, given: Outlined) -> Mapping[str, Outline]:
 def _port(port: Any) -> PortOutline:
     profile = port.profile
     types = ", ".join(f"{one.polarity} {one.type}" for one in profile.interfaces) or profile.type
-    return PortOutline(profile.direction, types)
+    return PortOutline(profile.direction, types, "" if profile.direction == "service" else full_name(port.type))
 
 
 ROWS: Final = (

@@ -1,0 +1,237 @@
+"""The server: viewers come and go, and each gets of one kernel what it wants."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
+from http import HTTPStatus
+from itertools import count
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.control import Client
+from aiorts.errors import ConfigurationError, MissingExtra, WireError
+from aiorts_foxglove import protocol
+from aiorts_foxglove.admission import VIEWERS, refusal
+from aiorts_foxglove.channels import Channel, Kind
+from aiorts_foxglove.source import Batch, Source
+from aiorts_foxglove.viewer import Viewer
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import Server as Listening
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+HOST: Final = "127.0.0.1"
+_GOODBYE: Final = 1.0
+"""Seconds that viewers have to take the last line."""
+
+
+class Serving:
+    """What is shown, and to whom. It is the audience of one source at a time.
+
+    Args:
+        origins: pages that may connect, beside those of this machine.
+        say: takes lines for who started the command.
+    """
+
+    def __init__(self, origins: Collection[str], say: Callable[[str], None]) -> None:
+        self._origins = origins
+        self._say = say
+        self._said: set[str] = set()
+        self._viewers: set[Viewer] = set()
+        self._session = ("", "")
+        self._channels: dict[int, Channel] = {}
+        self._by_port: dict[str, Channel] = {}
+        self._numbers = count(1)
+        self._troubles: dict[str, tuple[int, str]] = {}
+        """What is said to every viewer, by key."""
+        self._source: Source | None = None
+        self._over: asyncio.Future[str] | None = None
+
+    # -- the kernel ------------------------------------------------------------------------------------------------
+
+    async def show(self, client: Client) -> str:
+        """Show a kernel until it ends; returns why it has."""
+        loop = asyncio.get_running_loop()
+        self._over = loop.create_future()
+        self._session = client.entry.name, client.entry.epoch
+        self._trouble("kernel", "")
+        self._source = source = Source(client, self, loop.call_soon_threadsafe)
+        self._show()
+        source.start()
+        try:
+            return await self._over
+        finally:
+            source.close()
+            self._source = None
+            self.ports({})
+
+    def gone(self, text: str) -> None:
+        """Say to all viewers, also those that come, that the kernel is not there."""
+        self._trouble("kernel", text, protocol.ERROR)
+
+    def ports(self, found: Mapping[str, Kind]) -> None:
+        """See `Audience`. A port that is as it was keeps its channel."""
+        before = self._by_port
+        self._by_port = {
+            port: before[port]
+            if port in before and before[port].kind == kind
+            else Channel(next(self._numbers), port, kind)
+            for port, kind in found.items()
+        }
+        for key in [key for key in self._troubles if key.startswith("port ")]:
+            self._trouble(key, "")
+        if self._by_port != before:
+            self._channels = {one.number: one for one in self._by_port.values()}
+            self._show()
+            self._watch()
+
+    def samples(self, batch: Batch) -> None:
+        """See `Audience`."""
+        for port, time_ns, payload in batch.samples:
+            if (channel := self._by_port.get(port)) is not None:
+                for viewer in self._viewers:
+                    if channel.number in viewer.wanted:
+                        viewer.offer(channel.number, time_ns, payload)
+        for port, missed in batch.missed.items():
+            if (channel := self._by_port.get(port)) is not None:
+                for viewer in self._viewers:
+                    if channel.number in viewer.wanted:
+                        viewer.lose(missed)
+        for port, text in batch.unfit.items():
+            self._trouble(f"port {port}", f"{port}: samples that cannot be shown: {text}")
+        if batch.samples:
+            self.time(max(time_ns for _, time_ns, _ in batch.samples))
+
+    def time(self, time_ns: int) -> None:
+        """See `Audience`."""
+        for viewer in self._viewers:
+            viewer.show_time(time_ns)
+
+    def trouble(self, about: str, text: str) -> None:
+        """See `Audience`."""
+        name = about or self._session[0]
+        self._trouble(f"port {about}" if about else "kernel", text and f"{name}: {text.removeprefix(f'{name}: ')}")
+
+    def ended(self, why: str) -> None:
+        """See `Audience`."""
+        if self._over is not None and not self._over.done():
+            self._over.set_result(why)
+
+    def _trouble(self, key: str, text: str, level: int = protocol.WARNING) -> None:
+        if self._troubles.get(key) == (level, text):
+            return
+        if text:
+            self._troubles[key] = level, text
+        else:
+            self._troubles.pop(key, None)
+        for viewer in self._viewers:
+            viewer.say(key, level, text)
+
+    def _show(self) -> None:
+        for viewer in self._viewers:
+            viewer.show(self._session, self._channels)
+
+    def _watch(self) -> None:
+        """Take samples of what any viewer wants, and of nothing else."""
+        if self._source is not None:
+            wanted = {number for viewer in self._viewers for number in viewer.wanted}
+            self._source.watch(frozenset(self._channels[number].port for number in wanted & self._channels.keys()))
+
+    # -- viewers ---------------------------------------------------------------------------------------------------
+
+    async def listen(self, port: int) -> Listening:
+        """Let viewers come.
+
+        Raises:
+            MissingExtra: websockets is not installed.
+            ConfigurationError: the port is taken.
+        """
+        try:
+            from websockets.asyncio.server import serve
+        except ImportError:
+            raise MissingExtra("aiorts foxglove", "websockets", "foxglove") from None
+        from websockets.typing import Subprotocol
+
+        try:
+            return await serve(
+                self._attend,
+                HOST,
+                port,
+                subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
+                process_request=self._admit,
+                compression=None,
+                max_size=protocol.REQUEST,
+                logger=_silent(),
+            )
+        except OSError as error:
+            raise ConfigurationError(f"--port {port}: {error.strerror or error}") from None
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if why := refusal(hosts, origins, self._origins):
+            if why not in self._said and len(self._said) < VIEWERS:
+                self._said.add(why)
+                self._say(f"refused a viewer: {why}")
+            return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
+        if len(self._viewers) >= VIEWERS:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS} viewers are connected already\n")
+        return None
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        viewer = Viewer()
+        viewer.show(self._session, self._channels)
+        for key, (level, text) in self._troubles.items():
+            viewer.say(key, level, text)
+        self._viewers.add(viewer)
+        sending = asyncio.create_task(_send(connection, viewer), name="foxglove viewer")
+        try:
+            async for message in connection:
+                self._take(viewer, message)
+        finally:
+            self._viewers.discard(viewer)
+            self._watch()
+            sending.cancel()
+            with suppress(asyncio.CancelledError):
+                await sending
+
+    def _take(self, viewer: Viewer, message: str | bytes) -> None:
+        try:
+            request = protocol.request_in(message)
+        except WireError as error:
+            viewer.say("request", protocol.ERROR, str(error))
+            return
+        if isinstance(request, protocol.Subscribe):
+            viewer.subscribe(request.wanted)
+        else:
+            viewer.unsubscribe(request.subscriptions)
+        self._watch()
+
+
+async def _send(connection: ServerConnection, viewer: Viewer) -> None:
+    from websockets.exceptions import ConnectionClosed
+
+    with suppress(ConnectionClosed):
+        async for message in viewer.messages():
+            await connection.send(message)
+
+
+async def goodbye(listening: Listening) -> None:
+    """Give viewers time for the last line, and close."""
+    if listening.connections:
+        await asyncio.sleep(_GOODBYE)
+    listening.close()
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_GOODBYE):
+            await listening.wait_closed()
+
+
+def _silent() -> Any:
+    """A logger for what viewers do wrong: a scanner of ports must not fill the terminal."""
+    import logging
+
+    logger = logging.getLogger("aiorts.foxglove")
+    logger.addHandler(logging.NullHandler())
+    logger.propagate = False
+    return logger
