@@ -51,8 +51,8 @@ def foxglove(kernel: str, port: int, origins: tuple[str, ...], wait: bool, modul
 
 async def _serve(kernel: str, port: int, origins: frozenset[str], *, wait: bool) -> int:
     serving = Serving(origins, _say)
-    client = await _found(kernel, wait=wait)
     async with await serving.listen(port) as listening:
+        client = await _found(kernel, wait=wait)
         host, port = listening.sockets[0].getsockname()[:2]
         click.echo(f"{client.entry.name}: ws://{host}:{port}")
         while True:

@@ -40,7 +40,7 @@ class Serving:
         self._say = say
         self._said: set[str] = set()
         self._viewers: set[Viewer] = set()
-        self._session = ("", "")
+        self._session = ("aiorts", "0")
         self._channels: dict[int, Channel] = {}
         self._by_port: dict[str, Channel] = {}
         self._numbers = count(1)
