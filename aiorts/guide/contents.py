@@ -24,7 +24,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
             *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
             "dynamic-ports",
             *("replace-code", "observe", "control", "measure-live", "samples-live", "live-log"),
-            *("foxglove", "filters", "notebook"),
+            *("foxglove-live", "filters", "notebook"),
             *("write-context", "write-codec", "write-service", "write-bench"),
         ),
     ),
