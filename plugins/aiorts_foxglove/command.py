@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from fnmatch import fnmatchcase
 from typing import Any, Final
 
 import click
 
 from aiorts import exits, import_types
-from aiorts.control import Client, entries, open_all
+from aiorts.control import Client, entries, kernels
 from aiorts.errors import AbsentError, AmbiguousError, ClosedError, NoAnswerError
 from aiorts_foxglove.admission import ORIGINS
 from aiorts_foxglove.serving import Serving, goodbye
 
 _POLL: Final = 0.25
 """Seconds between looks for a kernel that is waited for."""
-_SHOWN: Final = 10
 
 
 def _kernels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
@@ -85,23 +83,9 @@ async def _found(word: str, *, wait: bool) -> Client:
 
 
 def _opened(word: str) -> Client:
-    fitting = [one for one in entries() if not word or fnmatchcase(one.address if "/" in word else one.name, word)]
-    opened, silent = open_all(fitting, "names")
-    if len(opened) == 1:
-        return opened[0][0]
-    for client, _ in opened:
-        client.close()
-    if opened:
-        names = ", ".join(client.entry.name for client, _ in opened[:_SHOWN])
-        raise AmbiguousError(f"{word or 'no name is given, and'} {len(opened)} kernels run: {names}; say which one")
-    if silent:
-        raise NoAnswerError(f"{silent[0].entry.name}: {silent[0].why}")
-    there = ", ".join(one.name for one in entries()[:_SHOWN])
-    raise AbsentError(
-        f"{word}: no kernel of this name runs; there are {there}"
-        if word and there
-        else f"{word or 'a kernel'}: nothing runs that can be reached; start it with `aiorts run`, see `aiorts ls`"
-    )
+    with kernels() as found:
+        entry = found.kernel(word).client.entry
+    return Client.open(entry)
 
 
 def _say(text: str) -> None:

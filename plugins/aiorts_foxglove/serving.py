@@ -180,6 +180,8 @@ class Serving:
         return None
 
     async def _attend(self, connection: ServerConnection) -> None:
+        from websockets.exceptions import ConnectionClosed
+
         viewer = Viewer()
         viewer.show(self._session, self._channels)
         for key, (level, text) in self._troubles.items():
@@ -187,8 +189,9 @@ class Serving:
         self._viewers.add(viewer)
         sending = asyncio.create_task(_send(connection, viewer), name="foxglove viewer")
         try:
-            async for message in connection:
-                self._take(viewer, message)
+            with suppress(ConnectionClosed):
+                async for message in connection:
+                    self._take(viewer, message)
         finally:
             self._viewers.discard(viewer)
             self._watch()

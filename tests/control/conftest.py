@@ -7,6 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
+import aiorts.observe.profiling  # noqa: F401 - late in two threads at once, pytest's rewriting may fail (CPython 3.11)
+
 
 @pytest.fixture(autouse=True)
 def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
