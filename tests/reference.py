@@ -347,7 +347,9 @@ def exit_status() -> str:
     return (
         f"{''.join(lines)}\n"
         "A component ends `aiorts run` with a status of its own by `self.kernel.request_stop(status)`. A filter that "
-        "could not read a line goes on and ends with `1`. Which error a message is about says its code: "
+        "could not read a line goes on and ends with `1`. A command for what runs ends with `6` where the kernel ends "
+        "meanwhile; one that only follows it, such as `print` or `top`, with `0`, unless `--count` asked for more. "
+        "Which error a message is about says its code: "
         "[error codes](error-codes.md).\n"
     )
 

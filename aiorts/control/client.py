@@ -287,6 +287,11 @@ class Stream:
                 return
             yield item
 
+    @property
+    def ended(self) -> bool:
+        """Whether the kernel has ended it: no item comes any more."""
+        return self._ended
+
     def next(self, timeout: float | None = None) -> Any:
         """The next item; END when there are no more.
 

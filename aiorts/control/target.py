@@ -14,7 +14,7 @@ from typing import Any, Final, Never, TypeVar
 
 from aiorts.control.client import Client, Silent, open_all
 from aiorts.control.folder import Entry, entries
-from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, ControlError, NoAnswerError
+from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ClosedError, NoAnswerError
 from aiorts.late import dataclass
 from aiorts.model.names import split_path
 
@@ -80,6 +80,16 @@ class Found:
         """With the kernel's name."""
         return f"{self.running.name}/{self.path}" if self.path else self.running.name
 
+    @property
+    def kind(self) -> str:
+        """ "kernel", "component" or "port"."""
+        return "port" if self.port else "component" if self.component else "kernel"
+
+    def check(self, *kinds: str) -> None:
+        """AbsentError unless it is of one of these kinds."""
+        if self.kind not in kinds:
+            raise AbsentError(f"{self.full}: is a {self.kind}, no {' or '.join(kinds)}; `aiorts ls -R` shows all")
+
 
 class Kernels:
     """The kernels that run, each with an open session.
@@ -87,30 +97,32 @@ class Kernels:
     Attributes:
         running: those that answered.
         silent: those that did not.
+        changing: something is to be changed: no word is taken that may mean a thing of a silent kernel, too.
     """
 
-    def __init__(self, running: Sequence[Running], silent: Sequence[Silent]) -> None:
+    def __init__(self, running: Sequence[Running], silent: Sequence[Silent], *, changing: bool = False) -> None:
         self.running = tuple(running)
         self.silent = tuple(silent)
+        self.changing = changing
 
-    def find(self, word: str) -> Found:
-        """The one thing that a word means.
+    def find(self, word: str, *, bare: bool = False) -> Found:
+        """The one thing that a word means; with `bare`, a kernel's name alone means it, where no component has it.
 
         Raises:
             AbsentError: nothing has the name.
             AmbiguousError: several have; says which.
             NoAnswerError: the kernel that is meant does not answer.
         """
-        found = self.all(word)
+        found = self.all(word, bare=bare)
         return the_one(word, found, [one.full for one in found])
 
-    def all(self, word: str) -> tuple[Found, ...]:
+    def all(self, word: str, *, bare: bool = False) -> tuple[Found, ...]:
         """Everything that a word means: one thing, or as many as fit where * ? [] in it stand for any characters.
 
         Raises:
             AbsentError: nothing has the name.
             AmbiguousError: several have it, and it has no such character; says which.
-            NoAnswerError: nothing has it, and a kernel that may have it does not answer.
+            NoAnswerError: nothing has it, or something is to be changed, and a kernel that may have it does not answer.
             InvalidNameError: it has more parts than a name.
         """
         host, kernel, component, port = split_path(word)
@@ -123,24 +135,67 @@ class Kernels:
         ]
         if not found and not kernel and port:
             found = self._of_lone(component, port)
+        if not found and bare:
+            found = [Found(one, "") for one in self.running if one.fits(word)]
         if found:
             if not is_glob(word):
                 the_one(word, found, [one.full for one in found])
+            self.check_sure(word, kernel, [one.running for one in found])
             return tuple(found)
         self._nothing(word, kernel, component)
 
+    def having(self, kind: str, word: str) -> list[tuple[Running, str]]:
+        """The kernels with a context or connector that a word means, and its name; none, one or several.
+
+        Args:
+            kind: "contexts" or "connectors".
+            word: its name; the kernel's before it, with a slash.
+
+        Raises:
+            NoAnswerError: something is to be changed, and a kernel that may have it does not answer.
+        """
+        kernel, _, name = word.rpartition("/")
+        found = [(one, name) for one in self.running if (not kernel or one.fits(kernel)) and name in one.names[kind]]
+        if found:
+            self.check_sure(word, kernel, [one for one, _ in found])
+        return found
+
+    def check_sure(self, word: str, kernel: str, found: Sequence[Running]) -> None:
+        """NoAnswerError where something is to be changed and a kernel that may be meant, too, does not answer."""
+        mute = self._mute(kernel) if self.changing else ""
+        if mute:
+            there = dict.fromkeys(one.name for one in found)
+            name = word.rpartition("/")[2]
+            raise NoAnswerError(
+                f"{word}: in {', '.join(there)}; no answer from {mute}, which may have this name, too; "
+                f"write {next(iter(there))}/{name}"
+            )
+
+    def _mute(self, kernel: str) -> str:
+        """The kernels that do not answer and may be meant: all where none is named."""
+        mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
+        return ", ".join(mute[:_SHOWN])
+
     def component(self, word: str) -> Found:
-        """The one component that a word means; raises as `find`, and ControlError where it means something else."""
+        """The one component that a word means; raises as `find`, and AbsentError where it means something else."""
         one = self.find(word)
-        _check_component(word, one)
+        one.check("component")
         return one
 
     def components(self, words: Iterable[str]) -> list[Found]:
-        """All components that words mean; raises as `all`, and ControlError where one means something else."""
+        """All components that words mean; raises as `all`, and AbsentError where one means something else."""
         found = [one for word in words for one in self.all(word)]
         for one in found:
-            _check_component(one.full, one)
+            one.check("component")
         return found
+
+    def members(self, running: Running, words: Iterable[str]) -> list[str]:
+        """Components of one kernel, which need not be named; raises as `component`."""
+        found = [self.component(word if "/" in word else f"{running.name}/{word}") for word in words]
+        for one in found:
+            if one.running is not running:
+                raise AbsentError(f"{one.full}: is of another kernel than {running.name}, where it is to be a member")
+        return [one.component for one in found]
 
     def _of_lone(self, kernel: str, port: str) -> list[Found]:
         """A port of a kernel with a single component, such as a filter: KERNEL.PORT means it."""
@@ -155,28 +210,39 @@ class Kernels:
         """The kernel of this name, or the only one that runs; raises as `find`."""
         fitting = [one for one in self.running if not word or one.fits(word)]
         if len(fitting) == 1:
+            if self.changing and (mute := self._mute(word)):
+                raise NoAnswerError(
+                    f"{word or 'no kernel is named'}: {fitting[0].name} runs, and there is no answer from {mute}; "
+                    "say which one"
+                )
             return fitting[0]
         if not fitting:
             self._nothing(word, word, "")
         shown = ", ".join(one.name for one in fitting[:_SHOWN])
-        raise AmbiguousError(f"{word or 'no name is given, and'} {len(fitting)} kernels run: {shown}; say which one")
+        raise AmbiguousError(f"{word or 'no kernel is named, and'} {len(fitting)} kernels run: {shown}; say which one")
 
     def _nothing(self, word: str, kernel: str, component: str) -> Never:
         """Raise: nothing that answers has this name."""
         what = f"{word}: " if word else ""
-        mute = [one.entry.name for one in self.silent if not kernel or _matches(one.entry, kernel)]
-        if mute:
-            raise NoAnswerError(f"{what}{'not found, and ' if word else ''}no answer from {', '.join(mute[:_SHOWN])}")
+        if (kernel or component) and (mute := self._mute(kernel or component)):
+            raise NoAnswerError(f"{what}no answer from {mute}; it is stopped, or busy")
+        if not kernel and (mute := self._mute("")):
+            raise NoAnswerError(f"{what}{'not found, and ' if word else ''}no answer from {mute}")
         if not self.running:
             raise AbsentError(f"{what}nothing runs that can be reached; start it with `aiorts run`, see `aiorts ls`")
         wanted = "component" if component else "kernel"
         if other := self._of_other_kind(kernel if component else "", component or kernel, wanted):
             raise AbsentError(f"{what}no {wanted} that runs has this name; it is {other}")
-        known = list(dict.fromkeys(name for one in self.running for name in (one.name, *one.names["components"])))
+        among = [one for one in self.running if not kernel or one.fits(kernel)]
+        if component and among:
+            known = [name for one in among for name in one.names["components"]]
+        else:
+            known, component = [one.name for one in self.running], ""
         from difflib import get_close_matches
 
+        known = list(dict.fromkeys(known))
         near = get_close_matches(component or kernel, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN])}"
+        hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(known[:_SHOWN]) or 'none'}"
         raise AbsentError(f"{word}: nothing that runs has this name; {hint}")
 
     def _of_other_kind(self, kernel: str, name: str, wanted: str) -> str:
@@ -196,19 +262,22 @@ class Kernels:
 
 
 @contextmanager
-def kernels(timeout: float = 1.0, select: Callable[[Entry], bool] | None = None) -> Iterator[Kernels]:
+def kernels(
+    timeout: float = 1.0, select: Callable[[Entry], bool] | None = None, *, changing: bool = False
+) -> Iterator[Kernels]:
     """Open a session with each kernel of this user that runs.
 
     Args:
         timeout: seconds to wait for the first answer.
         select: which kernels; all by default.
+        changing: of `Kernels`.
     """
     if _shared:
-        yield from _anew(_shared[-1], select)
+        yield from _anew(_shared[-1], select, changing=changing)
         return
     wanted: Iterable[Entry] = entries()
     opened, silent = open_all([one for one in wanted if select is None or select(one)], "names", timeout=timeout)
-    found = Kernels([Running(client, names) for client, names in opened], silent)
+    found = Kernels([Running(client, names) for client, names in opened], silent, changing=changing)
     try:
         yield found
     except ClosedError as error:  # it has ended meanwhile, or is about to
@@ -231,7 +300,7 @@ def sharing() -> Iterator[None]:
             _shared.remove(found)
 
 
-def _anew(shared: Kernels, select: Callable[[Entry], bool] | None) -> Iterator[Kernels]:
+def _anew(shared: Kernels, select: Callable[[Entry], bool] | None, *, changing: bool) -> Iterator[Kernels]:
     """The same sessions, with what is in their kernels by now."""
     running = []
     for one in shared.running:
@@ -239,14 +308,9 @@ def _anew(shared: Kernels, select: Callable[[Entry], bool] | None) -> Iterator[K
             with suppress(ClosedError):
                 running.append(Running(one.client, one.client.call("names")))
     try:
-        yield Kernels(running, shared.silent)
+        yield Kernels(running, shared.silent, changing=changing)
     except ClosedError as error:
         raise AbsentError(str(error)) from None
-
-
-def _check_component(word: str, found: Found) -> None:
-    if not found.component or found.port:
-        raise ControlError(f"{word}: expected a component; aiorts ls shows which there are")
 
 
 def _matches(entry: Entry, kernel: str) -> bool:

@@ -153,7 +153,7 @@ async def test_components_come_and_go(capsys: pytest.CaptureFixture[str], tmp_pa
         status, text = await commanded(
             capsys, "comp", "create", kind, "unit/src", "top=0x10", "--context", "loop", "--json"
         )
-        assert (status, json.loads(text)) == (0, {"component": "src"})
+        assert (status, json.loads(text)) == (0, {"done": [{"name": "unit/src"}]})
         source = kernel.components["src"]
         assert (source.configuration.values["top"], [one.name for one in source.contexts]) == (16, ["loop"])
         assert await commanded(capsys, "exit", "src") == (0, "")

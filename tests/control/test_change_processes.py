@@ -111,7 +111,7 @@ def test_a_member_of_a_thread_is_changed_too(tmp_path: Path) -> None:
         aiorts("conf", "source0", "--add", "fast", "fast.step=9", "--activate", "fast")
         assert json.loads(aiorts("conf", "source0", "--json"))["active"] == "fast"
         aiorts("ctx", "rate", "loop", "100")
-        assert json.loads(aiorts("ctx", "--json"))["plant"]["loop"]["rate"] == 100.0
+        assert json.loads(aiorts("ctx", "--json"))["kernels"][0]["contexts"][0]["rate"] == 100.0
 
 
 def test_calls_and_goals_of_clients_that_are_killed_end(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ async def test_graph_draws_what_runs_with_states_and_rates(capsys: pytest.Captur
         assert (status, text.startswith("flowchart LR\n"), text.count("-->")) == (0, True, 1)
         assert (await said(capsys, "graph", "unit", "--set", "counter0.step=2"))[0] == 2
         status, _, text = await said(capsys, "graph", "counter0")
-        assert (status, "is a component, and no system; write its kernel: unit/" in text) == (2, True)
+        assert (status, "is a component, and no system; write its kernel: unit/" in text) == (6, True)
 
 
 async def test_a_drawing_of_what_runs_has_composites_and_says_what_was_dropped() -> None:

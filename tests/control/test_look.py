@@ -62,7 +62,9 @@ async def test_ls_shows_kernels_components_ports_and_what_globs_mean(capsys: pyt
         assert (status, "counter0  active  loop\n    out  out  TimedDouble\n" in text) == (0, True)
         status, text = await said(capsys, "ls", "--json", "only1")
         (kernel,) = json.loads(text)["kernels"]
-        assert (kernel["kernel"], list(kernel["outlines"]), kernel["components"]) == ("other", ["only1"], {"only1": {}})
+        (only1,) = kernel["components"]
+        assert (kernel["name"], kernel["contexts"], only1["name"], only1["states"]) == ("other", [], "only1", {})
+        assert [port["name"] for port in only1["ports"]] == ["out"]
 
 
 async def test_cat_tells_of_each_kind_of_thing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -168,7 +170,7 @@ def test_a_stopped_kernel_gives_no_answer_and_delays_nobody_else(capsys: pytest.
             capsys.readouterr()
             assert run_command(["cat", "stopped/pid0"]) == 5
             assert capsys.readouterr().err == (
-                "aiorts: E-NO-ANSWER: stopped/pid0: not found, and no answer from stopped\n"
+                "aiorts: E-NO-ANSWER: stopped/pid0: no answer from stopped; it is stopped, or busy\n"
             )
             assert run_command(["inspect", "stopped"]) == 5
             capsys.readouterr()

@@ -193,7 +193,7 @@ async def test_delay_says_that_it_measures_and_puts_it_back(capsys: pytest.Captu
     assert told.err == "aiorts: until this ends, it is measured (option measure = 1000): counter0.out -> reader0.in\n"
     found = json.loads(told.out)
     assert found["latency"]["samples"] > 0
-    assert 0 < found["latency"]["p50"] <= found["latency"]["p99"] <= found["latency"]["max"]
+    assert 0 < found["latency"]["p50_ns"] <= found["latency"]["p99_ns"] <= found["latency"]["max_ns"]
 
 
 async def test_who_may_only_look_reads_a_delay_that_is_measured_and_measures_none(

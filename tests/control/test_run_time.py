@@ -32,7 +32,7 @@ async def test_contexts_start_change_and_stop(capsys: pytest.CaptureFixture[str]
         assert (kernel.contexts["slow"].rate, kernel.contexts["slow"].deadline) == (16.0, 0.5)
         assert [state.value for state in kernel.components["reader0"].states.values()] == ["active"]
         status, text = await commanded(capsys, "ctx", "--json")
-        assert (status, [one["members"] for one in json.loads(text)["unit"].values()]) == (
+        assert (status, [one["members"] for one in json.loads(text)["kernels"][0]["contexts"]]) == (
             0,
             [["counter0"], ["reader0"]],
         )

@@ -42,6 +42,7 @@ _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
     default="text",
     help="text for people, json one object for each file in a line, github for its annotations.",
 )
+@click.option("--json", "layout", flag_value="json", help="The same as --format json.")
 @plugins_option
 @click.option("--strict", is_flag=True, help="Exit status 1 when there are warnings and no errors.")
 @click.option("-q", "--quiet", is_flag=True, help="Leave notes out.")

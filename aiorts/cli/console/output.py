@@ -63,6 +63,11 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, os.PathLike) else repr(value)
 
 
+def counted(count: int, what: str) -> str:
+    """So many of something, in words."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def table(rows: Iterable[Sequence[str]], *, indent: str = "  ") -> str:
     """Format rows in columns; empty columns are left out, and the last one is not padded."""
     cells = [[printed(cell) for cell in row] for row in rows]

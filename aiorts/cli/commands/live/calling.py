@@ -8,9 +8,10 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.components import pairs
+from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import Found, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now
-from aiorts.errors import ControlError, GoalCancelled, GoalFailed
+from aiorts.errors import AbsentError, GoalCancelled, GoalFailed
 
 _WORDS: Any = "[VALUE | NAME=VALUE]..."
 
@@ -18,15 +19,15 @@ _WORDS: Any = "[VALUE | NAME=VALUE]..."
 @click.command(short_help="Call a service of what runs.")
 @click.argument("path", metavar="COMPONENT.PORT.METHOD", shell_complete=complete)
 @click.argument("words", nargs=-1, metavar=_WORDS)
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Give up after S seconds.")
-@click.option("--json", "as_json", is_flag=True, help='One JSON document: {"value": ...}.')
+@timeout_option(5.0, "Give up after S seconds")
+@json_option('One JSON document: {"value": ...}.')
 def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> int:
     """Call METHOD and print its result as JSON; what returns nothing prints nothing.
 
     Arguments are given by position, by NAME=VALUE, or all of them as one JSON list or object. Each is read by the type
     that the interface says: a number, a text, JSON for records and lists. Ctrl-C cancels the call.
     """
-    with kernels() as found:
+    with kernels(changing=True) as found:
         one = found.find(path)
         answer = one.client.call("call", timeout + 2.0, timeout=timeout, **_given(one, path, words))
     if as_json:
@@ -39,17 +40,15 @@ def call(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
 @click.command(short_help="Send a goal, and show its feedback.")
 @click.argument("path", metavar="COMPONENT.PORT.METHOD", shell_complete=complete)
 @click.argument("words", nargs=-1, metavar=_WORDS)
-@click.option(
-    "--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds until it is accepted."
-)
-@click.option("--json", "as_json", is_flag=True, help="A JSON object in a line for each feedback, and for the end.")
+@timeout_option(5.0, "Wait S seconds until it is accepted")
+@json_option("A JSON object in a line for each feedback, and for the end.")
 def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> int:
     """Send a goal to METHOD, print its feedback as it comes and, at the end, its result.
 
     Arguments are those of aiorts call. Ctrl-C asks to cancel it, as any end of this command does. The status is 1 where
     it failed or was cancelled.
     """
-    with kernels() as found:
+    with kernels(changing=True) as found:
         one = found.find(path)
         stream = one.client.stream("goal", timeout + 2.0, timeout=timeout, **_given(one, path, words))
         for feedback in stream:
@@ -69,8 +68,9 @@ def goal(path: str, words: tuple[str, ...], timeout: float, as_json: bool) -> in
 
 def _given(one: Found, path: str, words: tuple[str, ...]) -> dict[str, Any]:
     """The path as the kernel has it, and the arguments."""
-    if not one.component or "." not in one.port:
-        raise ControlError(f"{path}: expected COMPONENT.PORT.METHOD")
+    one.check("port")
+    if "." not in one.port:
+        raise AbsentError(f"{path}: is a port; expected COMPONENT.PORT.METHOD")
     whole = _json(words[0]) if len(words) == 1 else None
     if isinstance(whole, dict):
         return {"path": one.path, "kwargs": whole}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say, say_json
 
@@ -20,8 +21,8 @@ def comp() -> None:
 @click.argument("params", nargs=-1, metavar="[PARAM=VALUE]...")
 @click.option("--context", metavar="NAME", help="Let it join this context.")
 @click.option("--activate", is_flag=True, help="Activate it there.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(5.0)
+@json_option()
 def create(
     type_: str, name: str, params: tuple[str, ...], context: str | None, activate: bool, timeout: float, as_json: bool
 ) -> int:
@@ -33,60 +34,51 @@ def create(
     if "=" in name:
         name, params = "", (name, *params)
     kernel, slash, bare = name.rpartition("/")
-    with kernels() as found:
+    with kernels(changing=True) as found:
         running = found.kernel(kernel if slash else "")
         done = running.client.call(
             "create", 30.0 + 2 * timeout, type=absolute(type_), name=bare, params=pairs(params), context=context,
             activate=activate, timeout=timeout,
         )  # fmt: skip
         if as_json:
-            say_json({"component": done["text"]})
+            say_json({"done": [{"name": f"{running.name}/{done['text']}"}]})
         else:
             say(f"{running.name}/{done['text']}")
     return exits.DONE
 
 
 def _members(name: str, operation: str, text: str) -> click.Command:
-    def run(composite: str, members: tuple[str, ...], timeout: float) -> int:
-        with kernels() as found:
+    @click.command(name, short_help=text, help=text)
+    @click.argument("composite", metavar="COMPOSITE", shell_complete=complete)
+    @click.argument("members", nargs=-1, required=True, metavar="COMPONENT...", shell_complete=complete)
+    @timeout_option(5.0)
+    @json_option()
+    def run(composite: str, members: tuple[str, ...], timeout: float, as_json: bool) -> int:
+        with kernels(changing=True) as found:
             one = found.component(composite)
-            chosen = [found.component(f"{one.running.name}/{word.rpartition('/')[2]}") for word in members]
-            one.client.call(
-                operation, timeout + 2.0, composite=one.component, members=[member.component for member in chosen],
-                timeout=timeout,
-            )  # fmt: skip
-        return exits.DONE
+            chosen = found.members(one.running, members)
+            one.client.call(operation, timeout + 2.0, composite=one.component, members=chosen, timeout=timeout)
+        return say_done((f"{one.running.name}/{member}" for member in chosen), as_json=as_json)
 
-    params: list[click.Parameter] = [
-        click.Argument(["composite"], metavar="COMPOSITE", shell_complete=complete),
-        click.Argument(["members"], nargs=-1, required=True, metavar="COMPONENT...", shell_complete=complete),
-        click.Option(["--timeout"], type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds."),
-    ]
-    return click.Command(name, callback=run, params=params, short_help=text, help=text)
-
-
-def _take_out(names: tuple[str, ...], wait: float) -> int:
-    with kernels() as found:
-        for one in found.components(names):
-            one.client.call("remove", wait, components=[one.component])
-    return exits.DONE
+    return run
 
 
 def _removing(name: str) -> click.Command:
-    return click.Command(
-        name,
-        callback=_take_out,
-        params=[
-            click.Argument(["names"], nargs=-1, required=True, metavar="COMPONENT...", shell_complete=complete),
-            click.Option(
-                ["--timeout", "wait"], type=click.FloatRange(min=0.001), default=10.0, metavar="S",
-                help="Wait S seconds.",
-            ),
-        ],
-        short_help="Remove components that run.",
-        help="Take components out of their kernel: deactivated, disconnected, finalised. * and ? in quotes stand for "
-        "several.",
-    )  # fmt: skip
+    @click.command(name, short_help="Remove components that run.")
+    @click.argument("names", nargs=-1, required=True, metavar="COMPONENT...", shell_complete=complete)
+    @timeout_option(10.0)
+    @json_option()
+    def run(names: tuple[str, ...], timeout: float, as_json: bool) -> int:
+        """Take components out of their kernel: deactivated, disconnected, finalised. * and ? in quotes stand for
+        several.
+        """
+        with kernels(changing=True) as found:
+            meant = found.components(names)
+            for one in meant:
+                one.client.call("remove", timeout, components=[one.component])
+        return say_done((one.full for one in meant), as_json=as_json)
+
+    return run
 
 
 comp.add_command(_members("add", "add_members", "Make components members of a composite."))

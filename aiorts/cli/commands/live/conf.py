@@ -9,6 +9,7 @@ from typing import Any, Final
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.showing import json_option, say_done, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, complete, complete_changes, kernels
 from aiorts.cli.console.output import say, say_json, table
 from aiorts.errors import ConfigurationError
@@ -28,8 +29,8 @@ _FILE: Final = click.Path(dir_okay=False, allow_dash=True)
 @click.option("--dump", type=_FILE, metavar="FILE", help="Write the configuration to FILE, or - for standard output.")
 @click.option("--load", type=_FILE, metavar="FILE", help="Put FILE in force, or - for standard input; all or nothing.")
 @click.option("-l", "--long", "long", is_flag=True, help="With types, units and what is allowed.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=8.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(8.0)
+@json_option()
 def conf(
     name: str,
     changes: tuple[str, ...],
@@ -45,16 +46,17 @@ def conf(
     """Show the parameters of COMPONENT, or change them: PARAM=VALUE in the active set, SET.PARAM=VALUE in another.
 
     All changes of one command are put in force between two cycles, together or not at all; when it returns they are
-    in force. A value is read by the parameter's type, as --set of aiorts run does. --dump and --load are for a
-    component or, without a name, for all of a kernel: the file is that of Kernel.save_configuration.
+    in force, and --json prints the configuration. A value is read by the parameter's type, as --set of aiorts run
+    does. --dump and --load are for a component or for a kernel, the only one without a name: the file is that of
+    Kernel.save_configuration.
     """
     values = _values(changes)
     changing = bool(values or activate or add or remove)
     if (dump is not None) + (load is not None) + changing > 1:
         raise click.UsageError("--dump, --load and changes each need a command of their own")
-    with kernels() as found:
+    with kernels(changing=changing or load is not None) as found:
         if dump is not None or load is not None:
-            return _file(found, name, dump, load, timeout)
+            return _file(found, name, dump, load, timeout, as_json=as_json)
         if not name:
             raise click.UsageError("say which component; aiorts ls shows which there are")
         one = found.component(name)
@@ -62,7 +64,8 @@ def conf(
             one.client.call(
                 "configure", timeout, component=one.component, values=values, add=add, remove=remove, activate=activate
             )
-            return exits.DONE
+            if not as_json:
+                return exits.DONE
         shown = one.client.call("configuration", timeout, component=one.component)
         if as_json:
             say_json(shown)
@@ -85,11 +88,12 @@ def _values(changes: tuple[str, ...]) -> dict[str, dict[str, str]]:
     return values
 
 
-def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout: float) -> int:
-    one = found.find(name) if name and not name.endswith("/") else None
-    running = found.kernel(name.rstrip("/")) if one is None else one.running
+def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout: float, *, as_json: bool) -> int:
+    one = found.find(name, bare=True) if name else Found(found.kernel(), "")
+    one.check("component", "kernel")
+    running = one.running
     if dump is not None:
-        chosen = [one.component] if one is not None and one.component else []
+        chosen = [one.component] if one.component else []
         text = running.client.call("dump_configuration", timeout, components=chosen)["text"]
         if dump == "-":
             sys.stdout.write(text)
@@ -103,7 +107,7 @@ def _file(found: Kernels, name: str, dump: str | None, load: str | None, timeout
         text = text_of(load)
         parts = [text[at : at + _PART] for at in range(0, len(text), _PART)]
         running.client.call("load_configuration", timeout, parts=parts, name=load)
-    return exits.DONE
+    return say_done([] if dump == "-" else [one.full], as_json=as_json and dump != "-")
 
 
 def text_of(file: str) -> str:

@@ -9,8 +9,9 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.components import pairs
-from aiorts.cli.commands.live.target import Kernels, Running, kernels
-from aiorts.cli.console.output import say, say_json, table
+from aiorts.cli.commands.live.showing import json_option, named, say_done, say_kernels, timeout_option
+from aiorts.cli.commands.live.target import Kernels, Running, kernels, the_one
+from aiorts.cli.console.output import counted, table
 from aiorts.errors import AbsentError
 
 
@@ -29,9 +30,10 @@ def complete_contexts(ctx: click.Context, param: click.Parameter, incomplete: st
     subcommand_metavar="COMMAND [ARGS]...",
     short_help="List, start, stop and change execution contexts.",
 )
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(5.0)
+@json_option()
 @click.pass_context
-def ctx(context: click.Context, as_json: bool) -> int:
+def ctx(context: click.Context, timeout: float, as_json: bool) -> int:
     """List the execution contexts of what runs, or change them.
 
     Alone it lists them: kind, rate, cycles, overruns, members in order of execution.
@@ -39,22 +41,15 @@ def ctx(context: click.Context, as_json: bool) -> int:
     if context.invoked_subcommand is not None:
         return exits.DONE
     with kernels() as found:
-        listed = {one.name: one.client.call("contexts") for one in found.running}
-    if as_json:
-        say_json(listed)
-        return exits.DONE
-    for kernel, contexts in listed.items():
-        say(f"{kernel}/")
-        if contexts:
-            say(table([_row(name, one) for name, one in contexts.items()]))
-    return exits.DONE
+        listed = {one.name: named(one.client.call("contexts", timeout)) for one in found.running}
+        return say_kernels(found, "contexts", listed, lambda rows: table(map(_row, rows)), as_json=as_json)
 
 
-def _row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
+def _row(one: Mapping[str, Any]) -> tuple[str, ...]:
     counts = one["statistics"]
     rate = "" if one["rate"] is None else f"{one['rate']:g} Hz"
-    overruns = f"{counts['overruns']} overruns" if counts["overruns"] else ""
-    return (name, one["kind"], rate, f"{counts['cycles']} cycles", overruns, ", ".join(one["members"]))
+    overruns = counted(counts["overruns"], "overrun") if counts["overruns"] else ""
+    return (one["name"], one["kind"], rate, counted(counts["cycles"], "cycle"), overruns, ", ".join(one["members"]))
 
 
 @ctx.command(short_help="Start a context.")
@@ -62,90 +57,88 @@ def _row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
 @click.argument("words", nargs=-1, metavar="[COMPONENT]... [OPTION=VALUE]...")
 @click.option("--kind", default="periodic", metavar="KIND", help="periodic, event, thread, ...; periodic by default.")
 @click.option("--activate", is_flag=True, help="Have the members active before the first cycle.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-def start(name: str, words: tuple[str, ...], kind: str, activate: bool, timeout: float) -> int:
+@timeout_option(5.0)
+@json_option()
+def start(name: str, words: tuple[str, ...], kind: str, activate: bool, timeout: float, as_json: bool) -> int:
     """Start a context with these members, in this order, and the options of its kind: rate=100."""
     options = pairs(tuple(word for word in words if "=" in word))
     kernel, slash, bare = name.rpartition("/")
-    with kernels() as found:
-        members = [found.component(word) for word in words if "=" not in word]
-        running = members[0].running if members and not slash else found.kernel(kernel if slash else "")
-        _same(running, [one.running for one in members])
+    with kernels(changing=True) as found:
+        members = [word for word in words if "=" not in word]
+        running = found.component(members[0]).running if members and not slash else found.kernel(kernel)
         running.client.call(
-            "start_context", timeout + 32.0, name=bare, kind=kind, members=[one.component for one in members],
+            "start_context", timeout + 32.0, name=bare, kind=kind, members=found.members(running, members),
             options=options, activate=activate, timeout=timeout,
         )  # fmt: skip
-    return exits.DONE
+    return say_done([f"{running.name}/{bare}"], as_json=as_json)
 
 
 @ctx.command(short_help="Stop a context.")
 @click.argument("name", metavar="[KERNEL/]NAME", shell_complete=complete_contexts)
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=10.0, metavar="S", help="Wait S seconds.")
-def stop(name: str, timeout: float) -> int:
+@timeout_option(10.0)
+@json_option()
+def stop(name: str, timeout: float, as_json: bool) -> int:
     """Stop a context: its members are deactivated and stay, in no context."""
-    with kernels() as found:
+    with kernels(changing=True) as found:
         running, context = _context(found, name)
         running.client.call("stop_context", timeout, context=context)
-    return exits.DONE
+    return say_done([f"{running.name}/{context}"], as_json=as_json)
 
 
 @ctx.command(short_help="Change the rate of a context.")
 @click.argument("name", metavar="[KERNEL/]NAME", shell_complete=complete_contexts)
 @click.argument("hz", type=float, metavar="HZ")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-def rate(name: str, hz: float, timeout: float) -> int:
+@timeout_option(5.0)
+@json_option()
+def rate(name: str, hz: float, timeout: float, as_json: bool) -> int:
     """Change the rate of a context; it is in force when this returns."""
-    with kernels() as found:
+    with kernels(changing=True) as found:
         running, context = _context(found, name)
         running.client.call("set_rate", timeout + 2.0, context=context, rate=hz, timeout=timeout)
-    return exits.DONE
+    return say_done([f"{running.name}/{context}"], as_json=as_json)
 
 
 @ctx.command(short_help="Have components join a context.")
 @click.argument("name", metavar="[KERNEL/]NAME", shell_complete=complete_contexts)
 @click.argument("members", nargs=-1, required=True, metavar="COMPONENT...")
 @click.option("--activate", is_flag=True, help="Activate them there.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-def add(name: str, members: tuple[str, ...], activate: bool, timeout: float) -> int:
+@timeout_option(5.0)
+@json_option()
+def add(name: str, members: tuple[str, ...], activate: bool, timeout: float, as_json: bool) -> int:
     """Have components join a context, at the end of its order."""
-    return _change("join_context", name, members, timeout, activate=activate)
+    return _change("join_context", name, members, timeout, activate=activate, as_json=as_json)
 
 
 @ctx.command(short_help="Have components leave a context.")
 @click.argument("name", metavar="[KERNEL/]NAME", shell_complete=complete_contexts)
 @click.argument("members", nargs=-1, required=True, metavar="COMPONENT...")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-def drop(name: str, members: tuple[str, ...], timeout: float) -> int:
+@timeout_option(5.0)
+@json_option()
+def drop(name: str, members: tuple[str, ...], timeout: float, as_json: bool) -> int:
     """Have components leave a context: they are deactivated first."""
-    return _change("leave_context", name, members, timeout)
+    return _change("leave_context", name, members, timeout, as_json=as_json)
 
 
-def _change(operation: str, name: str, members: tuple[str, ...], timeout: float, **more: object) -> int:
-    with kernels() as found:
+def _change(
+    operation: str, name: str, members: tuple[str, ...], timeout: float, *, as_json: bool, **more: object
+) -> int:
+    with kernels(changing=True) as found:
         running, context = _context(found, name)
-        names = [word.rpartition("/")[2] for word in members]
+        names = found.members(running, members)
         running.client.call(operation, 2 * timeout + 2.0, context=context, members=names, timeout=timeout, **more)
-    return exits.DONE
+    return say_done([f"{running.name}/{one}" for one in names], as_json=as_json)
 
 
 def _context(found: Kernels, word: str) -> tuple[Running, str]:
     """The kernel and the name of the context that a word means.
 
     Raises:
-        AbsentError: nothing has the name, or several have.
+        AbsentError: nothing has the name.
+        AmbiguousError: several have.
     """
-    kernel, slash, name = word.rpartition("/")
+    if having := found.having("contexts", word):
+        return the_one(word, having, [f"{one.name}/{name}" for one, name in having])
+    kernel, slash, _ = word.rpartition("/")
     among = (found.kernel(kernel),) if slash else found.running
-    having = [one for one in among if name in one.names["contexts"]]
-    if len(having) == 1:
-        return having[0], name
-    if having:
-        shown = ", ".join(f"{one.name}/{name}" for one in having)
-        raise AbsentError(f"{word}: {len(having)} contexts have this name: {shown}; write the kernel before it")
     there = ", ".join(f"{one.name}/{each}" for one in among for each in one.names["contexts"])
     raise AbsentError(f"{word}: no context that runs has this name; there are {there or 'none'}")
-
-
-def _same(running: Running, others: list[Running]) -> None:
-    if strangers := [one.name for one in others if one is not running]:
-        raise AbsentError(f"the context is in {running.name}, and a component in {strangers[0]}")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import Found, complete, kernels
 from aiorts.cli.console.output import say, say_json, table
 
@@ -17,27 +18,29 @@ from aiorts.cli.console.output import say, say_json, table
 @click.argument("event", default="")
 @click.argument("data", default="", metavar="[DATA]")
 @click.option("--mode", metavar="NAME", help="Change the mode; in force in every context when it returns.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(5.0)
+@json_option()
 def fsm(component: str, event: str, data: str, mode: str | None, timeout: float, as_json: bool) -> int:
     """Show the active states of COMPONENT's state machine, its timers and what it defers; and its modes.
 
     With EVENT it is sent that, and DATA, which is JSON or else a text. It is carried out in a cycle of the machine.
+    With --json what is shown then is printed after an event or a change of the mode, too.
     """
     if event and mode is not None:
         raise click.UsageError("an event and --mode each need a command of their own")
-    with kernels() as found:
+    with kernels(changing=bool(event) or mode is not None) as found:
         one = found.component(component)
         if event:
             one.client.call("send_event", timeout, component=one.component, event=event, data=json_or_text(data))
         elif mode is not None:
             one.client.call("set_mode", timeout + 2.0, component=one.component, mode=mode, timeout=timeout)
+        if not as_json and (event or mode is not None):
+            return exits.DONE
+        shown = one.client.call("machine", timeout, component=one.component)
+        if as_json:
+            say_json(shown)
         else:
-            shown = one.client.call("machine", timeout, component=one.component)
-            if as_json:
-                say_json(shown)
-            else:
-                _show(one, shown)
+            _show(one, shown)
     return exits.DONE
 
 

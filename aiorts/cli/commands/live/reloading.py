@@ -6,8 +6,11 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.components import absolute
-from aiorts.cli.commands.live.target import complete, kernels
+from aiorts.cli.commands.live.showing import json_option, timeout_option
+from aiorts.cli.commands.live.target import Kernels, complete, kernels
 from aiorts.cli.console.output import say, say_json
+from aiorts.control import Client
+from aiorts.errors import AmbiguousError
 
 
 @click.command(short_help="Replace the code of components that run.")
@@ -19,8 +22,8 @@ from aiorts.cli.console.output import say, say_json
 @click.option(
     "--seconds", type=click.FloatRange(min=0.0), default=1.0, metavar="S", help="Or after S seconds, 1 by default."
 )
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(5.0)
+@json_option()
 def reload(what: str, kernel: str, cycles: int, seconds: float, timeout: float, as_json: bool) -> int:
     """Read the file of COMPONENT's type anew, and put the new code in the place of the old, in all of its instances.
 
@@ -28,16 +31,8 @@ def reload(what: str, kernel: str, cycles: int, seconds: float, timeout: float, 
     parameters stay. It returns when the new code has done its first cycles; when it fails in them, or before, all is
     as it was.
     """
-    with kernels() as found:
-        names = [name for one in found.running for name in one.names["components"]]
-        if "/" in what.partition(":")[0] and not what.partition(":")[0].endswith(".py"):
-            one = found.find(what)
-            client, meant = one.client, one.component
-        elif what in names:
-            one = found.find(what if not kernel else f"{kernel}/{what}")
-            client, meant = one.client, one.component
-        else:
-            client, meant = found.kernel(kernel).client, absolute(what)
+    with kernels(changing=True) as found:
+        client, meant = _meant(found, what, kernel)
         done = client.call("reload", 60.0 + 4 * timeout + seconds, type=meant, cycles=cycles, seconds=seconds,
                            timeout=timeout)  # fmt: skip
     if as_json:
@@ -49,3 +44,16 @@ def reload(what: str, kernel: str, cycles: int, seconds: float, timeout: float, 
         said = "; ".join(filter(None, (f"new: {gained}" if gained else "", f"gone: {lost}" if lost else "")))
         say(f"{each['component']}  {done['kind']}{f'  {said}' if said else ''}")
     return exits.DONE
+
+
+def _meant(found: Kernels, what: str, kernel: str) -> tuple[Client, str]:
+    """The kernel, and the component or type as it has it."""
+    path = what if not kernel or "/" in what else f"{kernel}/{what}"
+    known = any(what in one.names["components"] for one in found.running)
+    if ":" not in what and not what.endswith(".py") and ("/" in what or known):
+        one = found.component(path)
+        return one.client, one.component
+    if not kernel and len(found.running) > 1:
+        there = ", ".join(one.name for one in found.running[:10])
+        raise AmbiguousError(f"{what}: no component has this name; for a type say which kernel: --kernel {there}")
+    return found.kernel(kernel).client, absolute(what)

@@ -11,6 +11,7 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.curve import Curve
+from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of, json_option, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import report
@@ -23,11 +24,9 @@ _BATCH: Final = 64
 
 @click.command("print", short_help="Print the samples of an out-port that runs.")
 @click.argument("port", metavar="COMPONENT.PORT[.FIELD]", shell_complete=complete)
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N samples.")
-@click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds.")
 @click.option("--plot", is_flag=True, help="Draw a number of the samples as a curve.")
-@click.option("--json", "as_json", is_flag=True, hidden=True, help="Lines are JSON anyhow.")
-def print_(port: str, count: int | None, duration: float | None, plot: bool, as_json: bool) -> int:
+@following_options("samples", "sample; lines are that anyhow")
+def print_(port: str, count: int | None, duration: float | None, plot: bool, timeout: float, as_json: bool) -> int:
     """Print the samples of an out-port as JSON lines, as filters do: they can be piped into filters and `inject`.
 
     With FIELD, only its value is printed. What this terminal does not take in time is dropped, counted and said on
@@ -36,17 +35,17 @@ def print_(port: str, count: int | None, duration: float | None, plot: bool, as_
     --plot draws the first number of the samples, or FIELD, over time.
     """
     until = None if duration is None else time.monotonic() + duration
-    with kernels() as found:
-        client, path, field = _port(found.find(port), port)
+    with kernels(timeout) as found:
+        one = found.find(port)
+        client, path, field = _port(one, port)
         stream = client.stream("tap", port=path)
-        items = _first(_items(stream, until), count)
+        hint(f"{one.running.name}/{path}: samples from now on; Ctrl-C ends")
+        items = followed(_items(stream, until), one.running, count)
         if plot:
             _draw(items, stream, f"{path}.{field}" if field else path, field)
         else:
             for item in items:
                 _show(item, stream.began, field)
-        if isinstance(stream.result, str):
-            report("E-CLOSED", stream.result)
         if stream.missed:
             report("W-DROPPED", f"{path}: {stream.missed} samples were dropped on the way to this terminal")
     return exits.DONE
@@ -63,18 +62,11 @@ def _port(found: Any, word: str) -> tuple[Client, str, str]:
 
 
 def _items(stream: Stream, until: float | None) -> Iterator[Mapping[str, Any]]:
-    for item in stream.until(until):
+    for item in items_of(stream, until):
         if "error" in item:
             report("E-RECORD", f"{stream.began['port']}: {item['error']}")
             continue
         yield item
-
-
-def _first(items: Iterator[Mapping[str, Any]], count: int | None) -> Iterator[Mapping[str, Any]]:
-    for number, item in enumerate(items, 1):
-        yield item
-        if number == count:
-            return
 
 
 def _show(item: Mapping[str, Any], began: Mapping[str, Any], field: str) -> None:
@@ -135,8 +127,8 @@ def _number(value: Any) -> float | None:
     "--full", type=click.Choice(["reject", "overwrite", "block"]), default="block", help="When there is no room."
 )
 @click.option("--length", type=click.IntRange(min=1), default=8, help="Samples that wait for the reader.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=5.0, metavar="S", help="Wait S seconds for room.")
-@click.option("--json", "as_json", is_flag=True, help="Print the counts as one JSON document.")
+@timeout_option(5.0, "Wait S seconds for room")
+@json_option("Print the counts as one JSON document.")
 def inject(
     port: str,
     value: str | None,
@@ -158,7 +150,7 @@ def inject(
       aiorts print plant0.output | aiorts inject logger0.input
     """
     written = refused = 0
-    with kernels() as found:
+    with kernels(changing=True) as found:
         client, path, field = _port(found.find(port), port)
         if field:
             raise AbsentError(f"{port}: samples are written whole; name the in-port, {path}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from itertools import chain
@@ -10,10 +11,11 @@ from typing import Any, Final
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of, named, say_done
 from aiorts.cli.commands.live.target import Found, Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, say_line, say_now, table
 from aiorts.control import Stream
-from aiorts.errors import AmbiguousError, ControlError
+from aiorts.errors import AmbiguousError
 
 LEVELS: Final = ("debug", "info", "warning", "error", "critical")
 
@@ -24,31 +26,42 @@ LEVELS: Final = ("debug", "info", "warning", "error", "critical")
 @click.option("--level", type=click.Choice(LEVELS), default="debug", help="Show lines of this level and above.")
 @click.option("--set", "wanted", type=click.Choice(LEVELS), help="Log from this level on; with -f, until it ends.")
 @click.option("--levels", is_flag=True, help="Show from which level on each component logs.")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N lines.")
-@click.option("--json", "as_json", is_flag=True, help="A JSON object in a line for each line.")
+@following_options("lines", "line")
 def vlog(
-    names: tuple[str, ...], follow: bool, level: str, wanted: str | None, levels: bool, count: int | None, as_json: bool
+    names: tuple[str, ...],
+    follow: bool,
+    level: str,
+    wanted: str | None,
+    levels: bool,
+    count: int | None,
+    duration: float | None,
+    timeout: float,
+    as_json: bool,
 ) -> int:
     """Show the last lines that components logged: the last 16 of each, of the levels that they log.
 
     Without a name it is the only kernel that runs, with all its components. --set changes from which level on they log;
     lines below it are not made at all. What a slow terminal does not take is dropped and counted.
     """
-    with kernels() as found:
-        running, components = _meant([one for word in names for one in found.all(word)], found.kernel)
+    until = None if duration is None else time.monotonic() + duration
+    with kernels(timeout, changing=wanted is not None) as found:
+        running, components = _meant([one for word in names for one in found.all(word, bare=True)], found.kernel)
         client = running.client
         if wanted is not None:
             client.call("log_level", level=wanted, components=components, lasting=not follow)
         if levels:
             _show_levels(client.call("log_levels", components=components), as_json=as_json)
-        if levels or (wanted is not None and not follow):
+        if levels:
             return exits.DONE
+        if wanted is not None and not follow:
+            return say_done((f"{running.name}/{one}" for one in components or ("",)), as_json=as_json)
         stream = client.stream("log", components=components, level=level, follow=follow)
-        for number, line in enumerate(chain(stream.began, stream), 1):
+        if not stream.began:
+            hint(f"{running.name}: nothing was logged yet{'; lines come from now on, Ctrl-C ends' if follow else ''}")
+        came = items_of(stream, until) if follow else stream
+        for line in followed(chain(stream.began, came), running, count):
             _show_missed(stream, as_json=as_json)
             _show(line, as_json=as_json)
-            if number == count:
-                break
         _show_missed(stream, as_json=as_json)
     return exits.DONE
 
@@ -60,8 +73,7 @@ def _meant(found: list[Found], kernel: Any) -> tuple[Running, list[str]]:
     if len({one.client for one in found}) > 1:
         raise AmbiguousError(f"{', '.join(one.full for one in found[:10])}: of several kernels; name those of one")
     for one in found:
-        if one.port:
-            raise ControlError(f"{one.full}: a component has a log, {one.port!r} of it has none")
+        one.check("component", "kernel")
     return found[0].running, [one.component for one in found if one.component]
 
 
@@ -86,6 +98,6 @@ def _show_missed(stream: Stream, *, as_json: bool) -> None:
 
 def _show_levels(found: Mapping[str, Mapping[str, Any]], *, as_json: bool) -> None:
     if as_json:
-        say_json(found)
+        say_json(named(found))
     else:
         say(table([(name, one["level"], f"{one['lines']} lines") for name, one in found.items()], indent=""))

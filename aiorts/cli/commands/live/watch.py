@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of
 from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.control import Stream
@@ -19,10 +20,10 @@ _LONGEST = 80
 @click.command(short_help="Print what happens in a kernel: states, connections, errors.")
 @click.argument("kernel", default="", shell_complete=complete_kernels)
 @click.option("--kind", "kinds", multiple=True, metavar="NAME", help="Only events of this kind; repeatable.")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N events.")
-@click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="A JSON object in a line for each event.")
-def watch(kernel: str, kinds: tuple[str, ...], count: int | None, duration: float | None, as_json: bool) -> int:
+@following_options("events", "event")
+def watch(
+    kernel: str, kinds: tuple[str, ...], count: int | None, duration: float | None, timeout: float, as_json: bool
+) -> int:
     """Print each event of the kernel's bus as it happens: `aiorts help events` has the kinds.
 
     Without a name it is the only kernel that runs. Where this end is too slow, a line says how many events are missing.
@@ -31,16 +32,16 @@ def watch(kernel: str, kinds: tuple[str, ...], count: int | None, duration: floa
     import time
 
     until = None if duration is None else time.monotonic() + duration
-    with kernels() as found:
-        stream = found.kernel(kernel.rstrip("/")).client.stream("events", kinds=kinds)
-        for number, item in enumerate(stream.until(until), 1):
+    with kernels(timeout) as found:
+        running = found.kernel(kernel.rstrip("/"))
+        stream = running.client.stream("events", kinds=kinds)
+        hint(f"{running.name}: {', '.join(kinds) or 'events'} from now on; Ctrl-C ends")
+        for item in followed(items_of(stream, until), running, count):
             _show_missed(stream, as_json=as_json)
             if as_json:
                 say_line(item)
             else:
                 say_now(_text(item))
-            if number == count:
-                break
         _show_missed(stream, as_json=as_json)
     return exits.DONE
 

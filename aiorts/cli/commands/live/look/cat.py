@@ -7,6 +7,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.look.describing import text_of
 from aiorts.cli.commands.live.look.named import named
+from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
 from aiorts.cli.console.output import say, say_json
 
@@ -14,8 +15,8 @@ from aiorts.cli.console.output import say, say_json
 @click.command(short_help="Show a component, port, connector, context or kernel that runs.")
 @click.argument("names", nargs=-1, required=True, metavar="NAME...", shell_complete=complete)
 @click.option("-l", "--long", "long", is_flag=True, help="With all there is: options, documentation, the last log.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=1.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document: a list of parts of the profile.")
+@timeout_option(1.0)
+@json_option("One JSON document: a list of parts of the profile.")
 def cat(names: tuple[str, ...], long: bool, timeout: float, as_json: bool) -> int:
     """Show everything worth knowing of what runs: state, ports, parameters in force, connectors with what was dropped.
 

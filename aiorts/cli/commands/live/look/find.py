@@ -4,25 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, Final
 
 import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.look.named import outlines
+from aiorts.cli.commands.live.showing import json_option, mute, timeout_option
 from aiorts.cli.commands.live.target import Running, complete_kernels, kernels
 from aiorts.cli.console.output import say, say_json
 from aiorts.cli.console.report import report
+from aiorts.model.lifecycle import LifecycleState
+
+_STATES: Final = (*(state.value for state in LifecycleState), "failed")
 
 
 @click.command(short_help="Find components and ports among what runs.")
 @click.argument("kernel", default="", metavar="[KERNEL]", shell_complete=complete_kernels)
 @click.option("--name", metavar="GLOB", help="Components of this name.")
 @click.option("--type", "kind", metavar="GLOB", help="Components of this type: Class or module:Class.")
-@click.option("--state", metavar="STATE", help="Components in this state in a context, as ls -l shows it; or failed.")
+@click.option(
+    "--state",
+    type=click.Choice(_STATES, case_sensitive=False),
+    help="Components in this state in a context, or failed.",
+)
 @click.option("--port-type", metavar="GLOB", help="Ports of this type, of these components.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=1.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(1.0)
+@json_option()
 def find(
     kernel: str,
     name: str | None,
@@ -46,13 +54,13 @@ def find(
             for one in searched
             for path, about in _fitting(one, name, kind, state, port_type)
         ]
-        silent = [one.entry.name for one in found.silent if not kernel]
+        silent = [] if kernel else mute(found)
     if as_json:
         say_json({"found": fitting, "no_answer": silent})
     elif fitting:
         say("\n".join(str(one["name"]) for one in fitting))
-    for mute in silent:
-        report("E-NO-ANSWER", f"{mute}: no answer; what is in it is not known")
+    for one in silent:
+        report("E-NO-ANSWER", f"{one['name']}: no answer; what is in it is not known")
     if silent:
         return exits.NO_ANSWER
     return exits.DONE if fitting else exits.FAILED
@@ -67,7 +75,7 @@ def _fitting(
         if (
             (name is not None and not fnmatchcase(component, name))
             or (kind is not None and not _is_type(outline["type"], kind))
-            or (state is not None and state.lower() not in known)
+            or (state is not None and state not in known)
         ):
             continue
         if port_type is None:

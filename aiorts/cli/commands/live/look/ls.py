@@ -8,8 +8,10 @@ from typing import Any
 import click
 
 from aiorts import exits
-from aiorts.cli.commands.live.look.named import Named, named, outlines
-from aiorts.cli.commands.live.target import Kernels, Running, complete, kernels
+from aiorts.cli.commands.live.look.named import Named, outlines
+from aiorts.cli.commands.live.look.named import named as meant_by
+from aiorts.cli.commands.live.showing import json_option, mute, named, say_silent, timeout_option
+from aiorts.cli.commands.live.target import Running, complete, kernels
 from aiorts.cli.console.output import say, say_json, table
 
 
@@ -17,8 +19,8 @@ from aiorts.cli.console.output import say, say_json, table
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=complete)
 @click.option("-l", "--long", "long", is_flag=True, help="With the state of each component, and its contexts.")
 @click.option("-R", "--recursive", "ports", is_flag=True, help="With the ports of each component.")
-@click.option("--timeout", type=click.FloatRange(min=0.001), default=1.0, metavar="S", help="Wait S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document.")
+@timeout_option(1.0)
+@json_option()
 def ls(names: tuple[str, ...], long: bool, ports: bool, timeout: float, as_json: bool) -> int:
     """List what runs: every kernel of this user that can be reached, and its components; of a component its ports.
 
@@ -28,26 +30,19 @@ def ls(names: tuple[str, ...], long: bool, ports: bool, timeout: float, as_json:
     """
     with kernels(timeout) as found:
         every = [Named(one, "kernel", "") for one in found.running]
-        shown = [one for word in names for one in named(found, word)] if names else every
+        shown = [one for word in names for one in meant_by(found, word)] if names else every
         shown = list({one.full: one for one in shown}.values())
         if as_json:
             say_json({
                 "kernels": [_document(one, shown, ports=ports) for one in found.running if _is_of(one, shown)],
-                "no_answer": [one.entry.name for one in found.silent],
+                "no_answer": mute(found),
             })  # fmt: skip
             return exits.DONE
         for one in shown:
             say(_text(one, long=long, ports=ports))
         if not names:
-            _say_silent(found)
+            say_silent(found)
     return exits.DONE
-
-
-def _say_silent(found: Kernels) -> None:
-    for silent in found.silent:
-        say(f"{silent.entry.name}/  {silent.why} (process {silent.entry.pid})")
-    if not found.running and not found.silent:
-        say("nothing runs that can be reached")
 
 
 # -- as JSON -----------------------------------------------------------------------------------------------------------
@@ -60,16 +55,35 @@ def _is_of(running: Running, shown: list[Named]) -> bool:
 def _document(running: Running, shown: list[Named], *, ports: bool) -> dict[str, Any]:
     """A kernel with what is meant of it; ports, where they are asked for, by component."""
     meant = [one for one in shown if one.running is running]
-    names = dict(running.names)
+    names, whole = running.names, any(one.kind == "kernel" for one in meant)
     of = dict.fromkeys(one.name.partition(".")[0] for one in meant if one.kind in ("component", "port"))
-    if not any(one.kind == "kernel" for one in meant):
-        names["components"] = {name: names["components"][name] for name in of}
-        for kind in ("context", "connector"):
-            wanted = {one.name for one in meant if one.kind == kind}
-            names[f"{kind}s"] = {name: one for name, one in names[f"{kind}s"].items() if name in wanted}
-    if ports or of:
-        names["outlines"] = outlines(running, *(() if ports else of)) if names["components"] else {}
-    return {"kernel": running.name, "pid": running.client.entry.pid, **names}
+    components = names["components"] if whole else of
+    wanted = {kind: [one.name for one in meant if one.kind == kind] for kind in ("context", "connector")}
+    asked = components if ports else of
+    inside = outlines(running, *asked) if asked else {}
+    return {
+        "name": running.name,
+        "pid": running.client.entry.pid,
+        "state": names["state"],
+        "components": [_component(names, name, inside.get(name)) for name in components],
+        "contexts": [
+            {"name": name, "members": members}
+            for name, members in names["contexts"].items()
+            if whole or name in wanted["context"]
+        ],
+        "connectors": [
+            {"name": name, "ports": ends}
+            for name, ends in names["connectors"].items()
+            if whole or name in wanted["connector"]
+        ],
+    }
+
+
+def _component(names: Mapping[str, Any], name: str, outline: Mapping[str, Any] | None) -> dict[str, Any]:
+    found = {"name": name, "states": names["components"][name], "failed": name in names["in_error"]}
+    if outline is not None:
+        found |= {"type": outline["type"], "ports": named(outline["ports"]), "params": outline["params"]}
+    return found
 
 
 # -- as text -----------------------------------------------------------------------------------------------------------

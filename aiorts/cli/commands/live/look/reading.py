@@ -12,7 +12,7 @@ import click
 from aiorts.cli.commands.live.look.named import Named, named
 from aiorts.cli.commands.live.target import is_file, kernels, the_one
 from aiorts.control import entries
-from aiorts.errors import AbsentError, AiortsError, AmbiguousError, ControlError, NoAnswerError
+from aiorts.errors import AbsentError, AiortsError, AmbiguousError, NoAnswerError
 
 if TYPE_CHECKING:
     from aiorts.observe import SystemProfile
@@ -34,9 +34,8 @@ def profiles_of(word: str, count: int = 1) -> tuple[str, list[SystemProfile]]:
     """The name of the kernel that a word means, and as many profiles of it, `BETWEEN` seconds apart.
 
     Raises:
-        AbsentError: nothing that runs has the name.
+        AbsentError: nothing that runs has the name, or it is a part of a kernel.
         AmbiguousError: several things have it.
-        ControlError: it is a part of a kernel.
         NoAnswerError: the kernel does not answer.
     """
     from aiorts.observe import SystemProfile, profile_from_plain
@@ -48,7 +47,7 @@ def profiles_of(word: str, count: int = 1) -> tuple[str, list[SystemProfile]]:
         except AbsentError as error:
             raise type(error)(f"{error}; a file is written as ./{word} or with its ending") from None
         if one.kind != "kernel":
-            raise ControlError(f"{word}: is a {one.kind}, and no system; write its kernel: {one.running.name}/")
+            raise AbsentError(f"{word}: is a {one.kind}, and no system; write its kernel: {one.running.name}/")
         for number in range(count):
             if number:
                 time.sleep(BETWEEN)

@@ -12,10 +12,11 @@ from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
 from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
 from aiorts.cli.commands.live.measure.spans import span_plain, span_text
+from aiorts.cli.commands.live.showing import following_options, has_ended
 from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
-from aiorts.errors import AbsentError
+from aiorts.errors import ClosedError
 
 Show = Callable[[Counters], bool]
 """Prints what a reading says; False where it says nothing yet."""
@@ -27,9 +28,7 @@ def _of_edges(command: Callable[..., int]) -> Any:
     """What the three have in common: a name, and how long and how often they print."""
     made: Any = command
     for option in (
-        click.option("--json", "as_json", is_flag=True, help="A JSON object in a line instead of text."),
-        click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N intervals."),
-        click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds."),
+        following_options("intervals", "interval of a connector"),
         click.option(
             "--interval",
             type=click.FloatRange(min=0.01, max=3600.0),
@@ -48,36 +47,34 @@ def _follow(
     interval: float,
     duration: float | None,
     count: int | None,
+    timeout: float,
     begin: Callable[[Running, tuple[Edge, ...]], Show],
     *,
     timed: bool = False,
 ) -> int:
     """Read the counters of what a name means until it is enough, or the kernel ends."""
-    with kernels() as found:
+    with kernels(timeout) as found:
         running, meant = find_edges(found, name)
         show = begin(running, meant)
         names = [edge.name for edge in meant]
         until = None if duration is None else time.monotonic() + duration
         shown = 0
         chosen = {"connectors": names, "contexts": [], "components": [], "timed": names if timed else []}
-        for now in readings(running.client, interval, **chosen):
-            if not now["connectors"]:
-                raise AbsentError(f"{name}: was disconnected")
-            shown += show(now)
-            if shown == count or (until is not None and time.monotonic() >= until):
-                return exits.DONE
-    return has_ended(running.name, shown, count)
-
-
-def has_ended(kernel: str, shown: int, count: int | None) -> int:
-    """Say that a kernel has ended; the exit status: whether what was asked for was shown before."""
-    say(f"aiorts: {kernel}: has ended")
-    return exits.DONE if shown and count is None else exits.FAILED
+        try:
+            for now in readings(running.client, interval, **chosen):
+                if not now["connectors"]:
+                    raise ClosedError(f"{name}: was disconnected")
+                shown += show(now)
+                if shown == count or (until is not None and time.monotonic() >= until):
+                    break
+        except ClosedError as error:
+            return has_ended(running, error, shown, count)
+    return exits.DONE
 
 
 @click.command(short_help="Show how many samples pass a connector or port each second.")
 @_of_edges
-def hz(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
+def hz(name: str, interval: float, duration: float | None, count: int | None, timeout: float, as_json: bool) -> int:
     """Show the rate of a connector, or of each connector of a port: since the start, and its least, greatest and
     standard deviation over the intervals. Names are COMPONENT.PORT, 'A.OUT->B.IN' or the connector's own.
 
@@ -99,12 +96,12 @@ def hz(name: str, interval: float, duration: float | None, count: int | None, as
 
         return show
 
-    return _follow(name, interval, duration, count, begin)
+    return _follow(name, interval, duration, count, timeout, begin)
 
 
 @click.command(short_help="Show how many bytes pass a connector or port each second.")
 @_of_edges
-def bw(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
+def bw(name: str, interval: float, duration: float | None, count: int | None, timeout: float, as_json: bool) -> int:
     """Show the bytes a second of a connector, or of each connector of a port: its rate in the interval, multiplied by
     the encoded size of one sample. Names are as those of `aiorts hz`.
 
@@ -132,12 +129,12 @@ def bw(name: str, interval: float, duration: float | None, count: int | None, as
 
         return show
 
-    return _follow(name, interval, duration, count, begin)
+    return _follow(name, interval, duration, count, timeout, begin)
 
 
 @click.command(short_help="Show how long samples are on their way, and how old they are.")
 @_of_edges
-def delay(name: str, interval: float, duration: float | None, count: int | None, as_json: bool) -> int:
+def delay(name: str, interval: float, duration: float | None, count: int | None, timeout: float, as_json: bool) -> int:
     """Show latency (from the write to the read) and age (when read, by the time stamp) of the last 1,000 samples of a
     connector, or of each connector of a port: median, 99th percentile, maximum. Names are as those of `aiorts hz`.
 
@@ -165,7 +162,7 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
 
         return show
 
-    return _follow(name, interval, duration, count, begin, timed=True)
+    return _follow(name, interval, duration, count, timeout, begin, timed=True)
 
 
 _TIMED: Final = ("latency", "age")

@@ -9,22 +9,22 @@ from math import sqrt
 from typing import Any
 
 from aiorts.control import Client
-from aiorts.errors import ClosedError
 
 Counters = Mapping[str, Any]
 """What the operation `statistics` says."""
 
 
 def readings(client: Client, interval: float, **chosen: object) -> Iterator[Counters]:
-    """The counters, `interval` real seconds apart, until the kernel ends."""
+    """The counters, `interval` real seconds apart.
+
+    Raises:
+        ClosedError: the kernel has ended.
+    """
     due = time.monotonic()
-    try:
-        while True:
-            yield client.call("statistics", **chosen)
-            due = max(due + interval, time.monotonic())
-            rest(client, due)
-    except ClosedError:
-        return
+    while True:
+        yield client.call("statistics", **chosen)
+        due = max(due + interval, time.monotonic())
+        rest(client, due)
 
 
 def rest(client: Client, until: float) -> None:

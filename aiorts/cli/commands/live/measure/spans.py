@@ -13,9 +13,9 @@ def span_text(ns: float) -> str:
     return f"{ns:.0f} ns"
 
 
-def span_plain(spans: Sequence[int] | None) -> dict[str, float] | None:
-    """What the kernel says of the spans it has taken, in seconds."""
+def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
+    """What the kernel says of the spans it has taken, in nanoseconds."""
     if spans is None:
         return None
     count, p50, p99, most = spans
-    return {"samples": count, "p50": p50 / 1e9, "p99": p99 / 1e9, "max": most / 1e9}
+    return {"samples": count, "p50_ns": p50, "p99_ns": p99, "max_ns": most}

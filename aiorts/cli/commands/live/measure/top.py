@@ -11,12 +11,12 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.edges import edges
-from aiorts.cli.commands.live.measure.rates import has_ended
 from aiorts.cli.commands.live.measure.readings import Counters, rest
 from aiorts.cli.commands.live.measure.screen import Ended, Screen, usable
 from aiorts.cli.commands.live.measure.table import KINDS, SORTS, Tables, View, screen_of, tables, text_of
+from aiorts.cli.commands.live.showing import following_options, has_ended
 from aiorts.cli.commands.live.target import Running, complete, kernels
-from aiorts.cli.console.output import say_line, say_now
+from aiorts.cli.console.output import counted, say_line, say_now
 from aiorts.cli.console.report import printed
 from aiorts.errors import ClosedError, NoAnswerError
 
@@ -38,19 +38,16 @@ _ORDERS: Final = {one[0]: one for one in SORTS}
 @click.option("--filter", "text", default="", metavar="TEXT", help="Only what has TEXT in its name.")
 @click.option("--sort", type=click.Choice(SORTS), default="name", help="The greatest first; by name by default.")
 @click.option("--only", type=click.Choice(KINDS), help="One of the three tables.")
-@click.option("--once", is_flag=True, help="Print the tables once, after an interval.")
-@click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N intervals.")
-@click.option("--for", "duration", type=click.FloatRange(min=0.001), metavar="S", help="End after S seconds.")
-@click.option("--json", "as_json", is_flag=True, help="A JSON object in a line for each interval.")
+@following_options("intervals", "interval")
 def top(
     kernel: str,
     interval: float,
     text: str,
     sort: str,
     only: str | None,
-    once: bool,
     count: int | None,
     duration: float | None,
+    timeout: float,
     as_json: bool,
 ) -> int:
     """Watch what runs: rate, drops by reason and unread samples of each connector, latency where `measure` is on;
@@ -64,12 +61,11 @@ def top(
     second of that time. It ends with the kernel.
     """
     view = View((only,) if only else KINDS, sort, text=text)
-    count = 1 if once else count
     until = None if duration is None else time.monotonic() + duration
-    with kernels() as found:
+    with kernels(timeout) as found:
         running = found.kernel(kernel.rstrip("/"))
         watch = _Watch(running)
-        live = not (once or as_json) and usable()
+        live = not (count == 1 or as_json) and usable()
         shown = 0
         try:
             if live:
@@ -85,8 +81,8 @@ def top(
                     return exits.DONE
                 due = max(due + interval, time.monotonic())
                 rest(running.client, due)
-        except ClosedError:
-            return has_ended(running.name, shown or (live and watch.now is not None), count)
+        except ClosedError as error:
+            return has_ended(running, error, shown, None if live else count)
         except Ended as ended:
             return exits.of_signal(ended.number)
 
@@ -159,7 +155,7 @@ class _Watch:
         parts = [
             self.name,
             f"simulated {self.now['at_ns'] / 1e9:.1f} s" if self.now["simulated"] else time.strftime("%H:%M:%S"),
-            f"{len(wires)} connectors",
+            counted(len(wires), "connector"),
             f"{sum(rates):.0f} samples/s" if rates or not wires else "",
             f"{lost} dropped",
             f"{sum(row.plain['failed'] for row in found['components'])} failed",

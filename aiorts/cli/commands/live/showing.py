@@ -1,0 +1,154 @@
+"""What commands for what runs have in common: options, JSON documents, what is said where nothing is to be seen."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, TypeVar
+
+import click
+
+from aiorts import exits
+from aiorts.cli.console.output import say, say_json
+from aiorts.cli.console.report import say as tell
+from aiorts.control import Kernels, Running, Stream
+from aiorts.errors import AbsentError, ClosedError
+
+C = TypeVar("C", bound=Callable[..., Any])
+T = TypeVar("T")
+_SECONDS: Final = click.FloatRange(min=0.001)
+
+
+def timeout_option(seconds: float, what: str = "Wait S seconds", flag: str = "--timeout") -> Callable[[C], C]:
+    """--timeout S."""
+    return click.option(
+        flag,
+        type=_SECONDS,
+        default=seconds,
+        metavar="S",
+        help=f"{what}; {seconds:g} by default.",
+    )
+
+
+def json_option(text: str = "One JSON document.") -> Callable[[C], C]:
+    """--json."""
+    return click.option("--json", "as_json", is_flag=True, help=text)
+
+
+def following_options(what: str, line: str) -> Callable[[C], C]:
+    """Those of a command that goes on: --count, --once and --for say when it ends, --timeout and --json are as ever.
+
+    Args:
+        what: it prints.
+        line: for what a line of --json is.
+    """
+
+    def add(command: C) -> C:
+        for option in (
+            json_option(f"A JSON object in a line for each {line}."),
+            timeout_option(1.0, "Wait S seconds for the kernel to answer"),
+            click.option("--for", "duration", type=_SECONDS, metavar="S", help="End after S seconds."),
+            click.option("--once", "count", flag_value=1, type=int, help="The same as --count 1."),
+            click.option("--count", type=click.IntRange(min=1), metavar="N", help=f"End after N {what}."),
+        ):
+            command = option(command)
+        return command
+
+    return add
+
+
+# -- documents ---------------------------------------------------------------------------------------------------------
+
+
+def say_done(names: Iterable[str], *, as_json: bool) -> int:
+    """Say to which things something was done, where a document is asked for; the exit status."""
+    if as_json:
+        say_json({"done": [{"name": name} for name in names]})
+    return exits.DONE
+
+
+def named(things: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Things by name as documents have them: a list of objects, each with its name."""
+    return [{"name": name, **about} for name, about in things.items()]
+
+
+def say_kernels(
+    found: Kernels,
+    kind: str,
+    listed: Mapping[str, list[dict[str, Any]]],
+    text: Callable[[list[dict[str, Any]]], str],
+    *,
+    as_json: bool,
+    silent: bool = True,
+) -> int:
+    """Print what each kernel has of a kind, and which kernels do not answer; the exit status."""
+    if as_json:
+        say_json(
+            {"kernels": named({name: {kind: things} for name, things in listed.items()}), "no_answer": mute(found)}
+        )
+        return exits.DONE
+    for name, things in listed.items():
+        say("\n".join(filter(None, (f"{name}/", text(things)))))
+    if silent:
+        say_silent(found)
+    return exits.DONE
+
+
+def mute(found: Kernels) -> list[dict[str, Any]]:
+    """The kernels that do not answer, as documents have them."""
+    return [{"name": one.entry.name, "pid": one.entry.pid, "why": one.why} for one in found.silent]
+
+
+def say_silent(found: Kernels) -> None:
+    """Print which kernels do not answer, and that none runs where none does."""
+    for one in found.silent:
+        say(f"{one.entry.name}/  {one.why} (process {one.entry.pid})")
+    if not found.running and not found.silent:
+        say("nothing runs that can be reached")
+
+
+# -- what goes on ------------------------------------------------------------------------------------------------------
+
+
+def hint(text: str) -> None:
+    """Tell a person on standard error why there is nothing to be seen; a program is told nothing."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        tell(f"aiorts: {text}")
+
+
+def followed(items: Iterator[T], running: Running, count: int | None) -> Iterator[T]:
+    """The items, `count` of them where it is given, until what gives them has ended, which is said.
+
+    Raises:
+        AbsentError: `count` were asked for, and fewer have come.
+    """
+    number = 0
+    try:
+        for item in items:
+            number += 1
+            yield item
+            if number == count:
+                return
+    except ClosedError as error:
+        has_ended(running, error, number, count)
+
+
+def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
+    """What comes of a stream before a time of `time.monotonic()`.
+
+    Raises:
+        ClosedError: the stream has ended, or its kernel.
+    """
+    yield from stream.until(until)
+    if stream.ended:
+        raise ClosedError(stream.result or f"{stream.client.entry.name}: has ended")
+
+
+def has_ended(running: Running, error: ClosedError, number: int, count: int | None) -> int:
+    """Say that a kernel, or a part of it, has ended while it was followed; the exit status. Raises as `followed`."""
+    entry = running.client.entry
+    text = str(error).removeprefix(entry.address.removesuffix(entry.name))
+    if count is not None:
+        raise AbsentError(f"{text}; {number} of {count} have come")
+    tell(f"aiorts: {text}")
+    return exits.DONE
