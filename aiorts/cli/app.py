@@ -76,6 +76,7 @@ _DELIVERED: Final = {
     "aiorts_bench.cli:bench": "Measure this machine: push policies, contexts, scale and more.",
     "aiorts_foxglove.command:foxglove": "Show what runs in Foxglove.",
     "aiorts_log.commands.command:log": "Recordings: look, convert, compare, draw, salvage.",
+    "aiorts_log.commands.record_command:record": "Record samples of what runs.",
 }
 """One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""
 _EXTENSION: Final = "aiorts.extension"

@@ -187,6 +187,7 @@ class Stream:
         self._early: list[Mapping[str, Any]] | None = []
         """Messages that came before the operation has said that it began."""
         self._closers: list[Callable[[], object]] = []
+        self._finish: Callable[[], object] = _nothing
 
     @property
     def has_room(self) -> bool:
@@ -196,6 +197,10 @@ class Stream:
     def on_close(self, closer: Callable[[], object]) -> None:
         """Call `closer` once when the stream ends, whoever ends it."""
         self._closers.append(closer)
+
+    def on_finish(self, flush: Callable[[], object]) -> None:
+        """Call `flush` before the stream ends in order: it may send what still waits."""
+        self._finish = flush
 
     def send(self, item: Any) -> bool:
         """Send an item; False when it was dropped, since `WAITING` items wait: the next that goes says how many."""
@@ -222,6 +227,7 @@ class Stream:
     def finish(self, result: Any = None) -> None:
         """Tell the client that there are no more items."""
         if not self.ended:
+            self._finish()
             self.close()
             self._pass({"id": self._number, "end": result, "missed": self._missed})
 

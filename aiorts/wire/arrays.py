@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 
 # Codes are part of the format: append, never renumber.
-_ELEMENTS = ("bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f16", "f32", "f64", "c64", "c128")
-_CODES = {name: code for code, name in enumerate(_ELEMENTS, start=1)}
+ELEMENTS = ("bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f16", "f32", "f64", "c64", "c128")
+_CODES = {name: code for code, name in enumerate(ELEMENTS, start=1)}
 _HEADS = tuple(struct.Struct(f"<BB6x{dimensions}Q") for dimensions in range(MAX_DIMENSIONS + 1))
 _LONGEST = 2**62
 
@@ -45,16 +45,16 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
     if len(data) < 8:
         raise WireError(f"{where}: expected the head of an array, 8 bytes or more, got {len(data)}")
     code, dimensions = data[0], data[1]
-    if not 1 <= code <= len(_ELEMENTS) or dimensions > MAX_DIMENSIONS or data[2:8] != b"\0\0\0\0\0\0":
+    if not 1 <= code <= len(ELEMENTS) or dimensions > MAX_DIMENSIONS or data[2:8] != b"\0\0\0\0\0\0":
         raise WireError(
-            f"{where}: expected an element code 1..{len(_ELEMENTS)}, at most {MAX_DIMENSIONS} dimensions, six zeros; "
+            f"{where}: expected an element code 1..{len(ELEMENTS)}, at most {MAX_DIMENSIONS} dimensions, six zeros; "
             f"got {data[:8]!r}"
         )
     head = _HEADS[dimensions]
     if len(data) < head.size:
         raise WireError(f"{where}: expected {dimensions} lengths, got {len(data) - 8} bytes of them")
     shape = head.unpack_from(data)[2:]
-    element = _ELEMENTS[code - 1]
+    element = ELEMENTS[code - 1]
     dtype = DTYPES[element]
     size = math.prod(shape) * int(dtype[1:])
     if size != len(data) - head.size or any(length > _LONGEST for length in shape):

@@ -13,20 +13,18 @@ from weakref import WeakKeyDictionary
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.tools import Tools
-from aiorts.control.protocol import Made
+from aiorts.control.protocol import WAITING, Made
 from aiorts.control.session import Session, Stream
-from aiorts.errors import AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
+from aiorts.errors import AbsentError, AiortsError, ClosedError, RecordError, WiringError, WriteTimeout
 from aiorts.kernel.loop.bus import ComponentRemoved, PortRemoved
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.late import dataclass
-from aiorts.types import full_name, type_name
-from aiorts.wire import LineReader, MsgpackCodec, split_sample
+from aiorts.types import full_name, has_tm, type_name, wire_name, wire_type
+from aiorts.wire import LineReader, MsgpackCodec, schema_text, split_sample
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
 
-_WAITING: Final = 64
-"""Samples that a tap holds until the loop has its turn."""
 _LINES: Final = 1_000
 """Lines that one call may inject."""
 
@@ -50,6 +48,24 @@ class Tap:
     """The short name."""
     full_type: str
     unit: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class TypeNamed:
+    """A type of samples."""
+
+    type: str
+    """As frames name it, or the full name."""
+
+
+@dataclass(frozen=True, slots=True)
+class TypeSchema:
+    """What explains the frames of a type to who does not have it."""
+
+    type: str
+    """As frames name it."""
+    schema: str
+    """A JSON Schema, as recordings have it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +102,19 @@ class _Sample(Made):
     def message(self) -> Any:
         try:
             if self._frames:
-                return {"time_ns": self._time_ns, "frame": MsgpackCodec().encode(self._sample)}
+                frame = MsgpackCodec().encode(self._sample)
+                return {"time_ns": self._time_ns, "tm": _stamp(self._sample), "frame": frame}
             tm, data = split_sample(self._sample)
         except (AiortsError, ValueError, TypeError) as error:
             return {"time_ns": self._time_ns, "error": str(error)}
         return {"time_ns": self._time_ns, "tm": tm, "data": data}
+
+
+def _stamp(sample: Any) -> int | None:
+    """The time stamp of a sample in nanoseconds; None where its type has none."""
+    if not has_tm(type(sample)):
+        return None
+    return sample.tm if type(sample.tm) is int else int(sample.tm.ns)
 
 
 def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
@@ -127,16 +151,22 @@ def _tap(session: Session, given: Tapped, stream: Stream) -> Tap:
             due = True
             loop.call_soon(send)
 
-    connector = kernel.service(Tools).tap(session.who, out, take, length=_WAITING)
+    connector = kernel.service(Tools).tap(session.who, out, take, length=WAITING)
 
     def end(why: str) -> None:
-        send()
         stream.finish(f"{given.port}: {why}")
 
     stream.on_close(connector.close)
-    stream.on_close(lambda: stream.miss(len(drained())))  # before the connector is closed
+    stream.on_finish(send)
     stream.on_close(_when_removed(session, given.port, end))
     return Tap(out.path, type_name(out.type), full_name(out.type), out.unit)
+
+
+def _schema(_: Session, given: TypeNamed) -> TypeSchema:
+    cls = wire_type(given.type)
+    if cls is None:
+        raise AbsentError(f"{given.type:.200}: no type of samples has this name here")
+    return TypeSchema(wire_name(cls), schema_text(cls))
 
 
 _INJECTORS: Final[WeakKeyDictionary[Session, dict[str, tuple[Injected, Connector]]]] = WeakKeyDictionary()
@@ -219,5 +249,8 @@ def _when_removed(session: Session, path: str, call: Callable[[str], object]) ->
 
 ROWS: Final = (
     Operation("inject", "Write samples to an in-port.", Injected, Written, Right.OPERATE, _inject),
+    Operation(
+        "schema", "What explains the frames of a type.", TypeNamed, TypeSchema, Right.VIEW, _schema, idempotent=True
+    ),
     Operation("tap", "Stream the samples of an out-port.", Tapped, Tap, Right.VIEW, _tap, streams=True),
 )

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 from aiorts.errors import AiortsError
 from aiorts.types import convert, to_plain
+from aiorts.wire import ELEMENTS
 from aiorts_log.errors import DamagedError
-from aiorts_log.mcap.encodings import ELEMENTS, array_parts, plain_of
+from aiorts_log.mcap.encodings import array_parts, plain_of
 from aiorts_log.mcap.reader import RecordedSample
 
 _ARRAY: Final = {"dtype", "shape", "data"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from typing import Any, Final
 
 import aiorts
@@ -24,6 +25,33 @@ def about_system(kernel: Microkernel, recorder: str, segment: int) -> dict[str, 
         "components": _components(kernel),
         "connections": [_connection(one) for one in list(kernel.connectors.values())[:_MOST]],
     }
+
+
+def about_profile(profile: Mapping[str, Any], recorder: str) -> dict[str, Any]:
+    """The same of a kernel in another process, from its profile as JSON has it."""
+    versions, wires = profile["versions"], list(profile["connectors"].values())
+    return {
+        "kernel": profile["name"],
+        "recorder": recorder,
+        "segment": 1,
+        "begun_ns": profile["clock"]["time_ns"],
+        "clock": profile["clock"]["kind"],
+        "made_by": f"aiorts {versions['aiorts']}, Python {versions['python']}, {platform.node()}",
+        "components": {name: _reported(one) for name, one in profile["components"].items()},
+        "connections": [
+            {
+                "from": wire["source"],
+                "to": wire["target"],
+                **{key: wire["options"][key] for key in ("subscription", "length", "full")},
+            }
+            for wire in wires[:_MOST]
+        ],
+    }
+
+
+def _reported(component: Mapping[str, Any]) -> dict[str, Any]:
+    params = {name: one["value"] for name, one in component["params"].items()}
+    return {"type": component["type"].rpartition(":")[2].rpartition(".")[2], "params": params}
 
 
 def _components(kernel: Microkernel) -> dict[str, Any]:

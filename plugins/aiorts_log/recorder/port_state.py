@@ -13,13 +13,22 @@ from aiorts_log.recorder.weight import weigher
 class PortState:
     """A recorded port with one channel, or more when there are records of subclasses."""
 
-    def __init__(self, name: str, cls: type, metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        name: str,
+        cls: type,
+        metadata: Mapping[str, str],
+        weigh: Callable[[Any], int] | None,
+        *,
+        stamped: bool,
+        mutable: bool,
+    ) -> None:
         self.name = name
         self.cls = cls
         self.metadata = metadata
-        self.weigh = weigher(cls)
-        self.stamped = has_tm(cls)
-        self.mutable = hasattr(cls, "__dataclass_fields__") and not describe(cls).checked
+        self.weigh = weigh
+        self.stamped = stamped
+        self.mutable = mutable
         """Whether a sample can still change: it is of a dataclass that is no record, frozen or not."""
         self.kind: type | None = None
         self.encode: Callable[[Any], bytes] = bytes
@@ -38,6 +47,12 @@ class PortState:
         self.unfit = 0
         """Refused at once, by the thread that offered it."""
         self.stored = 0
+
+    @classmethod
+    def of(cls, name: str, kind: type, metadata: Mapping[str, str]) -> PortState:
+        """The state of a port whose samples are of a type."""
+        mutable = hasattr(kind, "__dataclass_fields__") and not describe(kind).checked
+        return cls(name, kind, metadata, weigher(kind), stamped=has_tm(kind), mutable=mutable)
 
 
 def tally(

@@ -22,7 +22,7 @@ from aiorts.errors import AiortsError, RecordError
 from aiorts.types import check_port_type, snapshot, wire_name
 from aiorts_log.errors import RecordingError
 from aiorts_log.mcap.encodings import encoder, schema_of, splitter
-from aiorts_log.mcap.format import Attachment
+from aiorts_log.mcap.format import Attachment, Schema
 from aiorts_log.mcap.locked_file import Existing, LockedFile, next_part, part_path
 from aiorts_log.mcap.outfile import OutFile
 from aiorts_log.mcap.reader import END_NAME, METADATA_NAME
@@ -123,14 +123,18 @@ class RecordingWriter:
         Raises:
             RecordingError: there is a port of that name for samples of another type.
         """
-        check_port_type(cls)
         known = next((number for number, port in enumerate(self._ports) if port.name == name), None)
         if known is None:
-            self._ports.append(PortState(name, cls, dict(metadata or {})))
+            self._ports.append(self._state(name, cls, dict(metadata or {})))
             return len(self._ports) - 1
         if (other := self._ports[known].cls) is not cls:
             raise RecordingError(f"port {name!r}: is recorded already, as {wire_name(other)}; rename one of them")
         return known
+
+    def _state(self, name: str, cls: type, metadata: Mapping[str, str]) -> PortState:
+        """The state of a new port; DeclarationError if its type cannot travel."""
+        check_port_type(cls)
+        return PortState.of(name, cls, metadata)
 
     def write(self, port: int, record: Any, log_time: int) -> bool:
         """Record a sample; from one thread at a time, never waiting.
@@ -300,13 +304,16 @@ class RecordingWriter:
         """Switch to the channel of a port for records of a class; a subclass has its own, with its own schema."""
         if port.seen is not None:
             port.next[port.channel] = port.sequence
-        name = wire_name(cls)
-        declared = port.cls if name == wire_name(port.cls) else cls  # a snapshot's hidden class is no type of its own
-        schema = schema_of(0, declared, self.options.encoding)
+        schema = self._schema(port, cls)
         channel = self._file.channel_of(port.name, schema, self.options.encoding, port.metadata).id
         self._owners[channel] = port
         port.seen, port.channel = cls, channel
         port.sequence = port.next.get(channel, self._file.counts.get(channel, 0))
+
+    def _schema(self, port: PortState, cls: type) -> Schema:
+        name = wire_name(cls)
+        declared = port.cls if name == wire_name(port.cls) else cls  # a snapshot's hidden class is no type of its own
+        return schema_of(0, declared, self.options.encoding)
 
     def _is_old(self) -> bool:
         is_empty = self._file.builder.is_empty

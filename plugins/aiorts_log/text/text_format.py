@@ -26,9 +26,8 @@ from typing import Any, ClassVar, Final
 import aiorts
 from aiorts.errors import AiortsError, RecordError
 from aiorts.types import describe, to_plain
-from aiorts.wire import json_text
+from aiorts.wire import json_message, json_text
 from aiorts_log.errors import RecordingError
-from aiorts_log.mcap.encodings import message_of
 from aiorts_log.mcap.format import Attachment, BadBytes, Channel, Schema
 from aiorts_log.mcap.outfile import OutFile
 from aiorts_log.mcap.reader import END_NAME
@@ -61,7 +60,7 @@ def text_encode(record: Any) -> bytes:
         values = template[1](record)
         if all(map(math.isfinite, values)):
             return (template[0] % values).encode()
-    data = json_text(message_of(record)).encode()
+    data = json_text(json_message(record)).encode()
     if len(data) > LONGEST - _FRONT:
         raise RecordError(f"{cls.__name__}: a sample of {len(data)} bytes; a line has at most {LONGEST}")
     return data

@@ -1,0 +1,1 @@
+"""Records what runs in another process."""

@@ -1,0 +1,108 @@
+"""Which ports of a kernel are recorded: what words of the command line mean, now and when there are more ports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from typing import Any, Final
+
+from aiorts.control import Kernels, Running, is_glob
+from aiorts.errors import AbsentError, AmbiguousError
+
+_SHOWN: Final = 10
+
+
+class Choice:
+    """The out-ports that words mean.
+
+    Attributes:
+        running: the kernel.
+        exact: the ports that are named one by one: each has to be there.
+    """
+
+    def __init__(self, found: Kernels, words: Sequence[str], excluded: Sequence[str] = ()) -> None:
+        """Find the kernel.
+
+        Raises:
+            AbsentError: nothing has a name.
+            AmbiguousError: a name is that of several, or several kernels are meant.
+            NoAnswerError: the kernel that may be meant does not answer.
+        """
+        meant = [(word, one) for word in words for one in found.all(word)]
+        if len({one.running.name for _, one in meant}) > 1:
+            names = ", ".join(one.full for _, one in meant[:_SHOWN])
+            raise AmbiguousError(f"{names}: of several kernels; a recording is of one, so name ports of one")
+        self.running: Running = meant[0][1].running if meant else found.kernel()
+        self.exact: list[str] = []
+        self._globs: list[str] = []
+        self._words: dict[str, str] = {}
+        """By glob, the word that it came from; those of kernels, which may have no port yet, are not among them."""
+        for word, one in meant:
+            component = word.rpartition("/")[2].partition(".")[0]
+            glob = f"{component if is_glob(component) else one.component or '*'}.{one.port or '*'}"
+            if one.port and not is_glob(glob):
+                self.exact.append(one.path)
+            else:
+                self._globs.append(glob)
+                if one.component:
+                    self._words[glob] = word
+        if not words:
+            self._globs.append("*.*")
+        self._excluded = [glob if "." in glob else f"{glob}.*" for glob in excluded]
+
+    def of(self, outlines: Mapping[str, Any]) -> list[str]:
+        """The ports of these components that are meant, those named one by one first."""
+        there = list(_out_ports(outlines))
+        named = [path for path in dict.fromkeys(self.exact) if path in there]
+        others = [path for path in there if path not in named and _fits(path, self._globs)]
+        return [path for path in named + others if not _fits(path, self._excluded)]
+
+    def check(self, outlines: Mapping[str, Any]) -> None:
+        """Refuse a word that means no port.
+
+        Raises:
+            AbsentError: says which there are.
+        """
+        there = list(_out_ports(outlines))
+        for path in self.exact:
+            if path not in there:
+                raise AbsentError(f"{path}: {_why_not(path, outlines, there)}")
+        for glob, word in self._words.items():
+            if not _fits_any(there, glob):
+                raise AbsentError(f"{word}: has no out-port; there are {_few(there)}")
+
+
+def _out_ports(outlines: Mapping[str, Any]) -> Iterable[str]:
+    for component, outline in outlines.items():
+        for name, port in outline["ports"].items():
+            if port["direction"] == "out":
+                yield f"{component}.{name}"
+
+
+def _why_not(path: str, outlines: Mapping[str, Any], there: list[str]) -> str:
+    component, _, name = path.partition(".")
+    port = outlines.get(component, {"ports": {}})["ports"].get(name)
+    if port is not None:
+        kind = "an in-port" if port["direction"] == "in" else "no port of samples"
+        return f"is {kind}; out-ports are recorded, such as {_few(there)}"
+    near = get_close_matches(path, there, n=1)
+    own = [one for one in there if one.startswith(f"{component}.")]
+    return f"no such port; did you mean {near[0]}?" if near else f"no such port; there are {_few(own or there)}"
+
+
+def _fits(path: str, globs: Iterable[str]) -> bool:
+    component, _, port = path.partition(".")
+    for glob in globs:
+        of_component, _, of_port = glob.partition(".")
+        if fnmatchcase(component, of_component) and fnmatchcase(port, of_port):
+            return True
+    return False
+
+
+def _fits_any(paths: Iterable[str], glob: str) -> bool:
+    return any(_fits(path, (glob,)) for path in paths)
+
+
+def _few(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:_SHOWN])}{', ...' if len(names) > _SHOWN else ''}" if names else "none"

@@ -1,0 +1,86 @@
+"""Records samples that are encoded already: types that this process does not have are recorded like all others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import WireError
+from aiorts.wire import FORMAT
+from aiorts_log.mcap.encodings import SCHEMA_ENCODING, Encoding
+from aiorts_log.mcap.format import Schema
+from aiorts_log.recorder.port_state import PortState
+from aiorts_log.recorder.weight import SMALL
+from aiorts_log.recorder.writer import RecordingWriter
+
+_HEAD: Final = 8_192
+"""Bytes of a frame in which the name of its type ends."""
+
+
+class Frame:
+    """A sample as its frame. Those of each type are of a class of their own, made by `frame_kind`."""
+
+    __slots__ = ("data", "tm")
+    schema: ClassVar[Schema]
+    begin: ClassVar[bytes]
+    """What frames of this type begin with."""
+
+    def __init__(self, tm: int, data: bytes) -> None:
+        self.tm = tm
+        self.data = data
+
+
+def frame_kind(name: str, schema: str, base: type[Frame] = Frame) -> type[Frame]:
+    """The class of the frames of a type; of a type that derives from that of a port, with the port's as `base`."""
+    made = Schema(0, name, SCHEMA_ENCODING, schema.encode())
+    return type("Frame", (base,), {"__slots__": (), "schema": made, "begin": _begin(name)})
+
+
+def _begin(name: str) -> bytes:
+    head: bytes = msgpack.packb([FORMAT, name, None])
+    return head[:-1]
+
+
+def type_in(frame: bytes) -> str:
+    """The name of the type of a frame.
+
+    Raises:
+        WireError: it is no frame.
+    """
+    unpacker = msgpack.Unpacker(max_buffer_size=_HEAD)
+    unpacker.feed(frame[:_HEAD])
+    try:
+        unpacker.read_array_header()
+        unpacker.skip()
+        return str(unpacker.unpack())
+    except (ValueError, msgpack.UnpackException) as error:
+        raise WireError(f"no frame: {error}") from None
+
+
+class FrameWriter(RecordingWriter):
+    """A recording of frames: the types of its ports are classes of frames."""
+
+    @staticmethod
+    def encoder(encoding: Encoding, cls: type) -> Callable[[Any], bytes]:
+        """What a frame holds is what is recorded."""
+        return _data
+
+    @staticmethod
+    def splitter(encoding: Encoding, cls: type) -> None:
+        """No part of a frame is copied."""
+
+    def _state(self, name: str, cls: type, metadata: Mapping[str, str]) -> PortState:
+        return PortState(name, cls, metadata, _weigh, stamped=True, mutable=False)
+
+    def _schema(self, port: PortState, cls: type[Frame]) -> Schema:
+        return cls.schema
+
+
+def _data(frame: Frame) -> bytes:
+    return frame.data
+
+
+def _weigh(frame: Frame) -> int:
+    return SMALL + len(frame.data)

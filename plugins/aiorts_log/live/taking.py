@@ -1,0 +1,282 @@
+"""Takes samples out of a kernel in another process and records them, until it is over.
+
+Each port has a tap: a connector of this session's own, which never makes a writer wait. What it loses is counted, so
+that of each port `written = recorded + dropped` from its tap to its last sample here.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any, Final, TypeAlias, TypeVar
+
+from aiorts.control import END, Client, Stream
+from aiorts.errors import AiortsError, ClosedError, NoAnswerError
+from aiorts_log.live.choice import Choice
+from aiorts_log.live.frames import Frame, FrameWriter, frame_kind, type_in
+
+T = TypeVar("T")
+Say: TypeAlias = Callable[[str, str], None]
+"""Called with a code and a text for people."""
+_EVENTS: Final = ("ComponentAdded", "PortAdded", "ComponentReloaded")
+"""After which there may be more ports."""
+_TAPS: Final = 200
+"""Of one session: a kernel lets each have 256 calls at a time."""
+_FULL: Final = 0.75
+"""How full the writer's queue may be before no more is read: what the kernel then has no room for, it counts."""
+_PAUSE: Final = 0.005
+_LOOK: Final = 0.25
+"""Seconds between two looks at the clock and the disk."""
+_LAST: Final = 1.0
+"""Seconds in which what is under way has to come at the end."""
+
+
+class Recorded:
+    """A port that is recorded.
+
+    Attributes:
+        name: as the recording has it.
+        offered: samples that came, and those that were dropped on the way: the writer knows what became of them.
+        refused: samples that cannot travel.
+    """
+
+    def __init__(self, name: str, kind: type[Frame], unit: str | None) -> None:
+        self.name = name
+        self.kind = kind
+        self.unit = unit
+        self.number = -1
+        self.offered = self.refused = 0
+
+
+class Taking:
+    """What is taken from a kernel.
+
+    Args:
+        choice: the ports.
+        say: reports what goes wrong with one of them.
+    """
+
+    def __init__(self, choice: Choice, say: Say) -> None:
+        self.ports: dict[str, Recorded] = {}
+        """By name in the recording."""
+        self.ended = ""
+        """Why the kernel's end ended it; "" while it goes on."""
+        self._choice = choice
+        self._say = say
+        self._clients: list[Client] = [choice.running.client]
+        self._taps: dict[str, tuple[Stream, Recorded]] = {}
+        """By the path by which it was chosen."""
+        self._passed: set[str] = set()
+        """Paths that are not recorded: another name of a port that is, or refused."""
+        self._opened = 0
+        self._kinds: dict[str, type[Frame]] = {}
+        self._writer: FrameWriter | None = None
+        self._left: int | None = None
+        self._events = self._client.stream("events", kinds=_EVENTS)
+        outlines = self._client.call("outline")
+        choice.check(outlines)
+        self._tap_all(choice.of(outlines))
+
+    @property
+    def _client(self) -> Client:
+        return self._clients[0]
+
+    @property
+    def kernel(self) -> str:
+        """Its name."""
+        return self._choice.running.name
+
+    def profile(self) -> Any:
+        """The kernel's profile, as JSON has it."""
+        return self._client.call("profile")
+
+    def close(self) -> None:
+        """End the sessions that were opened here."""
+        for client in self._clients[1:]:
+            client.close()
+
+    # -- taps ------------------------------------------------------------------------------------------------------
+
+    def _tap_all(self, paths: Iterable[str]) -> None:
+        """Record ports from now on; what cannot be is refused, or only reported where a pattern meant it."""
+        begun = [(path, self._guarded(path, partial(self._stream, path))) for path in paths]
+        for path, stream in begun:
+            if stream is not None:
+                self._guarded(path, partial(self._begin, path, stream))
+
+    def _guarded(self, path: str, do: Callable[[], T]) -> T | None:
+        try:
+            return do()
+        except (ClosedError, NoAnswerError):
+            raise
+        except AiortsError as error:
+            if path in self._choice.exact:
+                raise
+            self._passed.add(path)
+            self._say(error.code, f"{path}: is not recorded: {error}")
+            return None
+
+    def _stream(self, path: str) -> Stream:
+        if self._opened >= _TAPS * len(self._clients):
+            self._clients.append(Client.open(self._client.entry))
+        self._opened += 1
+        return self._clients[-1].stream("tap", port=path, frames=True)
+
+    def _begin(self, path: str, stream: Stream) -> None:
+        name: str = stream.began["port"]
+        if any(one.name == name for _, one in self._taps.values()):
+            stream.close()
+            self._passed.add(path)
+            return
+        kind = self._kind(str(stream.began["full_type"]))
+        known = self.ports.get(name)
+        if known is not None and known.kind is not kind:
+            stream.close()
+            self._passed.add(path)
+            now, before = kind.schema.name, known.kind.schema.name
+            self._say("E-RECORDING", f"{name}: is recorded as {before}, and sends {now} now, which is not recorded")
+            return
+        one = known or Recorded(name, kind, stream.began["unit"])
+        self.ports[name] = one
+        self._taps[path] = stream, one
+        self._add(one)
+
+    def _kind(self, type_name: str, base: type[Frame] = Frame) -> type[Frame]:
+        if type_name not in self._kinds:
+            found = self._client.call("schema", type=type_name)
+            name = found["type"]
+            self._kinds[type_name] = self._kinds.setdefault(name, frame_kind(name, found["schema"], base))
+        return self._kinds[type_name]
+
+    def _add(self, one: Recorded) -> None:
+        if self._writer is not None and one.number < 0:
+            one.number = self._writer.add_port(one.name, one.kind, {"unit": one.unit} if one.unit else {})
+
+    # -- samples ---------------------------------------------------------------------------------------------------
+
+    def record(
+        self, writer: FrameWriter, seconds: float | None, count: int | None, stopped: Callable[[], bool], wake: int
+    ) -> None:
+        """Record for so many seconds, until `count` samples, `stopped()`, the kernel's end or the writer's failure.
+
+        Args:
+            wake: a descriptor that can be read when it is to look at `stopped()`.
+        """
+        self._writer, self._left = writer, count
+        until = None if seconds is None else time.monotonic() + seconds
+        for one in self.ports.values():
+            self._add(one)
+        try:
+            while self._take() and not stopped() and writer.failure is None:
+                now = time.monotonic()
+                if until is not None and now >= until:
+                    break
+                self._wait(_LOOK if until is None else min(_LOOK, until - now), wake)
+            if self._left != 0 and writer.failure is None:
+                self._last()
+        except ClosedError:
+            self._has_ended()
+            self._take()  # what it said last
+
+    def _wait(self, seconds: float, wake: int) -> None:
+        while self._writer is not None and self._writer.load > _FULL and self._writer.failure is None:
+            time.sleep(_PAUSE)
+        poll = select.poll()
+        poll.register(wake, select.POLLIN)
+        for client in self._clients:
+            poll.register(client.fileno(), select.POLLIN)
+        ready = {descriptor for descriptor, _ in poll.poll(seconds * 1000)}
+        for client in self._clients:
+            if client.fileno() in ready:
+                client.read()
+
+    def _last(self) -> None:
+        """Take what was under way when it was to end."""
+        for client in self._clients:
+            try:
+                client.call("outline", _LAST, components=[])
+            except NoAnswerError:
+                continue
+        self._take()
+
+    def _take(self) -> bool:
+        """Record what has come; False when that is enough, or the kernel has ended."""
+        happened = False
+        for item in _items(self._events):
+            if item is END:
+                self._has_ended()
+            happened = True
+        for path, (stream, one) in tuple(self._taps.items()):
+            self._take_from(path, stream, one)
+            if self._left == 0:
+                return False
+        if happened and not self.ended:
+            self._look()
+        return not self.ended
+
+    def _has_ended(self) -> None:
+        self.ended = f"{self.kernel}: has ended"
+
+    def _take_from(self, path: str, stream: Stream, one: Recorded) -> None:
+        for item in _items(stream):
+            self._count(stream, one)
+            if item is END:
+                del self._taps[path]
+                if isinstance(stream.result, str):
+                    self._say("E-CLOSED", f"{stream.result}; it is recorded on when it is there again")
+                return
+            if "error" in item:
+                one.refused += 1
+                if one.refused == 1:
+                    self._say("E-RECORD", f"{one.name}: {item['error']}; such samples are left out")
+                continue
+            self._write(one, item)
+            if self._left == 0:
+                return
+
+    def _count(self, stream: Stream, one: Recorded) -> None:
+        missed, stream.missed = stream.missed, 0
+        if missed and self._writer is not None:
+            one.offered += missed
+            self._writer.drop(one.number, missed)
+
+    def _write(self, one: Recorded, item: Any) -> None:
+        frame, time_ns = item["frame"], item["time_ns"]
+        kind = one.kind
+        if not frame.startswith(kind.begin):
+            kind = self._kind_of(frame, kind)
+        stamp = item["tm"]
+        assert self._writer is not None  # noqa: S101 - `record` sets it
+        one.offered += 1
+        taken = self._writer.write(one.number, kind(time_ns if stamp is None else stamp, frame), time_ns)
+        if taken and self._left is not None:
+            self._left -= 1
+
+    def _kind_of(self, frame: bytes, base: type[Frame]) -> type[Frame]:
+        """The class for frames of a type that derives from that of its port."""
+        name = type_in(frame)
+        known = self._kinds.get(name)
+        if known is not None and issubclass(known, base):
+            return known
+        found = self._client.call("schema", type=name)
+        self._kinds[name] = made = frame_kind(found["type"], found["schema"], base)
+        return made
+
+    def _look(self) -> None:
+        """There may be more ports."""
+        paths = self._choice.of(self._client.call("outline"))
+        self._tap_all([path for path in paths if path not in self._taps and path not in self._passed])
+
+
+def _items(stream: Stream) -> Iterator[Any]:
+    """What has come of a stream; END when it has ended."""
+    while True:
+        try:
+            item = stream.next(0.0)
+        except NoAnswerError:
+            return
+        yield item
+        if item is END:
+            return
