@@ -10,9 +10,9 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.model.wanted.restart_policy import ACTIONS, Supervision
+    from aiorts.model.wanted.start_rules import ADDED, StartRule, in_order
     from aiorts.supervision.readiness import wait_ready
-    from aiorts.supervision.restart_policy import ACTIONS, Supervision
-    from aiorts.supervision.start_rules import ADDED, StartRule, in_order
     from aiorts.supervision.supervising import Supervising
     from aiorts.supervision.supervisor import ComponentRecovered, RestartLimitReached, Supervised
 
@@ -20,8 +20,8 @@ _late(
     globals(),
     {
         "aiorts.supervision.readiness": "wait_ready",
-        "aiorts.supervision.restart_policy": "ACTIONS Supervision",
-        "aiorts.supervision.start_rules": "ADDED StartRule in_order",
+        "aiorts.model.wanted.restart_policy": "ACTIONS Supervision",
+        "aiorts.model.wanted.start_rules": "ADDED StartRule in_order",
         "aiorts.supervision.supervising": "Supervising",
         "aiorts.supervision.supervisor": "ComponentRecovered RestartLimitReached Supervised",
     },

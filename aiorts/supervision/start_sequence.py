@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from aiorts.errors import AiortsError, StateError, TransitionTimeout
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.wanted.start_rules import ADDED, Condition, StartRule, in_order
 from aiorts.supervision.readiness import until
-from aiorts.supervision.start_rules import ADDED, Condition, StartRule, in_order
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component

@@ -13,16 +13,16 @@ from aiorts.errors import AiortsError, ConfigurationError
 from aiorts.kernel.loop.bus import ContextStarted
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
+from aiorts.model.wanted.start_rules import in_order
 from aiorts.supervision import start_sequence
-from aiorts.supervision.start_rules import in_order
 from aiorts.supervision.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.loop.deadlines import StopBudget
     from aiorts.kernel.microkernel import Microkernel
-    from aiorts.supervision.restart_policy import Supervision
-    from aiorts.supervision.start_rules import StartRule
+    from aiorts.model.wanted.restart_policy import Supervision
+    from aiorts.model.wanted.start_rules import StartRule
     from aiorts.supervision.supervisor import Supervised
     from aiorts.supervision.systemd import SystemdLink
 

@@ -1,4 +1,4 @@
-"""Recovers components from error as their policy requires; `supervision/restart_policy.py` decides when.
+"""Recovers components from error as their policy requires; `model/wanted/restart_policy.py` decides when.
 
 For each supervised component there is at most one task, only while it is in error. A reset runs `on_reset` and
 activates again. A restart puts a new instance of the same name in the old one's place: configuration, contexts, place
@@ -25,8 +25,8 @@ from aiorts.kernel.loop.tasks import current_task, kernel_task
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.wanted.restart_policy import Attempts, Supervision
 from aiorts.services import ServiceConnector
-from aiorts.supervision.restart_policy import Attempts, Supervision
 from aiorts.supervision.saved_state import SavedState, instance_of, reset_whole, standing_of
 
 if TYPE_CHECKING:

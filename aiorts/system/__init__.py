@@ -8,6 +8,14 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import construct
+    from aiorts.model.wanted.entries import (
+        ClockEntry,
+        ComponentEntry,
+        CompositeEntry,
+        ConnectionEntry,
+        ContextEntry,
+        Wanted,
+    )
     from aiorts.system.blueprint import Blueprint, build, prepare
     from aiorts.system.checks.check import check, check_text
     from aiorts.system.checks.findings import Finding
@@ -18,15 +26,7 @@ if TYPE_CHECKING:
     from aiorts.system.file.arguments import option_params, parse_options
     from aiorts.system.file.load import load
     from aiorts.system.file.parse import parse
-    from aiorts.system.file.values import (
-        ClockEntry,
-        ComponentEntry,
-        CompositeEntry,
-        ConnectionEntry,
-        ContextEntry,
-        Override,
-        SystemFile,
-    )
+    from aiorts.system.file.values import Override, SystemFile
     from aiorts.system.schemas.schema import schema
     from aiorts.system.stdio.frames import FrameInput, FrameOutput
     from aiorts.system.stdio.live import LiveInput
@@ -51,6 +51,7 @@ __all__ = (
     "StandardInput",
     "StandardOutput",
     "SystemFile",
+    "Wanted",
     "build",
     "check",
     "check_running",
@@ -73,6 +74,7 @@ _late(
     globals(),
     {
         "aiorts.kernel.component": "construct",
+        "aiorts.model.wanted.entries": ("ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted"),
         "aiorts.system.blueprint": "Blueprint build prepare",
         "aiorts.system.checks.check": "check check_text",
         "aiorts.system.checks.findings": "Finding",
@@ -83,9 +85,7 @@ _late(
         "aiorts.system.file.arguments": "option_params parse_options",
         "aiorts.system.file.load": "load",
         "aiorts.system.file.parse": "parse",
-        "aiorts.system.file.values": (
-            "ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Override SystemFile"
-        ),
+        "aiorts.system.file.values": "Override SystemFile",
         "aiorts.system.schemas.schema": "schema",
         "aiorts.system.stdio.frames": "FrameInput FrameOutput",
         "aiorts.system.stdio.live": "LiveInput",

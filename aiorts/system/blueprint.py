@@ -24,6 +24,7 @@ from aiorts.kernel.ports import Port
 from aiorts.kernel.service import ServicePlan
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
 from aiorts.supervision import in_order
 from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
@@ -32,7 +33,7 @@ from aiorts.system.file.parse import spelled
 from aiorts.system.file.places import Key, places_of
 from aiorts.system.file.setting import Setting
 from aiorts.system.file.survey import Fault, Survey, survey
-from aiorts.system.file.values import CompositeEntry, ConnectionEntry, SystemFile
+from aiorts.system.file.values import SystemFile
 
 
 @dataclass(frozen=True, slots=True)

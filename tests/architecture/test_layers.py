@@ -26,6 +26,7 @@ aiorts/timer_heap.py
 aiorts/clock.py
 aiorts/model
 aiorts/model/configuration
+aiorts/model/wanted
 aiorts/types
 aiorts/types/ros aiorts/wire
 aiorts/kernel/loop
@@ -40,6 +41,7 @@ aiorts/observe
 aiorts/composites aiorts/statemachines
 aiorts/supervision
 aiorts/reload
+aiorts/planning
 aiorts/control
 aiorts/control/operations
 aiorts/control/server
@@ -62,7 +64,7 @@ plugins/aiorts_foxglove
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
-    *("composites", "configuration", "control", "diagnostics", "functions", "observe"),
+    *("composites", "configuration", "control", "diagnostics", "functions", "observe", "planning"),
     *("realtime", "reload", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""

@@ -20,7 +20,7 @@ from aiorts.errors import (
     TransitionTimeout,
 )
 from aiorts.events import StateChanged
-from aiorts.supervision.start_rules import in_order
+from aiorts.model.wanted.start_rules import in_order
 from aiorts.testing import simulated
 from campaign import cases
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from aiorts import Supervision
 from aiorts.errors import ConfigurationError
-from aiorts.supervision.restart_policy import Attempts
+from aiorts.model.wanted.restart_policy import Attempts
 from campaign import cases
 
 S = 1_000_000_000

@@ -13,8 +13,8 @@ from typing import Any, Final
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.late import dataclass
+from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.system.file.survey import Survey
-from aiorts.system.file.values import ConnectionEntry
 from aiorts.types import describe, type_name
 
 _UNITS: Final[dict[str, tuple[str, Fraction]]] = {

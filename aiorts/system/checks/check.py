@@ -12,6 +12,7 @@ from typing import Any
 
 from aiorts.errors import AiortsError, StateError, SystemFileError
 from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.model.wanted.entries import ComponentEntry
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
 from aiorts.system.checks.connection_checks import feature_findings, joint_findings
 from aiorts.system.checks.draft import Draft, drafts_of
@@ -22,7 +23,7 @@ from aiorts.system.file.parse import Mistake, read, spelled
 from aiorts.system.file.places import Key, Place, places_of
 from aiorts.system.file.survey import Survey, survey
 from aiorts.system.file.toml import NotToml, read_text
-from aiorts.system.file.values import ComponentEntry, SystemFile
+from aiorts.system.file.values import SystemFile
 
 _NUMBERED = re.compile(r"(in|out)put(\d+)")
 

@@ -11,11 +11,12 @@ from aiorts.composites import exports, shown
 from aiorts.errors import AiortsError, SystemFileError, WiringError
 from aiorts.kernel.ports import Port
 from aiorts.late import dataclass
+from aiorts.model.wanted.entries import CompositeEntry
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import inner_first
 from aiorts.system.file.places import Key
-from aiorts.system.file.values import CompositeEntry, SystemFile
+from aiorts.system.file.values import SystemFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,13 @@ from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.options import doubts, idle, transport_notice, without_effect
+from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort, fault_of
 from aiorts.system.checks.adapt import adaptation
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.places import Key
 from aiorts.system.file.survey import Survey
-from aiorts.system.file.values import ConnectionEntry
 from aiorts.types import has_tm
 
 

@@ -15,12 +15,12 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Push, Subscription
 from aiorts.model.profile import ConnectorProfile
+from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import parts, root, unstartable
 from aiorts.system.file.survey import Survey
-from aiorts.system.file.values import ConnectionEntry
 from aiorts.types import is_mutable, type_name
 
 NOTHING_RUNS = "no context runs anything; add [contexts.NAME] with kind and members"

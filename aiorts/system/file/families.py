@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from aiorts.model.wanted.entries import CompositeEntry, ContextEntry
 from aiorts.supervision import ADDED
 from aiorts.system.file.places import Key
-from aiorts.system.file.values import CompositeEntry, ContextEntry, SystemFile
+from aiorts.system.file.values import SystemFile
 
 
 def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:

@@ -24,12 +24,13 @@ from aiorts.kernel.extensions.type_names import extension_of, shown
 from aiorts.model.configuration.parameters import ParameterSpec, validate
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.converter import Converter
+from aiorts.model.wanted.entries import ComponentEntry
 from aiorts.system.file.arguments import flag_of, parse_options
 from aiorts.system.file.parse import parse
 from aiorts.system.file.places import Key
 from aiorts.system.file.setting import ACTIVE, Setting
 from aiorts.system.file.toml import read_text
-from aiorts.system.file.values import ComponentEntry, SystemFile
+from aiorts.system.file.values import SystemFile
 
 _MOST_FILES: Final = 10_000
 Fault: TypeAlias = tuple[Key, str, AiortsError]

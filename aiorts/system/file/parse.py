@@ -23,20 +23,13 @@ from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
+from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.file.families import misplaced
 from aiorts.system.file.places import Key
 from aiorts.system.file.reading import NOTHING, Mistake, Reading, hint, near_hint, spelled
 from aiorts.system.file.toml import LARGEST, tables
-from aiorts.system.file.values import (
-    ClockEntry,
-    ComponentEntry,
-    CompositeEntry,
-    ConnectionEntry,
-    ContextEntry,
-    Override,
-    SystemFile,
-)
+from aiorts.system.file.values import Override, SystemFile
 
 __all__ = (
     "CLOCKS",
@@ -138,16 +131,18 @@ class _Reader(Reading):
         listed: list[Any] = self._get((), top, "connections", list, [])
         connections = (self._connection(number, table, known) for number, table in enumerate(listed, start=1))
         return SystemFile(
-            self._path,
-            MappingProxyType({name: entry for name, entry in components.items() if entry.type}),
-            tuple(entry for entry in connections if entry is not None),
-            MappingProxyType({name: entry for name, entry in contexts.items() if entry.kind}),
-            self._plugin_paths(top),
-            tuple(found for text in overrides if top and (found := self._override(text, components)) is not None),
-            self._clock(top),
-            composites,
-            MappingProxyType(services),
-            self._text,
+            path=self._path,
+            components=MappingProxyType({name: entry for name, entry in components.items() if entry.type}),
+            connections=tuple(entry for entry in connections if entry is not None),
+            contexts=MappingProxyType({name: entry for name, entry in contexts.items() if entry.kind}),
+            plugin_paths=self._plugin_paths(top),
+            overrides=tuple(
+                found for text in overrides if top and (found := self._override(text, components)) is not None
+            ),
+            clock=self._clock(top),
+            composites=composites,
+            services=MappingProxyType(services),
+            text=self._text,
         )
 
     # -- the parts -------------------------------------------------------------------------------------------------

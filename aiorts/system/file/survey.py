@@ -20,12 +20,13 @@ from aiorts.kernel.service import ServicePlan, load_service
 from aiorts.late import dataclass
 from aiorts.model.options import connector_profile
 from aiorts.model.profile import ConnectorProfile
+from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
 from aiorts.system.file.load import check_inside, component_type, context_type, converter, parameters, setting
 from aiorts.system.file.parse import TOP, spelled
 from aiorts.system.file.places import Key
 from aiorts.system.file.reading import hint
 from aiorts.system.file.setting import Setting
-from aiorts.system.file.values import ComponentEntry, ConnectionEntry, ContextEntry, SystemFile
+from aiorts.system.file.values import SystemFile
 
 _TEXTS: Final = ("name", "empty", "stamp", "convert")
 """Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""

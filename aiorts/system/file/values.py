@@ -1,96 +1,13 @@
-"""What a system file says, as frozen values; nothing here reads, checks or runs anything."""
+"""A system file as it was read: what it says, where it lies, and what a command line says against it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 from aiorts.late import dataclass
-from aiorts.supervision import StartRule, Supervision
+from aiorts.model.wanted.entries import Wanted
 from aiorts.system.file.places import Place, places_of
-
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
-
-
-@dataclass(frozen=True, slots=True)
-class ComponentEntry:
-    """`[components.NAME]`: type, parameters and supervision of a component."""
-
-    name: str
-    type: str
-    """`FILE.py:Class` below the system file's folder, `package.module:Class`, or the name of an installed type."""
-    params: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    options: tuple[str, ...] = ()
-    """Parameters as its command line has them: "-i", "TimedDouble"."""
-    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
-    """Configuration sets: what each holds, by name."""
-    active: str = ""
-    """The active set; "" is the default one."""
-    supervision: Supervision | None = None
-    start: StartRule | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class CompositeEntry:
-    """`[composites.NAME]`: components that look like one to all others."""
-
-    name: str
-    members: tuple[str, ...]
-    """Components and composites, in order of execution."""
-    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """What `Composite` takes: exported, order, groups, errors, own_schedule."""
-    named: bool = False
-    """Whether `exported` is a table of names by pattern, and no list."""
-
-    def exported_key(self, number: int) -> str | int:
-        """The key in the file of an exported pattern."""
-        return tuple(self.options["exported"])[number] if self.named else number
-
-    @property
-    def own_schedule(self) -> bool:
-        """Whether inside another composite it is not run with it."""
-        return bool(self.options.get("own_schedule", False))
-
-
-@dataclass(frozen=True, slots=True)
-class ConnectionEntry:
-    """`[[connections]]`: the ports joined, and the options as `Kernel.connect` takes them."""
-
-    ports: tuple[str, ...]
-    """Paths such as "pid0.command": the one under `from`, then those under `to`."""
-    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    number: int = 1
-    """Its place in the file, counted from 1; for messages."""
-
-    @property
-    def place(self) -> str:
-        """How messages call it."""
-        return f"connections[{self.number}] ({self.ports[0]} to {', '.join(self.ports[1:])})"
-
-
-@dataclass(frozen=True, slots=True)
-class ContextEntry:
-    """`[contexts.NAME]`: kind, members in order, and options of a context."""
-
-    name: str
-    kind: str
-    members: tuple[str, ...]
-    activate: bool = True
-    options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
-    """What the context's class takes: rate, overrun, deadline, ..."""
-
-
-@dataclass(frozen=True, slots=True)
-class ClockEntry:
-    """`[clock]`: how time passes, unless the command line says otherwise."""
-
-    kind: str = "system"
-    """"system", "scaled" (`speed` times as fast) or "simulated"."""
-    speed: float | None = None
-    """Seconds of the system in one real second; None unless scaled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,20 +25,14 @@ class Override:
 
 
 @dataclass(frozen=True, slots=True)
-class SystemFile:
-    """A whole system, read and checked as far as that goes without loading any component."""
+class SystemFile(Wanted):
+    """A whole system, read and checked as far as that goes without loading any component.
 
-    path: Path
-    components: Mapping[str, ComponentEntry]
-    connections: tuple[ConnectionEntry, ...]
-    contexts: Mapping[str, ContextEntry]
-    plugin_paths: tuple[Path, ...] = ()
-    """Folders in which component files are looked for; none is outside the system file's folder."""
+    Which service brings a table is looked up when the system is prepared.
+    """
+
+    path: Path = Path()
     overrides: tuple[Override, ...] = ()
-    clock: ClockEntry = ClockEntry()
-    composites: Mapping[str, CompositeEntry] = field(default_factory=lambda: _NOTHING)
-    services: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: _NOTHING)
-    """The tables that services bring, as they stand: who offers which is looked up when the system is prepared."""
     text: str = field(default="", repr=False, compare=False)
     """What was read; "" for a system that was not made of a text."""
 
