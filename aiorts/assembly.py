@@ -419,6 +419,31 @@ class Kernel(Microkernel):
         """Garbage collections by generation, while a context with a rate ran: nothing else runs meanwhile."""
         return MappingProxyType({}) if self._deadlines is None else self._deadlines.gc_pauses
 
+    # -- the system as a file ----------------------------------------------------------------------------------------
+
+    async def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> tuple[str, ...]:
+        """Save the system of this moment as a system file, which `aiorts run` makes it of again.
+
+        It says what was chosen: what is as declared, or so by default, is left out. Types are names that plugins offer,
+        "package.module:Class", or "FILE.py:Class" counted from the file's folder. Samples, attributes of components
+        and lifecycle states of single components are not in it, nor is what a command line chose for one run.
+
+        Args:
+            overwrite: replace a file that is there already; it is the old one or the new one, whatever happens.
+
+        Returns:
+            What of the system no system file can say, and is left out.
+
+        Raises:
+            SystemFileError: names each component, converter and context of which no system file can be made: a class or
+                function that is in no file, or in one that does not lie below the folder of `path`.
+            ConfigurationError: the file is there already, or cannot be written.
+        """
+        self.check_open("save")
+        from aiorts.planning import Planning
+
+        return await self.service(Planning).save(path, overwrite=overwrite)
+
     # -- configuration files ----------------------------------------------------------------------------------------
 
     async def save_configuration(self, path: str | os.PathLike[str], *components: Component) -> None:

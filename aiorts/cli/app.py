@@ -57,6 +57,7 @@ _COMMANDS: Final = {
     "delay": ("aiorts.cli.commands.live.measure.rates:delay", "Show how long samples are on their way, and how old."),
     "hz": ("aiorts.cli.commands.live.measure.rates:hz", "Show how many samples pass a connector or port each second."),
     "top": ("aiorts.cli.commands.live.measure.top:top", "Watch connectors, contexts and components of what runs."),
+    "save": ("aiorts.cli.commands.live.saving:save", "Save what runs as a system file."),
     "vlog": ("aiorts.cli.commands.live.vlog:vlog", "Show the log of components that run, and set its level."),
     "print": ("aiorts.cli.commands.live.samples:print_", "Print the samples of an out-port that runs."),
     "inject": ("aiorts.cli.commands.live.samples:inject", "Write samples to an in-port that runs."),

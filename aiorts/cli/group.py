@@ -33,6 +33,7 @@ _SECTIONS: Final = (
             "call",
             "goal",
             "reload",
+            "save",
             "batch",
             "exit",
             "top",

@@ -29,11 +29,12 @@ def read_text(path: Path, largest: int) -> str:
         raise ConfigurationError(f"{path}:{line}: not UTF-8: {error.reason}") from None
 
 
-def replace_text(path: Path, text: str) -> None:
+def replace_text(path: Path, text: str, *, overwrite: bool = True) -> None:
     """Replace the file by `text`, which is on the disk before it gets the name.
 
     Raises:
-        ConfigurationError: it could not be written; the old file is unchanged.
+        ConfigurationError: it could not be written, or there is a file and `overwrite` is false; the old file is
+            unchanged.
     """
     # A link stays a link: what it names is replaced.
     target = Path(os.path.realpath(path))
@@ -47,14 +48,35 @@ def replace_text(path: Path, text: str) -> None:
                 file.write(text.encode())
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(draft, target)
+            if overwrite:
+                os.replace(draft, target)
+            else:
+                _name(draft, target)
         except BaseException:
             with contextlib.suppress(OSError):
                 draft.unlink()
             raise
         _sync_folder(target.parent)
+    except FileExistsError:
+        raise ConfigurationError(
+            f"{path}: is there already; say that it is to be overwritten, or name another"
+        ) from None
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _name(draft: Path, target: Path) -> None:
+    """Give a file a name that no other has; FileExistsError otherwise."""
+    try:
+        os.link(draft, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if target.exists():
+            raise FileExistsError(target) from None
+        os.replace(draft, target)
+    else:
+        draft.unlink()
 
 
 def _sync_folder(folder: Path) -> None:

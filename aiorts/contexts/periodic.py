@@ -49,6 +49,10 @@ class PeriodicContext(Context):
     ) -> None:
         super().__init__(name=name, deadline=deadline, timing=timing)
         self._schedule: Schedule | None = Schedule(rate, overrun, max_rate)
+        self.overrun = overrun
+        """What is done about missed ticks: "skip" or "catch_up"."""
+        self.max_rate = max_rate
+        """The ceiling for its rate, Hz."""
         self._fresh = True
         self._missed: MissedDeadlines | None = None
         self._overload = Overload()
@@ -96,11 +100,8 @@ class PeriodicContext(Context):
             ConfigurationError: the rate is out of range; the old one stays.
         """
         self.runner.check("set_rate")
-        checked = check_rate(rate, self._max_rate())
+        checked = check_rate(rate, self.max_rate)
         await self.runner.ask([(f"set rate {checked} Hz", partial(self.runner.life.change_rate, checked))], timeout)
-
-    def _max_rate(self) -> float:
-        return MAX_RATE if self._schedule is None else self._schedule.max_rate
 
     def _life_began(self) -> None:
         self._fresh = True

@@ -106,9 +106,6 @@ class ThreadContext(PeriodicContext):
     def _member_aborted(self, member: Member) -> None:
         self._aborted = True
 
-    def _max_rate(self) -> float:
-        return super()._max_rate() if self._plan is None else self._plan.max_rate
-
     def _set_rate_now(self, rate: float) -> None:
         if self._schedule is None and self._plan is not None:
             self._schedule = self._plan

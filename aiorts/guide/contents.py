@@ -23,7 +23,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
             *("real-time", "supervise", "deploy", "ros-bag"),
             *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
             "dynamic-ports",
-            *("replace-code", "observe", "control", "measure-live", "samples-live", "live-log"),
+            *("replace-code", "observe", "control", "save-system", "measure-live", "samples-live", "live-log"),
             *("foxglove-live", "filters", "notebook"),
             *("write-context", "write-codec", "write-service", "write-bench"),
         ),

@@ -65,6 +65,10 @@ class KernelService:
     """What can be set: a frozen dataclass whose fields all have a default (`setting`). Its `__post_init__` raises
     ConfigurationError for a value that is wrong, "KEY: expected ..., got ..."."""
 
+    table: Mapping[str, Any] | None = None
+    """What the system itself says of it: its table of the system file, or in `Kernel(services=...)`; None where it has
+    none."""
+
     def __init__(self, kernel: Microkernel) -> None:
         self.kernel = kernel
 
@@ -120,10 +124,14 @@ class ServicePlan(NamedTuple):
 
     kind: type[KernelService]
     settings: Any
+    table: Mapping[str, Any] | None = None
+    """Of the settings, what the system itself says, not a command line."""
 
     def attach(self, kernel: Microkernel) -> None:
         """Attach it to an open kernel."""
-        kernel.service(self.kind).configure(self.settings)
+        service = kernel.service(self.kind)
+        service.table = self.table
+        service.configure(self.settings)
 
 
 def load_service(extension: Extension) -> type[KernelService]:
@@ -149,7 +157,7 @@ def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> S
     kind = load_service(catalogue.find("services", name))
     if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(kind.settings, given)]:
         raise ConfigurationError(f"service {name!r}: {'; '.join(faults)}")
-    return ServicePlan(kind, settings_of(kind.settings, given))
+    return ServicePlan(kind, settings_of(kind.settings, given), given)
 
 
 Hook = Literal[

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from enum import StrEnum
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -195,6 +196,40 @@ def connector_profile(
     if "allow_duplicate" in limits:
         limits["allow_duplicate"] = is_yes(where, "allow_duplicate", limits["allow_duplicate"])
     return profile, limits
+
+
+_CHOSEN: Final = (
+    *("subscription", "push_rate", "dataflow", "push", "skip", "length", "out_length", "full", "empty", "timeout"),
+    *("stamp", "measure", "keep_last", "lifespan", "max_gap"),
+)
+"""Options that are chosen, each after those that its default follows from."""
+
+
+def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -> dict[str, Any]:
+    """The fewest options of ours that make this profile, but for its name and `convert`.
+
+    Args:
+        usual_length: what the in-port says of its length, if it does.
+    """
+    usual = DEFAULT_LENGTH if usual_length is None else usual_length
+    return dict(_chosen(tuple(getattr(profile, key) for key in _CHOSEN), usual))
+
+
+@lru_cache(maxsize=256)
+def _chosen(values: tuple[Any, ...], usual_length: int) -> Mapping[str, Any]:
+    options: dict[str, Any] = {}
+    made, _ = connector_profile("", options, "", (), usual_length)
+    left = dict(zip(_CHOSEN, values, strict=True))
+    while left:
+        key = next(iter(left))
+        value = left.pop(key)
+        if getattr(made, key) == value:
+            continue
+        options[key] = value.value if isinstance(value, StrEnum) else value
+        if key == "subscription" and value is Subscription.PERIODIC:
+            options["push_rate"] = left.pop("push_rate")
+        made, _ = connector_profile("", options, "", (), usual_length)
+    return MappingProxyType(options)
 
 
 CHANGEABLE: Final = ("push_rate", "length", "full")

@@ -80,7 +80,24 @@ class RealtimeContext(PeriodicContext):
             self._schedule.deadline_ns = to_ns(deadline)
         self._wanted = Wanted(_checked_priority(priority), _checked_cpus(cpus), bool(lock_memory))
         self._spin_ns = _checked_spin_ns(spin)
+        self.spin = spin
+        """How much earlier it wakes up, as it was asked for."""
         self._granted = Granted()
+
+    @property
+    def priority(self) -> int | None:
+        """The priority that it asks for; None: none."""
+        return self._wanted.priority
+
+    @property
+    def cpus(self) -> tuple[int, ...] | None:
+        """The processors that it asks for; None: any."""
+        return None if self._wanted.cpus is None else tuple(sorted(self._wanted.cpus))
+
+    @property
+    def lock_memory(self) -> bool:
+        """Whether it asks for the memory of the process to be resident."""
+        return self._wanted.lock_memory
 
     @property
     def granted(self) -> Granted:

@@ -52,6 +52,8 @@ class Supervising(KernelService):
         self._systemd: SystemdLink | None = None
         self._started: list[str] = []
         """What was started in order, for the end."""
+        self.rules: dict[str, StartRule] = {}
+        """The rules by which components were started, by the component's name."""
 
     def configure(self, settings: Readiness) -> None:
         def notify_ready(_event: ContextStarted | None = None) -> None:
@@ -84,6 +86,7 @@ class Supervising(KernelService):
     async def start_in_order(self, rules: Sequence[StartRule]) -> None:
         """See `Kernel.start_in_order`."""
         in_order(rules)
+        self.rules.update((rule.component, rule) for rule in rules)
         await start_sequence.start_in_order(self.kernel, rules, self._started)
 
     async def stop_in_order(self, timeout: float | None) -> None:

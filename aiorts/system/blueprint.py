@@ -25,6 +25,7 @@ from aiorts.kernel.service import ServicePlan
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
+from aiorts.planning import Planning
 from aiorts.supervision import in_order
 from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
@@ -109,6 +110,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
     system = plan.system
     kernel.origin = system.text
+    kernel.service(Planning).clock = system.clock
     for service in plan.services.values():
         service.attach(kernel)
     for name in system.components:

@@ -16,6 +16,7 @@ from aiorts.model.options import (
     _VALUES,
     OWN_KEYS,
     SERVICE_KEYS,
+    chosen_options,
     connector_profile,
     doubts,
     idle,
@@ -32,6 +33,20 @@ CHOICES = {
     "full": FullPolicy,
     "empty": EmptyPolicy,
     "stamp": Stamp,
+}
+
+
+CHOSEN: dict[str, st.SearchStrategy[Any]] = {
+    **{key: st.sampled_from(kind) for key, kind in CHOICES.items()},
+    "push_rate": st.sampled_from([1.0, 50.0]),
+    "length": st.integers(0, 10),
+    "out_length": st.integers(1, 10),
+    "skip": st.integers(0, 3),
+    "timeout": st.sampled_from([None, 0.5, 1.0]),
+    "measure": st.sampled_from([0, 10]),
+    "keep_last": st.booleans(),
+    "lifespan": st.sampled_from([None, 0.5]),
+    "max_gap": st.sampled_from([None, 0.5]),
 }
 
 
@@ -428,3 +443,22 @@ def test_a_key_in_openrtm_and_beside_it_with_another_value_is_refused() -> None:
     assert with_openrtm({"full": "block", "openrtm": {"full": " Block "}})["full"] == " Block "
     with pytest.raises(WiringError, match="full stands in openrtm and beside it with two values; take one"):
         with_openrtm({"full": "block", "openrtm": {"full": "reject"}})
+
+
+@given(options=st.fixed_dictionaries({}, optional=CHOSEN), usual=st.sampled_from([None, 1, 8, 100]))
+def test_the_options_chosen_make_the_same_profile_again_and_none_can_be_left_out(
+    options: dict[str, Any], usual: int | None
+) -> None:
+    length = 8 if usual is None else usual
+    try:
+        profile, _ = connector_profile("", options, "", (), length)
+    except WiringError:
+        assume(False)
+    chosen = chosen_options(profile, usual)
+    assert connector_profile("", chosen, "", (), length)[0] == profile
+    for key in chosen:
+        try:
+            fewer, _ = connector_profile("", {k: v for k, v in chosen.items() if k != key}, "", (), length)
+        except WiringError:
+            continue
+        assert fewer != profile

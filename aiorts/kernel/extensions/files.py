@@ -24,6 +24,8 @@ _FILES: Final[dict[str, str]] = {}
 """The name of the module that each file was loaded as."""
 _MADE: Final[set[str]] = set()
 """Folders that were made importable here."""
+_ALONE: Final = "aiorts_system."
+"""What the name of a module begins with that is a file by itself."""
 _LOCK: Final = threading.Lock()
 _LOCKS: Final[dict[str, threading.RLock]] = {}
 """One for each file: an import that never ends holds up nobody else's."""
@@ -81,6 +83,17 @@ def is_importable(top: str) -> bool:
         return top in sys.modules
 
 
+def is_found_by_python(module: ModuleType) -> bool:
+    """Whether Python imports this module by its name, without a folder that was made importable here."""
+    file = _real(getattr(module, "__file__", None))
+    if not file or module.__name__.startswith(_ALONE):
+        return False
+    home = os.path.dirname(file)
+    for _ in range(module.__name__.count(".") + (os.path.basename(file) == "__init__.py")):
+        home = os.path.dirname(home)
+    return all(os.path.realpath(made) != home for made in _MADE)
+
+
 def make_importable(folder: Path) -> None:
     """Have Python look for modules there, too, and there last: a plugin's `json.py` must not take Python's place."""
     for place in (folder.absolute() / "src", folder.absolute()):
@@ -122,7 +135,7 @@ def _of_package(path: Path, root: Path) -> ModuleType | None:
 
 def _by_itself(path: Path) -> ModuleType:
     make_importable(path.parent)
-    name = f"aiorts_system.{path.parent.name}.{path.stem}"
+    name = f"{_ALONE}{path.parent.name}.{path.stem}"
     for taken in (name, f"{name}_{zlib.crc32(str(path).encode()):08x}"):
         loaded = sys.modules.get(taken)
         if loaded is None:

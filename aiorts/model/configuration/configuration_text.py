@@ -17,9 +17,6 @@ is as declared. None is written `{none = true}`. Pure: opens no file.
 
 from __future__ import annotations
 
-import enum
-import json
-import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
@@ -33,6 +30,7 @@ from aiorts.model.configuration.constraint_text import constraint_text, parse_co
 from aiorts.model.configuration.parameters import ParameterSpec
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.configuration.toml_lines import TOO_LARGE, excess, huge_number, line_of, lines_of
+from aiorts.model.configuration.toml_values import basic_string, value_text
 from aiorts.model.values import element_types, is_optional, parse_type, type_text, value_type
 
 LARGEST: Final = 4 * 1024 * 1024
@@ -257,13 +255,15 @@ def document_text(states: Mapping[str, ConfigurationState], declared: Mapping[st
     """
     lines = ["schema = 1"]
     for name, state in states.items():
-        lines += ["", f"[components.{name}]", f"active = {_basic(state.active)}"]
+        lines += ["", f"[components.{name}]", f"active = {basic_string(state.active)}"]
         for parameter, spec in state.specs.items():
             if parameter not in declared[name] and not _has_enum(spec.type):
                 lines += ["", f"[components.{name}.parameters.{parameter}]", *_declaration(name, spec)]
         for set_name, values in state.sets.items():
             lines += ["", f"[components.{name}.sets.{set_name}]"]
-            lines += [f"{parameter} = {_written(f'{name}.{parameter}', value)}" for parameter, value in values.items()]
+            lines += [
+                f"{parameter} = {value_text(f'{name}.{parameter}', value)}" for parameter, value in values.items()
+            ]
     text = "\n".join(lines) + "\n"
     _check_same(text, states)
     return text
@@ -277,7 +277,7 @@ def _check_same(text: str, states: Mapping[str, ConfigurationState]) -> None:
 
 
 def _declaration(name: str, spec: ParameterSpec) -> list[str]:
-    lines = [f"type = {_basic(spec.type_text)}", f"default = {_written(f'{name}.{spec.name}', spec.default)}"]
+    lines = [f"type = {basic_string(spec.type_text)}", f"default = {value_text(f'{name}.{spec.name}', spec.default)}"]
     for key, text in (
         ("unit", spec.unit),
         ("doc", spec.doc),
@@ -285,7 +285,7 @@ def _declaration(name: str, spec: ParameterSpec) -> list[str]:
         ("widget", spec.widget),
     ):
         if text:
-            lines.append(f"{key} = {_basic(text)}")
+            lines.append(f"{key} = {basic_string(text)}")
     return lines
 
 
@@ -295,29 +295,3 @@ def _has_enum(kind: Any) -> bool:
     except ValueError:
         return True
     return False
-
-
-def _written(where: str, value: Any) -> str:
-    if value is None:
-        return "{none = true}"
-    if isinstance(value, enum.Enum):
-        return _basic(value.name)
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, tuple):
-        return f"[{', '.join(_written(where, item) for item in value)}]"
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{_basic(key)} = {_written(where, item)}' for key, item in value.items())}}}"
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
-    try:
-        text = str(value)
-        text.encode()
-    except ValueError as error:
-        raise ConfigurationError(f"{where}: cannot be saved: {error}") from None
-    return text if isinstance(value, int) else _basic(text)
-
-
-def _basic(text: str) -> str:
-    """A basic string of TOML: as JSON writes it, which escapes everything that TOML wants escaped, but for DEL."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

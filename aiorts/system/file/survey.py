@@ -178,13 +178,15 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
         found.say((name,), error, of_key=True)
         return
     by_name = {one.name: one for one in fields(kind.settings)}
-    given = {**_in_folder(found.system, kind.settings, table), **chosen}
+    own = _in_folder(found.system, kind.settings, table)
+    given = {**own, **chosen}
     faults = list(settings_faults(kind.settings, given))
     for key, what, of_key in faults:
         option = option_flag(name, by_name[key]) if key in chosen and key in by_name else ""
         found.say((name, key) if key else (name,), SystemFileError(what), option, of_key=of_key)
     if not faults:
-        found.services[name] = ServicePlan(kind, settings_of(kind.settings, given))
+        said = own if name in found.system.services else None
+        found.services[name] = ServicePlan(kind, settings_of(kind.settings, given), said)
 
 
 def _in_folder(system: SystemFile, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,42 @@
+"""Values as TOML writes them."""
+
+from __future__ import annotations
+
+import enum
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from aiorts.errors import ConfigurationError
+
+
+def value_text(where: str, value: Any) -> str:
+    """A value of a parameter; None is `{none = true}`.
+
+    Raises:
+        ConfigurationError: it is text that UTF-8 does not have; `where` is in the message.
+    """
+    if value is None:
+        return "{none = true}"
+    if isinstance(value, enum.Enum):
+        return basic_string(value.name)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(value_text(where, item) for item in value)}]"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{basic_string(key)} = {value_text(where, item)}' for key, item in value.items())}}}"
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+    try:
+        text = str(value)
+        text.encode()
+    except ValueError as error:
+        raise ConfigurationError(f"{where}: cannot be saved: {error}") from None
+    return text if isinstance(value, int) else basic_string(text)
+
+
+def basic_string(text: str) -> str:
+    """A basic string of TOML: as JSON writes it, which escapes everything that TOML wants escaped, but for DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

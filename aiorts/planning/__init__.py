@@ -1,0 +1,21 @@
+"""What a running system would be as a system file: a kernel is read into `Wanted`, and that becomes TOML.
+
+It is a service of the kernel, which keeps what a system file said that nothing else in the kernel knows.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.planning.planning import Planning, Saved
+    from aiorts.planning.reading import wanted_of
+
+_late(
+    globals(),
+    {
+        "aiorts.planning.planning": "Planning Saved",
+        "aiorts.planning.reading": "wanted_of",
+    },
+)

@@ -1,0 +1,116 @@
+"""`aiorts save`: what runs becomes a system file, over the socket, and tools are no part of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import EventContext, Kernel
+from aiorts.cli.app import run_command
+from aiorts.control import Client
+from aiorts.system import check
+from control_parts import WAIT, Counter, with_client
+
+pytestmark = pytest.mark.anyio
+SYSTEM = """schema = 1
+
+[components.const]
+type = "FlexiConst"
+params.outputs = ["TimedDouble"]
+params.constants = ["1"]
+
+[components.dump]
+type = "FlexiDump"
+params.inputs = ["TimedDouble"]
+
+[[connections]]
+from = "const.output"
+to = "dump.input0"
+length = 3
+
+[contexts.work]
+kind = "event"
+members = ["const", "dump"]
+activate = false
+"""
+
+
+@asynccontextmanager
+async def saveable(name: str = "unit", count: int = 1) -> AsyncIterator[Kernel]:
+    """A kernel of this process with a socket, of components that plugins offer."""
+    async with Kernel(services={"control": {"name": name}}) as kernel:
+        kernel.services[0].table = None  # as where the command line asked for the socket
+        work = EventContext(name="work")
+        const = await kernel.create("FlexiConst", "const", outputs=["TimedDouble"], constants=["1"])
+        dump = await kernel.create("FlexiDump", "dump", inputs=["TimedDouble"])
+        await kernel.connect("const.output", "dump.input0", length=3)
+        await kernel.start(work, const, dump)
+        for number in range(1, count):
+            await kernel.create("FlexiDump", f"dump{number}", inputs=["TimedDouble"])
+            await kernel.connect("const.output", f"dump{number}.input0")
+            await kernel.connect("const.output", f"dump{number}.input0", allow_duplicate=True, subscription="new")
+        yield kernel
+
+
+async def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    """The status of a command and what it printed, while the kernel runs on."""
+    status = await asyncio.to_thread(run_command, words)
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+async def test_what_runs_is_printed_or_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "saved.toml"
+    async with saveable():
+        assert await said(capsys, "save") == (0, SYSTEM, "")
+        assert await said(capsys, "save", "unit", "-o", str(file)) == (0, "", "")
+        assert file.read_text() == SYSTEM
+        assert [one for one in check(file) if one.severity == "error"] == []
+        status, out, err = await said(capsys, "save", "unit", "-o", str(file))
+        assert (status, out) == (2, "")
+        assert "saved.toml: is there already; --force overwrites it" in err
+        file.write_text("mine")
+        assert (await said(capsys, "save", "unit/", "-o", str(file), "--force"))[0] == 0
+        assert file.read_text() == SYSTEM
+        status, out, _ = await said(capsys, "save", "--json")
+        assert (status, json.loads(out)) == (0, {"text": SYSTEM, "notes": []})
+        assert (await said(capsys, "save", "nobody"))[0] == 6
+
+
+async def test_what_a_file_cannot_say_is_told_and_writes_none(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    async with saveable() as kernel:
+        await kernel.activate(kernel.components["dump"])
+        status, out, err = await said(capsys, "save")
+        assert (status, out) == (0, SYSTEM.replace("activate = false\n", ""))
+        assert err == "not in the file: work: const: not active, and active in the saved system with the others\n"
+        await kernel.create(Counter, "counter")
+        status, out, err = await said(capsys, "save", "-o", str(tmp_path / "saved.toml"))
+        assert (status, out) == (2, "")
+        assert "E-SYSTEM: counter: Counter is in" in err
+        assert list(tmp_path.iterdir()) == []
+
+
+async def test_connectors_of_tools_are_not_in_it() -> None:
+    async with saveable():
+
+        def use(client: Client) -> Any:
+            client.stream("tap", port="const.output")
+            return client.call("save", WAIT, folder="/")["text"]
+
+        assert await with_client("unit", use) == SYSTEM
+
+
+async def test_a_thousand_components_and_two_thousand_connectors_are_saved() -> None:
+    async with saveable(count=1000):
+        text = (await with_client("unit", lambda client: client.call("save", WAIT, folder="/")))["text"]
+    assert text.count("[components.") == 1001
+    assert text.count("[[connections]]") == 1999
+    assert text.count("allow_duplicate = true") == 999
