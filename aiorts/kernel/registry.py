@@ -208,7 +208,7 @@ class Registry:
     def _check_free(self, component: Component) -> None:
         name, kind = component.name, type(component)
         if name in self.components:
-            raise InvalidNameError(f"{name}: there is a component of that name in {self._kernel.name}; choose another")
+            raise InvalidNameError(f"{name}: there is a component of that name already; choose another")
         limit = kind.max_instance
         if limit is not None:
             count = self._kinds[kind]

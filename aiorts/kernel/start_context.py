@@ -48,7 +48,7 @@ def check_start(kernel: Microkernel, context: Context, components: Sequence[Comp
     if not context.runner.named and (context.name == "" or context.name in kernel.contexts):
         context.name = kernel._free_name(context.kind or type(context).__name__)
     if context.name in kernel.contexts:
-        raise InvalidNameError(f"{context.name}: there is a context of that name in {kernel.name}; choose another")
+        raise InvalidNameError(f"{context.name}: there is a context of that name already; choose another")
 
 
 async def start(

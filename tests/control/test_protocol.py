@@ -294,7 +294,7 @@ def test_calls_of_any_shape_are_answered_or_refused_and_the_next_client_is_serve
 @pytest.mark.anyio
 async def test_a_number_that_is_in_use_is_refused_and_the_first_call_goes_on() -> None:
     def use(peer: Peer, entry: Entry) -> list[Any]:
-        events = {"id": 1, "op": "events", "epoch": entry.epoch, "args": {}}
+        events = {"id": 1, "op": "events", "epoch": entry.epoch, "args": {"kinds": ["HookFailed"]}}
         peer.say(HELLO + said(events))
         answers = [peer.hear(), peer.hear()]
         peer.say(said(events) + said({"id": 5, "cancel": True}) + said({"id": 1, "cancel": True}))

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import os
+import re
+import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +17,7 @@ from aiorts.control import END, Client
 from aiorts.errors import ClosedError, RecordError, WiringError
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble
-from control_parts import WAIT, Counter, controlled, entry_of, with_client
+from control_parts import WAIT, Counter, commanded, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
 
@@ -123,7 +128,7 @@ async def test_injected_samples_arrive_and_take_no_place() -> None:
 async def test_nothing_is_written_where_one_line_is_wrong() -> None:
     async with controlled("checked") as kernel:
         narrow = await kernel.create(Narrow, "narrow")
-        with pytest.raises(RecordError, match=r"line 2: .*nothing of this call was written"):
+        with pytest.raises(RecordError, match=r"narrow.in: line 2: "):
             await with_client("checked", lambda one: one.call("inject", port="narrow.in", lines=["1", '"x"', "3"]))
         assert narrow.in_.drain() == []
 
@@ -201,3 +206,44 @@ def test_a_tap_changes_nothing_in_simulated_time() -> None:
             return kernel.profile().structure().to_json()
 
     assert simulate(run(watched=True)) == simulate(run(watched=False))
+
+
+@pytest.mark.parametrize("kind", ["file", "pipe"])
+async def test_a_file_is_checked_as_a_whole_before_the_first_write_and_a_pipe_by_what_is_there(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str
+) -> None:
+    good, lines = ["1", "", *["2"] * 98], tmp_path / "lines"
+    async with controlled("checked") as kernel:
+        await kernel.create(Narrow, "narrow")
+        for wrong in (['"x"'], []):
+            text = "".join(f"{line}\n" for line in (*good, *wrong))
+            lines.write_text(text)
+            if kind == "file":
+                source = lines.open()
+            else:
+                read, write = os.pipe()
+                os.write(write, text.encode())
+                os.close(write)
+                source = os.fdopen(read)
+            with source as stdin:
+                monkeypatch.setattr(sys, "stdin", stdin)
+                status, said = await commanded(capsys, "inject", "narrow.in", "--length", "200", "--json")
+            if wrong:
+                before = "no" if kind == "file" else r"\d\d"
+                assert status == 2
+                assert re.search(rf"narrow.in: line 101: .*; {before} samples were written before", said)
+            else:
+                assert (status, json.loads(said)) == (0, {"written": 99, "refused": 0})
+
+
+async def test_some_fields_and_some_samples_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled(rate=200.0):
+        words = ("print", "counter0.out", "--fields", "data,tm", "--count", "3")
+        status, text = await commanded(capsys, *words)
+        found = [json.loads(line) for line in text.splitlines()]
+        assert (status, [list(one) for one in found]) == (0, [["data", "tm"]] * 3)
+        assert found[2]["data"] == found[0]["data"] + 2.0
+        status, text = await commanded(capsys, *words, "--rate", "20")
+        found = [json.loads(line) for line in text.splitlines()]
+        assert (status, found[2]["data"] >= found[0]["data"] + 10.0) == (0, True)  # 100 ms apart
+        assert (await commanded(capsys, "print", "counter0.out.data", "--fields", "tm"))[0] == 2

@@ -189,7 +189,7 @@ async def test_a_kernel_is_named_with_or_without_a_slash(capsys: pytest.CaptureF
         for words in (["vlog"], ["con"], ["conf", "--dump", "-"], ["cat"], ["ls"]):
             plain, slash = [await commanded(capsys, *words, word) for word in ("unit", "unit/")]
             assert (words, plain[0], slash[0]) == (words, 0, 0)
-        assert await commanded(capsys, "con", "unit") == await commanded(capsys, "con", "unit/")
+            assert plain[1].partition("\n")[0] == slash[1].partition("\n")[0] or words == ["vlog"]
 
 
 @pytest.mark.parametrize(

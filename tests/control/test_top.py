@@ -113,6 +113,18 @@ def test_a_long_table_says_which_part_it_shows_and_the_short_ones_are_whole() ->
     assert lines[-2].startswith("b0         error")
 
 
+def test_a_narrow_terminal_shows_the_numbers_and_cuts_the_names() -> None:
+    long = {name: Edge(name, f"{edge.out}_of_a_long_name", edge.in_) for name, edge in EDGES.items()}
+    found = tables(counters(2 * 10**9, 200), counters(10**9, 100), long)
+    assert [line.rstrip() for line in screen_of(found, View(KINDS[:2]), "head", "foot", 60, 24)[1:6]] == [
+        "CONNECTOR         RATE/S  BUFFERED  DROPPED/S  LATENCY   P99",
+        "a0.out_of_a_lo..   100.0         0",
+        "a1.out_of_a_lo..  1000.0         1        0.0     1 us  2 us",
+        "a2.out_of_a_lo..   10000         2",
+        "CONTEXT  RATE/S   OF  LATE P50   P99   MAX  OVERRUNS",
+    ]
+
+
 def test_a_line_is_cut_by_columns_not_characters() -> None:
     assert (fitted("abcdef", 3), fitted("あいう", 5), fitted("é", 1)) == ("abc", "あい", "é")
 

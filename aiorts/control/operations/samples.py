@@ -74,12 +74,16 @@ class Injected:
 
     port: str
     lines: tuple[str, ...]
-    """JSON lines, as filters read them: all are checked before the first is written."""
+    """JSON lines, as filters read them: all are checked before the first is written; empty ones are passed over."""
     full: str = "reject"
     """What is done when the reader's buffer is full: "reject", "overwrite" or "block"."""
     length: int = 8
     timeout: float | None = 1.0
     """Seconds that a write waits with "block"."""
+    first: int = 1
+    """The number of the first line, for what is wrong with one."""
+    check: bool = False
+    """Only check them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +186,9 @@ async def _inject(session: Session, given: Injected) -> Written:
         raise WiringError(f"{given.port}: is no in-port of samples")
     if len(given.lines) > _LINES:
         raise RecordError(f"inject: {len(given.lines)} lines; at most {_LINES} in a call")
-    samples = _read(in_, given.lines, session.kernel.time_ns())
+    samples = _read(in_, given, session.kernel.time_ns())
+    if given.check:
+        return Written(0, 0)
     connector = _injector(session, in_, given)
     written = 0
     for sample in samples:
@@ -199,13 +205,14 @@ async def _inject(session: Session, given: Injected) -> Written:
     return Written(written, len(samples) - written)
 
 
-def _read(in_: InPort[Any], lines: tuple[str, ...], now_ns: int) -> list[Any]:
+def _read(in_: InPort[Any], given: Injected, now_ns: int) -> list[Any]:
     reader, samples = LineReader({in_.name: in_.type}), []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(given.lines, given.first):
         try:
-            samples.append(reader.sample(line, now_ns)[1])
+            if line.strip():
+                samples.append(reader.sample(line, now_ns)[1])
         except AiortsError as error:
-            raise RecordError(f"{in_.path}: line {number}: {error}; nothing of this call was written") from None
+            raise RecordError(f"{in_.path}: line {number}: {error}") from None
     return samples
 
 

@@ -60,7 +60,7 @@ def plan(
             continue
         if (out, in_) in seen or _connected(out, in_):
             raise WiringError(
-                f"{out.path} -> {in_.path}: connected already; allow_duplicate=True makes a second connector"
+                f"{out.path} -> {in_.path}: connected already; the option allow_duplicate lets there be a second"
             )
         seen.add((out, in_))
     _check_stamp(base, pairs)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from stat import S_ISREG
 from typing import Any, Final, TextIO
 
 import click
@@ -13,7 +15,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.curve import Curve
 from aiorts.cli.commands.live.showing import followed, following_options, hint, items_of, json_option, timeout_option
 from aiorts.cli.commands.live.target import complete, kernels
-from aiorts.cli.console.output import say_line, say_now
+from aiorts.cli.console.output import say_line
 from aiorts.cli.console.report import report
 from aiorts.control import Client, Stream
 from aiorts.errors import AbsentError, RecordError
@@ -25,27 +27,41 @@ _BATCH: Final = 64
 @click.command("print", short_help="Print the samples of an out-port that runs.")
 @click.argument("port", metavar="COMPONENT.PORT[.FIELD]", shell_complete=complete)
 @click.option("--plot", is_flag=True, help="Draw a number of the samples as a curve.")
+@click.option("--fields", metavar="A,B", help="Only these fields, as one object; as FIELD, they may have dots.")
+@click.option("--rate", type=click.FloatRange(min=0.001), metavar="HZ", help="At most so many samples a second.")
 @following_options("samples", "sample; lines are that anyhow")
-def print_(port: str, count: int | None, duration: float | None, plot: bool, timeout: float, as_json: bool) -> int:
+def print_(
+    port: str,
+    count: int | None,
+    duration: float | None,
+    plot: bool,
+    fields: str | None,
+    rate: float | None,
+    timeout: float,
+    as_json: bool,
+) -> int:
     """Print the samples of an out-port as JSON lines, as filters do: they can be piped into filters and `inject`.
 
     With FIELD, only its value is printed. What this terminal does not take in time is dropped, counted and said on
     standard error; the system is not slowed down. It ends with the run.
 
-    --plot draws the first number of the samples, or FIELD, over time.
+    --plot draws the first number of the samples, or FIELD, over time. --rate passes over samples, by their time.
     """
     until = None if duration is None else time.monotonic() + duration
+    chosen = [name.strip() for name in fields.split(",")] if fields is not None else []
     with kernels(timeout) as found:
         one = found.find(port)
         client, path, field = _port(one, port)
+        if chosen and (field or plot or not all(chosen)):
+            raise click.UsageError("--fields A,B names fields, and goes with neither COMPONENT.PORT.FIELD nor --plot")
         stream = client.stream("tap", port=path)
         hint(f"{one.running.name}/{path}: samples from now on; Ctrl-C ends")
-        items = followed(_items(stream, until), one.running, count)
+        items = followed(_thinned(_items(stream, until), rate), one.running, count)
         if plot:
             _draw(items, stream, f"{path}.{field}" if field else path, field)
         else:
             for item in items:
-                _show(item, stream.began, field)
+                _show(item, stream.began, field, chosen)
         if stream.missed:
             report("W-DROPPED", f"{path}: {stream.missed} samples were dropped on the way to this terminal")
     return exits.DONE
@@ -69,7 +85,20 @@ def _items(stream: Stream, until: float | None) -> Iterator[Mapping[str, Any]]:
         yield item
 
 
-def _show(item: Mapping[str, Any], began: Mapping[str, Any], field: str) -> None:
+def _thinned(items: Iterator[Mapping[str, Any]], rate: float | None) -> Iterator[Mapping[str, Any]]:
+    """At most `rate` of them in a second of the kernel's clock."""
+    due, step = 0.0, 0.0 if rate is None else 1e9 / rate
+    for item in items:
+        now = item["time_ns"]
+        if now >= due:
+            due = now + step if now - due >= step else due + step  # one that is late makes none late after it
+            yield item
+
+
+def _show(item: Mapping[str, Any], began: Mapping[str, Any], field: str, chosen: Sequence[str]) -> None:
+    if chosen:
+        say_line({name: _value(item, name) for name in chosen})
+        return
     if field:
         say_line(_value(item, field))
         return
@@ -142,8 +171,9 @@ def inject(
     """Write samples to an in-port of what runs.
 
     VALUE is JSON: the data of the sample, or {"data": ..., "tm": ...}. Without VALUE, JSON lines are read from standard
-    input until it ends. Each is checked against the type of the port before it is written; of a batch all are, and
-    a bad one ends the command with status 2 and its line. The connection ends with the command.
+    input until it ends. VALUE and a file are checked against the type of the port as a whole before the first sample is
+    written. Of a pipe the lines that are there are checked, 64 at most, and written before more are read. A bad line
+    ends the command with status 2 and its number. The connection ends with the command.
 
     \b
       aiorts inject pid0.measured 0.5
@@ -155,11 +185,19 @@ def inject(
         if field:
             raise AbsentError(f"{port}: samples are written whole; name the in-port, {path}")
         how: dict[str, Any] = {"port": path, "full": full, "length": length, "timeout": timeout}
-        for lines in _constant(value, rate, count) if value is not None else _batches(sys.stdin):
-            result = client.call("inject", timeout * len(lines) + 5.0, lines=lines, **how)
-            written, refused = written + result["written"], refused + result["refused"]
-            if refused and full == "block":
-                break
+        try:
+            if value is None and _is_file(sys.stdin):
+                begun = sys.stdin.tell()
+                for first, lines in _batches(sys.stdin):
+                    client.call("inject", lines=lines, first=first, check=True, **how)
+                sys.stdin.seek(begun)
+            for first, lines in _constant(value, rate, count) if value is not None else _batches(sys.stdin):
+                result = client.call("inject", timeout * len(lines) + 5.0, lines=lines, first=first, **how)
+                written, refused = written + result["written"], refused + result["refused"]
+                if refused and full == "block":
+                    break
+        except RecordError as error:
+            raise RecordError(f"{error}; {written or 'no'} samples were written before") from None
     if as_json:
         say_line({"written": written, "refused": refused})
     elif refused:
@@ -167,36 +205,43 @@ def inject(
     return exits.FAILED if refused else exits.DONE
 
 
-def _constant(value: str, rate: float | None, count: int | None) -> Iterator[list[str]]:
-    """VALUE once, `count` times, or at a rate."""
+def _constant(value: str, rate: float | None, count: int | None) -> Iterator[tuple[int, list[str]]]:
+    """VALUE once, `count` times, or at a rate; line 1 each time."""
     if rate is None:
         left = count or 1
         while left > 0:
-            yield [value] * min(left, _BATCH)
+            yield 1, [value] * min(left, _BATCH)
             left -= _BATCH
         return
     begun, number = time.monotonic(), 0
     while count is None or number < count:
         time.sleep(max(0.0, begun + number / rate - time.monotonic()))
-        yield [value]
+        yield 1, [value]
         number += 1
 
 
-def _batches(stream: TextIO | None) -> Iterator[list[str]]:
-    """The lines of a stream, as many at a time as are there."""
+def _batches(stream: TextIO | None) -> Iterator[tuple[int, list[str]]]:
+    """The lines of a stream, as many at a time as are there, and the number of the first."""
     if stream is None:
         return
     if stream.isatty():
-        say_now("reading JSON lines from this terminal; Ctrl-D ends")
-    lines: list[str] = []
+        hint("reading JSON lines from this terminal; Ctrl-D ends")
+    first, lines = 1, list[str]()
     for line in stream:
-        if line.strip():
-            lines.append(line.rstrip("\n"))
-        if len(lines) >= _BATCH or (lines and not _more(stream)):
-            yield lines
-            lines = []
+        lines.append(line.rstrip("\n"))
+        if len(lines) >= _BATCH or not _more(stream):
+            yield first, lines
+            first, lines = first + len(lines), []
     if lines:
-        yield lines
+        yield first, lines
+
+
+def _is_file(stream: TextIO | None) -> bool:
+    """Whether it can be read twice."""
+    try:
+        return stream is not None and S_ISREG(os.fstat(stream.fileno()).st_mode)
+    except (OSError, ValueError):
+        return False
 
 
 def _more(stream: TextIO) -> bool:

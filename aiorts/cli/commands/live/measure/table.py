@@ -22,6 +22,8 @@ _HEADS: Final[Mapping[str, tuple[str, ...]]] = {
     "contexts": ("CONTEXT", "RATE/S", "OF", "LATE P50", "P99", "MAX", "OVERRUNS", "SKIPPED"),
     "components": ("COMPONENT", "STATE", "CALLS"),
 }
+_NARROWEST: Final = 12
+"""Columns that are left of a name at the least."""
 _SHORTEST: Final = 3
 """Lines of a table below which it is not begun: title, one row, how many more."""
 
@@ -180,7 +182,7 @@ def screen_of(found: Tables, view: View, head: str, foot: str, width: int, heigh
         shown = rows[first : first + room - 1]
         if room and rows:
             more = f"  {first + 1}-{first + len(shown)} of {len(rows)}" if len(shown) < len(rows) else ""
-            title, *body = _columns(kind, shown)
+            title, *body = _columns(kind, shown, width)
             lines += [title + more, *body]
     lines += [""] * (height - 1 - len(lines))
     return [fitted(line, width) for line in (*lines[: height - 1], foot)][:height]
@@ -203,21 +205,35 @@ def _rooms(counts: Sequence[int], left: int) -> list[int]:
     return [room if room > 1 else 0 for room in rooms]
 
 
-def _columns(kind: str, rows: Sequence[Row]) -> list[str]:
-    """Title and rows, in columns: names and what is said in words to the left, numbers to the right."""
+def _columns(kind: str, rows: Sequence[Row], width: int | None = None) -> list[str]:
+    """Title and rows, in columns: names and what is said in words to the left, numbers to the right.
+
+    What is wider than `width` loses its empty columns, then the ends of its names; numbers stay.
+    """
     cells = [[printed(cell) for cell in one] for one in (_HEADS[kind], *(row.cells for row in rows))]
     count = len(cells[0])
     widths = [max(cells_of(row[column]) for row in cells) for column in range(count)]
     words = {0, count - 1} if kind != "contexts" else {0}
     words |= {1} if kind == "components" else set()
+    kept = list(range(count))
+    if width is not None and _beyond(widths, kept, words, width) > 0:
+        kept = [place for place in kept if any(row[place] for row in cells[1:])]
+        widths[0] = min(widths[0], max(_NARROWEST, widths[0] - _beyond(widths, kept, words, width)))
     lines = []
     for row in cells:
-        padded = [
-            cell + " " * (width - cells_of(cell)) if place in words else " " * (width - cells_of(cell)) + cell
-            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
+        padded = []
+        for place in kept:
+            cell = row[place] if place or cells_of(row[0]) <= widths[0] else f"{fitted(row[0], widths[0] - 2)}.."
+            space = " " * (widths[place] - cells_of(cell))
+            padded.append(cell + space if place in words else space + cell)
         lines.append("  ".join(padded).rstrip())
     return lines
+
+
+def _beyond(widths: Sequence[int], kept: Sequence[int], words: set[int], width: int) -> int:
+    """By how much the columns are too wide; the last may be cut where it is words."""
+    counted = [place for place in kept if place == 0 or place not in words or place != len(widths) - 1]
+    return sum(widths[place] + 2 for place in counted) - 2 - width
 
 
 def fitted(line: str, width: int) -> str:
