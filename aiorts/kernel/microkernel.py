@@ -96,7 +96,9 @@ class Microkernel:
         self.origin = ""
         """The text of the system file that it was built from; "" without one."""
         self.plugins = Catalogue.default() if plugins is None else plugins
-        self._planned = [plan_service(self.plugins, one, dict(given)) for one, given in services.items()]
+        self._planned = [
+            plan_service(self.plugins, one, dict(given))._replace(table=given) for one, given in services.items()
+        ]
         self._clock = clock
         self._contain_interrupts = contain_interrupts
         self._loop: asyncio.AbstractEventLoop | None = None

@@ -157,7 +157,7 @@ def plan_service(catalogue: Catalogue, name: str, given: Mapping[str, Any]) -> S
     kind = load_service(catalogue.find("services", name))
     if faults := [f"{key}: {what}" if key else what for key, what, _ in settings_faults(kind.settings, given)]:
         raise ConfigurationError(f"service {name!r}: {'; '.join(faults)}")
-    return ServicePlan(kind, settings_of(kind.settings, given), given)
+    return ServicePlan(kind, settings_of(kind.settings, given))
 
 
 Hook = Literal[

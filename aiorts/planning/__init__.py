@@ -9,13 +9,13 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.planning.planning import Planning, Saved
+    from aiorts.planning.planning import Planning
     from aiorts.planning.reading import wanted_of
 
 _late(
     globals(),
     {
-        "aiorts.planning.planning": "Planning Saved",
+        "aiorts.planning.planning": "Planning",
         "aiorts.planning.reading": "wanted_of",
     },
 )

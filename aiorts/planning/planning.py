@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aiorts.kernel.service import KernelService
-from aiorts.late import dataclass
+from aiorts.model.wanted.system_text import Saved, system_text
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.wanted.entries import ClockEntry
-
-
-@dataclass(frozen=True, slots=True)
-class Saved:
-    """A system as the text of a system file."""
-
-    text: str
-    notes: tuple[str, ...] = ()
-    """What of the system no system file can say, and is not in the text."""
 
 
 class Planning(KernelService):
@@ -37,12 +29,13 @@ class Planning(KernelService):
         Raises:
             SystemFileError: names all that no system file can say.
         """
-        from aiorts.model.wanted.system_text import system_text
-        from aiorts.planning.reading import wanted_of
+        return self._read(folder)()
 
-        notes: list[str] = []
-        text = system_text(wanted_of(self.kernel, notes), Path(os.path.realpath(folder)), notes)
-        return Saved(text, tuple(notes))
+    async def text_aside(self, folder: Path) -> Saved:
+        """The same; the text is written in a thread, so that the loop is held for the reading alone."""
+        from anyio import to_thread
+
+        return await to_thread.run_sync(self._read(folder))
 
     async def save(self, path: str | os.PathLike[str], *, overwrite: bool) -> tuple[str, ...]:
         """See `Kernel.save`."""
@@ -50,9 +43,17 @@ class Planning(KernelService):
 
         from aiorts.configuration import replace_text
 
-        saved = self.text(_folder_of(path))
+        saved = await self.text_aside(_folder_of(path))
         await to_thread.run_sync(lambda: replace_text(Path(path), saved.text, overwrite=overwrite))
         return saved.notes
+
+    def _read(self, folder: Path) -> Callable[[], Saved]:
+        """The system of this moment, as a function that writes it."""
+        from aiorts.planning.reading import wanted_of
+
+        notes: list[str] = []
+        wanted = wanted_of(self.kernel, notes)
+        return lambda: Saved(system_text(wanted, Path(os.path.realpath(folder)), notes), tuple(notes))
 
 
 def _folder_of(path: str | os.PathLike[str]) -> Path:

@@ -406,3 +406,15 @@ async def test_what_a_command_line_chose_for_one_run_is_not_of_the_system(tmp_pa
     async with Kernel() as kernel:
         await build(kernel, prepare(load(file), services={"watch_loop": {"limit": 9.0}}))
         assert "watch_loop" not in await text_saved(kernel, tmp_path)
+
+
+@pytest.mark.anyio
+async def test_code_that_was_replaced_is_saved_by_its_file(tmp_path: Path) -> None:
+    laid_out(tmp_path)
+    async with Kernel() as kernel:
+        await kernel.create(f"{tmp_path}/parts.py:Stop", "stop")
+        before = await text_saved(kernel, tmp_path)
+        await asyncio.to_thread((tmp_path / "parts.py").write_text, PARTS + "\n# newer\n")
+        await kernel.reload("Stop", cycles=0)
+        assert await text_saved(kernel, tmp_path) == before
+    assert 'type = "parts.py:Stop"' in before

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.errors import SystemFileError
+from aiorts.late import dataclass
 from aiorts.model.configuration.toml_values import basic_string, value_text
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _LONGEST: Final = 100
 """Characters of a line, beyond which a list has a line for each of its items."""
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """A system as the text of a system file."""
+
+    text: str
+    notes: tuple[str, ...] = ()
+    """What of the system no system file can say, and is not in the text."""
 
 
 def system_text(wanted: Wanted, folder: Path, notes: list[str] | None = None) -> str:
@@ -31,7 +40,6 @@ def system_text(wanted: Wanted, folder: Path, notes: list[str] | None = None) ->
     text = "\n".join(writer.lines(wanted)) + "\n"
     if writer.faults:
         raise SystemFileError("\n".join(writer.faults))
-    tomllib.loads(text)
     return text
 
 
