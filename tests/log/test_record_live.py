@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import random
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext
 from aiorts.types import TimedDouble, TimedLong
 from aiorts_log import RecordingReader
+from campaign import cases, time_limit
 from control_parts import WAIT, controlled, running, until
 from run_parts import here, limited
 
@@ -176,8 +178,13 @@ def test_a_recording_has_what_one_beside_the_run_has(folder: Path) -> None:
     assert {name for name, _ in ours["one.kinds"]} == {name for name, _ in theirs["one.kinds"]}
     with RecordingReader(live) as one, RecordingReader(beside) as other:
         assert _described(one) == _described(other)
+        assert _file(one) == _file(other) == system.read_bytes()
         (first,), (second,) = one.metadata, other.metadata
         assert {**first, "begun_ns": 0, "recorder": ""} == {**second, "begun_ns": 0, "recorder": ""}
+
+
+def _file(reader: RecordingReader) -> bytes:
+    return next(bytes(one.data) for one in reader.attachments() if one.name == "system.toml")
 
 
 def _described(reader: RecordingReader) -> set[tuple[object, ...]]:
@@ -205,6 +212,7 @@ class Source(Component):
             self.out.write_nowait(TimedLong(self.n, self.n))
 
 
+@pytest.mark.fault("B17")
 @pytest.mark.parametrize("burst", [1, 40, 2000])
 @pytest.mark.anyio
 async def test_of_a_port_all_that_was_written_is_recorded_or_counted(burst: int, tmp_path: Path) -> None:
@@ -315,6 +323,50 @@ async def test_one_that_is_killed_leaves_a_file_that_can_be_read_and_nothing_in_
     assert got == list(range(got[0], got[-1] + 1))
 
 
+@pytest.mark.fault("D01")
+@pytest.mark.timeout(time_limit(1200))
+@pytest.mark.anyio
+async def test_killed_at_any_moment_what_can_be_read_has_no_gap(tmp_path: Path) -> None:
+    chosen = random.Random(16)
+    async with controlled("victim", rate=500.0) as kernel:
+        for number in range(cases(200)):
+            path = tmp_path / f"{number}.mcap"
+            async with recording_meanwhile("-o", path) as process:
+                await asyncio.sleep(chosen.random() * 0.5)
+                process.kill()
+            with RecordingReader(path) as reader:
+                assert reader.check() == ()
+                got = [int(one.data) for _, _, one in reader.records()]
+            assert not got or got == list(range(got[0], got[-1] + 1))
+            await seen(kernel, 0)
+
+
+@pytest.mark.fault("D03")
+def test_a_disk_that_is_full_ends_it_with_what_is_whole(folder: Path) -> None:
+    path = folder / "run.mcap"
+    words = [sys.executable, "-m", "aiorts", "record", "one.out", "other.out", "-o", str(path), "--min-free", "0"]
+    with running("full", str(folder / "system.toml")):
+        done = subprocess.run(
+            ["/bin/sh", "-c", 'ulimit -f 16; exec "$@"', "sh", *words], capture_output=True, text=True, timeout=WAIT
+        )
+    assert done.returncode == 1
+    with RecordingReader(path) as reader:
+        assert (reader.damage, reader.check()) == ((), ())
+        held = f"recording ended: File too large; the {reader.count} samples up to there are whole"
+    assert f"aiorts: E-RECORDING: {path}: {held}" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.anyio
+async def test_a_file_that_is_deleted_meanwhile_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with controlled("deleted"), recording_meanwhile("-o", path) as process:
+        path.unlink()
+        assert process.stderr is not None
+        line = await asyncio.to_thread(process.stderr.readline)
+    assert line.startswith(f"aiorts: E-RECORDING: {path}: was deleted or renamed while it is recorded")
+
+
 @pytest.mark.anyio
 async def test_it_ends_after_so_many_samples_and_continues_a_file(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
@@ -398,6 +450,24 @@ async def test_the_file_is_named_after_the_kernel_and_the_time(tmp_path: Path, m
         assert (await asyncio.to_thread(recorded, "--count", "1"))[0] == 0
     (path,) = tmp_path.iterdir()
     assert path.match("dated-????????T??????Z.mcap")
+
+
+@pytest.mark.anyio
+async def test_more_ports_than_one_session_may_tap_are_recorded(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with controlled("many") as kernel:
+        many = await kernel.create(Ported, "many")
+        outs = [many.add_port(f"out{number}", OutPort(TimedLong)) for number in range(450)]
+        async with recording_meanwhile("many", "-o", path) as process:
+            await seen(kernel, 452)
+            for number, out in enumerate(outs):
+                out.write_nowait(TimedLong(number, number))
+            process.send_signal(signal.SIGINT)
+            _, said = await asyncio.to_thread(process.communicate, timeout=WAIT)
+    assert f"{path}: 450 samples of 452 ports" in said
+    assert {name: len(found) for name, found in messages(path).items() if found} == {
+        f"many.out{number}": 1 for number in range(450)
+    }
 
 
 class Ported(Component):

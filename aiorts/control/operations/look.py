@@ -39,7 +39,12 @@ def _profile(session: Session, _: Nothing) -> SystemProfile | Awaitable[SystemPr
     return system_profile_in_turns(session.kernel, _HOLD_SECONDS)
 
 
+def _origin(session: Session, _: Nothing) -> str:
+    return session.kernel.origin
+
+
 ROWS: Final = (
     Operation("names", "What is in the kernel, by name.", Nothing, Names, Right.VIEW, _names, idempotent=True),
+    Operation("origin", "The text of the system file, if any.", Nothing, str, Right.VIEW, _origin, idempotent=True),
     Operation("profile", "The whole profile.", Nothing, SystemProfile, Right.VIEW, _profile, idempotent=True),
 )

@@ -17,7 +17,6 @@ import click
 
 from aiorts import exits
 from aiorts.control import kernels, likely
-from aiorts_log.commands.output import FILE, number, size
 from aiorts_log.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -36,7 +35,9 @@ def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 @click.command("record", short_help="Record samples of what runs.")
 @click.argument("names", nargs=-1, metavar="[PORT|COMPONENT|KERNEL]...", shell_complete=_names)
-@click.option("-o", "--output", type=FILE, metavar="FILE", help="The file; KERNEL-TIME.mcap by default.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), metavar="FILE", help="The file; KERNEL-TIME.mcap by default."
+)
 @click.option("--all", "all_", is_flag=True, help="All out-ports of the kernel, as without names.")
 @click.option("-x", "--exclude", "excluded", multiple=True, metavar="NAME", help="But not this; * and ?; repeatable.")
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End after N samples in all.")
@@ -123,12 +124,14 @@ def _recorded(
     ending: _Ending,
 ) -> tuple[RecordingStatistics, RecordingError | None]:
     """Record until it is over; the counts, and why it failed."""
+    from aiorts_log.commands.output import number
     from aiorts_log.live.frames import FrameWriter
     from aiorts_log.recorder.about import about_profile
     from aiorts_log.recorder.options import RecordingOptions
 
     options = RecordingOptions(existing=existing, min_free=None if min_free is None else round(min_free * _MB))
-    writer = FrameWriter(path, options, metadata=about_profile(taking.profile(), "record"))
+    about = about_profile(taking.profile(), "record")
+    writer = FrameWriter(path, options, metadata=about, attachments=taking.origin())
     with writer:
         where = f"{number(len(taking.ports), 'port')} of {taking.kernel}"
         _say(f"records {where} into {path}; Ctrl-C ends it")
@@ -137,6 +140,8 @@ def _recorded(
 
 
 def _tell(taking: Taking, path: Path, found: RecordingStatistics, seconds: float, *, as_json: bool) -> None:
+    from aiorts_log.commands.output import number, size
+
     ports = {}
     for name, one in taking.ports.items():
         dropped, refused = found.dropped.get(name, 0), one.refused + found.refused.get(name, 0)

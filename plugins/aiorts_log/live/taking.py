@@ -71,6 +71,8 @@ class Taking:
         self._passed: set[str] = set()
         """Paths that are not recorded: another name of a port that is, or refused."""
         self._opened = 0
+        self._look_at = 0.0
+        self._displaced = False
         self._kinds: dict[str, type[Frame]] = {}
         self._writer: FrameWriter | None = None
         self._left: int | None = None
@@ -91,6 +93,11 @@ class Taking:
     def profile(self) -> Any:
         """The kernel's profile, as JSON has it."""
         return self._client.call("profile")
+
+    def origin(self) -> dict[str, bytes]:
+        """The system file that the kernel was made of, if any, by its name in recordings."""
+        text: str = self._client.call("origin")
+        return {"system.toml": text.encode()} if text else {}
 
     def close(self) -> None:
         """End the sessions that were opened here."""
@@ -174,11 +181,21 @@ class Taking:
                 if until is not None and now >= until:
                     break
                 self._wait(_LOOK if until is None else min(_LOOK, until - now), wake)
+                if now >= self._look_at:
+                    self._look_at = now + _LOOK
+                    self._look_after(writer)
             if self._left != 0 and writer.failure is None:
                 self._last()
         except ClosedError:
             self._has_ended()
             self._take()  # what it said last
+
+    def _look_after(self, writer: FrameWriter) -> None:
+        path, what = writer.displaced
+        if what and not self._displaced:
+            self._displaced = True
+            text = f"{path}: was {what} while it is recorded; what comes goes where it was moved to, or is lost"
+            self._say("E-RECORDING", text)
 
     def _wait(self, seconds: float, wake: int) -> None:
         while self._writer is not None and self._writer.load > _FULL and self._writer.failure is None:
