@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from aiorts import EventContext
+from aiorts.cli.commands import live
 from aiorts.control import Client, Entry, Kernels, Running, Silent
 from aiorts.control.folder import Claim
+from aiorts.control.operation import Right
+from aiorts.control.operations import OPERATIONS
 from aiorts.errors import NoAnswerError
 from control_parts import WAIT, Counter, commanded, controlled
 
@@ -149,6 +154,18 @@ def test_without_a_name_what_changes_takes_no_kernel_beside_a_silent_one() -> No
 def test_a_silent_kernel_that_is_named_is_said_not_to_answer(word: str) -> None:
     with pytest.raises(NoAnswerError, match=f"^{word}: no answer from mute; it is stopped, or busy$"):
         some(changing=False).all(word)
+
+
+def test_each_command_with_an_operation_that_changes_something_asks_for_sure_names() -> None:
+    changing = {row.name for row in OPERATIONS.values() if row.right is not Right.VIEW}
+    careless = {}
+    for path in sorted(Path(live.__file__).parent.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        calls = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call))
+        words = {one.value for call in calls for one in call.args if isinstance(one, ast.Constant)}
+        if (called := words & changing) and "changing=" not in text:
+            careless[path.stem] = called
+    assert careless == {"rates": {"measure"}}  # it ends with the command, and is said
 
 
 async def test_commands_beside_a_kernel_that_does_not_answer(capsys: pytest.CaptureFixture[str]) -> None:
