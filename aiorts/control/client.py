@@ -1,4 +1,4 @@
-"""The client's end: short sessions with running kernels over blocking sockets, no event loop and no thread.
+"""The client's end: short sessions with running kernels over blocking sockets, without an event loop.
 
 with Client.open(entry) as client:
     client.call("activate", component="pid0")
@@ -21,8 +21,9 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from aiorts import errors
-from aiorts.control.folder import Entry, discard
-from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, REQUESTS, agreed, answer_in, framed, frames
+from aiorts.control.ahead import Ahead, Waiting
+from aiorts.control.folder import Entry, discard, is_served
+from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, REQUESTS, STALL_SECONDS, agreed, answer_in, framed, frames
 from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
 from aiorts.late import dataclass
 
@@ -47,9 +48,11 @@ class Client:
         self.right = ""
         self.hello: Mapping[str, Any] = {}
         self._buffer = bytearray()
-        self._frames: deque[dict[Any, Any]] = deque()
-        self._answers: dict[int, deque[dict[Any, Any]]] = {}
+        self._frames: deque[tuple[dict[Any, Any], int]] = deque()
+        """What has come, and its bytes."""
+        self._answers: dict[int, Waiting] = {}
         """Of calls that run: what has come for each."""
+        self._ahead: Ahead | None = None
         self._last = 0
         self._gone = ""
         self.silence = _SILENCE
@@ -101,7 +104,7 @@ class Client:
         while not self.hello:
             self._receive(until)
             while self._frames and not self.hello:
-                self._take_hello(self._frames.popleft())
+                self._take_hello(self._frames.popleft()[0])
 
     def _take_hello(self, frame: dict[Any, Any]) -> None:
         if "error" in frame:
@@ -116,7 +119,21 @@ class Client:
 
     def close(self) -> None:
         """End the session: what it began in the kernel ends with it. Idempotent."""
+        if self._ahead is not None:
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+            self._ahead.join()
         self._socket.close()
+
+    def read_ahead(self) -> None:
+        """From now on a thread takes what comes: this process may be held back, and the kernel does not notice.
+
+        A stream keeps `ahead.ITEMS` items for who does not take them; the others are `missed`. `read` and `fileno` are
+        not for who calls this. Idempotent.
+        """
+        if self._ahead is None:
+            self._socket.settimeout(None)
+            self._ahead = Ahead(self.read, self._sort)
 
     def __enter__(self) -> Self:
         return self
@@ -149,8 +166,12 @@ class Client:
     def begin(self, operation: str, /, **arguments: object) -> int:
         """Send a call and do not wait; `result` gives its result by the number that is returned."""
         number = self._last + 1
-        self._send({"id": number, "op": operation, "epoch": self.entry.epoch, "args": arguments})
-        self._answers[number] = deque()
+        self._answers[number] = Waiting()
+        try:
+            self._send({"id": number, "op": operation, "epoch": self.entry.epoch, "args": arguments})
+        except BaseException:
+            del self._answers[number]
+            raise
         self._last = number
         return number
 
@@ -201,25 +222,29 @@ class Client:
         """The next that comes for a call."""
         waiting = self._answers[number]
         until = None if timeout is None else time.monotonic() + timeout
-        while not waiting:
-            self._receive(until)
-            self._sort()
-        answer = waiting.popleft()
+        if self._ahead is None:
+            while not waiting:
+                self._receive(until)
+                self._sort()
+        elif not waiting and not self._ahead.wait(lambda: len(waiting) > 0, until):
+            raise NoAnswerError(f"{self.entry.address}: {self.silence}")
+        answer = waiting.take()
         if "error" in answer:
             raise _error_of(answer["error"], self.entry)
         return answer
 
     def _sort(self) -> None:
         while self._frames:
-            frame = self._frames.popleft()
+            frame, size = self._frames.popleft()
             if not self.hello:
                 self._take_hello(frame)
                 continue
             if "id" not in frame and "error" in frame:
                 raise _error_of(frame["error"], self.entry)
             number, busy = frame.get("id"), frame.get("busy")
-            if type(number) is int and number in self._answers:
-                self._answers[number].append(frame)
+            waiting = self._answers.get(number) if type(number) is int else None
+            if waiting is not None:
+                waiting.put(frame, size, bounded=self._ahead is not None)
                 self.silence = _SILENCE
             elif type(busy) is float or type(busy) is int:
                 self.silence = f"no answer: its event loop has been busy for at least {busy:.1f} s"
@@ -245,13 +270,23 @@ class Client:
         except OSError as error:
             raise errors.ClosedError(f"{self.entry.address}: the session has ended ({error.strerror})") from None
         if not data:
-            raise errors.ClosedError(self._gone or f"{self.entry.address}: has ended")
+            raise self._ended()
         self._buffer += data
-        self._frames.extend(answer_in(frame) for frame in frames(self._buffer, ANSWERS))
+        self._frames.extend((answer_in(frame), len(frame)) for frame in frames(self._buffer, ANSWERS))
+
+    def _ended(self) -> errors.ClosedError:
+        """Why nothing comes any more."""
+        if not self._gone and self.hello and is_served(self.entry):
+            return errors.ClosedError(
+                f"{self.entry.address}: runs on, and has cut off this process, which took nothing for "
+                f"{STALL_SECONDS:.0f} s; what it missed at the end is not counted"
+            )
+        return errors.ClosedError(self._gone or f"{self.entry.address}: has ended")
 
     def answered(self, number: int) -> bool:
         """Whether something has come for a call, after `read`."""
-        self._sort()
+        if self._ahead is None:
+            self._sort()
         return bool(self._answers.get(number))
 
 
@@ -260,7 +295,7 @@ class Stream:
 
     Attributes:
         began: what the operation said when it began.
-        missed: items that the kernel dropped so far, since this end was too slow.
+        missed: items that were dropped so far, in the kernel or here, since this end was too slow.
         result: what it said when it ended.
     """
 
@@ -270,6 +305,7 @@ class Stream:
         self.missed = 0
         self.result: Any = None
         self._number = number
+        self._waiting = client._answers[number]
         self._ended = False
 
     def __iter__(self) -> Iterator[Any]:
@@ -300,8 +336,12 @@ class Stream:
         """
         if self._ended:
             return END
-        answer = self.client._next(self._number, timeout)
-        self.missed += int(answer.get("missed", 0))
+        try:
+            answer = self.client._next(self._number, timeout)
+        except errors.ClosedError:
+            self.missed += self._waiting.missed_last()
+            raise
+        self.missed += answer["missed"]
         if "item" in answer:
             return answer["item"]
         self._ended = True

@@ -124,6 +124,17 @@ def discard(entry: Entry) -> None:
             _remove(entry.path)
 
 
+def is_served(entry: Entry) -> bool:
+    """Whether the kernel of an entry, and no other, still listens at it."""
+    file = Path(entry.path).with_suffix(".json")
+    for wait in (0.0, 0.1):  # what is killed closes its sockets one after the other
+        time.sleep(wait)
+        found = _read(file)
+        if found is None or found.epoch != entry.epoch or _is_dead(entry.path):
+            return False
+    return True
+
+
 def _read(file: Path) -> Entry | None:
     try:
         with file.open("rb") as opened:

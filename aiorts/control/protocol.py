@@ -30,6 +30,8 @@ ANSWERS: Final = 512 * MIB
 """Bytes of the longest frame that a client takes from a kernel."""
 WAITING: Final = 256
 """Calls of one client that may wait or run at a time, and items of a stream that wait to be sent."""
+STALL_SECONDS: Final = 30.0
+"""After which a client that does not read what was sent, or does not end what it began to say, is cut off."""
 _LENGTH: Final = 4
 
 

@@ -273,7 +273,9 @@ def _tap(word: str | None) -> Stream | None:
         entry = one.client.entry
     client = Client.open(entry)
     try:
-        return client.stream("tap", port=one.path, frames=True)
+        stream = client.stream("tap", port=one.path, frames=True)
+        client.read_ahead()
+        return stream
     except BaseException:
         client.close()
         raise

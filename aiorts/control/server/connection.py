@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
-from aiorts.control.protocol import REQUESTS, WAITING, agreed, framed, frames, has_frame, request_in
+from aiorts.control.protocol import REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.model.reading import from_plain
 
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 HELLO_SECONDS: Final = 5.0
 """Within which a client has to say hello."""
-STALL_SECONDS: Final = 30.0
-"""After which a client that does not read what was sent, or does not end what it began to say, is cut off."""
 CALLS_PER_SECOND: Final = 2_000
 """Of one client; beyond that it is read more slowly."""
 _BURST: Final = 500

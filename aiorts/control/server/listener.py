@@ -50,6 +50,8 @@ _VIEW_SECONDS: Final = 0.5
 """After which the next call that looks is carried out although the one before has no answer."""
 _HELD_SECONDS: Final = 0.1
 """After which clients are told that the loop is held up; then again and again."""
+_REST_SECONDS: Final = 0.75
+"""That clients have at the end to take what waits for them."""
 
 
 class Listener:
@@ -207,6 +209,7 @@ class Listener:
                 while not self._ended:
                     self._turn(selector)
                 self._deliver()
+                self._send_rest()
         except Exception as error:  # noqa: BLE001 - the system goes on without it
             LOG.error("the socket is served no longer: %s", format_error(error), exc_info=error)
         finally:
@@ -250,6 +253,19 @@ class Listener:
         if self._deaf_until and now >= self._deaf_until:
             self._deaf_until = 0.0
             selector.register(self._listener, selectors.EVENT_READ)
+
+    def _send_rest(self) -> None:
+        """Send what clients take of the last words within `_REST_SECONDS`."""
+        until = time.monotonic() + _REST_SECONDS
+        with selectors.DefaultSelector() as selector:
+            for connection in self._connections:
+                if connection.has_more and not connection.closed:
+                    selector.register(connection.socket, selectors.EVENT_WRITE, connection)
+            while selector.get_map() and (left := until - time.monotonic()) > 0:
+                for key, _ in selector.select(left):
+                    self._guarded(key.data, key.data.write)
+                    if key.data.closed or not key.data.has_more:
+                        selector.unregister(key.fileobj)
 
     def _work(self, until: float) -> None:
         """Take calls until so much time of the thread: first of those clients whose calls took least time of late."""

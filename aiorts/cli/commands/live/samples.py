@@ -87,7 +87,7 @@ def _items(stream: Stream, until: float | None) -> Iterator[Mapping[str, Any]]:
 
 def _thinned(items: Iterator[Mapping[str, Any]], rate: float | None) -> Iterator[Mapping[str, Any]]:
     """At most `rate` of them in a second of the kernel's clock."""
-    due, step = 0.0, 0.0 if rate is None else 1e9 / rate
+    due, step = 0, 0 if rate is None else round(1e9 / rate)
     for item in items:
         now = item["time_ns"]
         if now >= due:

@@ -134,11 +134,12 @@ def followed(items: Iterator[T], running: Running, count: int | None) -> Iterato
 
 
 def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
-    """What comes of a stream before a time of `time.monotonic()`.
+    """What comes of a stream before a time of `time.monotonic()`; it is taken on while this process is held back.
 
     Raises:
         ClosedError: the stream has ended, or its kernel.
     """
+    stream.client.read_ahead()
     yield from stream.until(until)
     if stream.ended:
         raise ClosedError(stream.result or f"{stream.client.entry.name}: has ended")
