@@ -116,6 +116,10 @@ def hint(text: str) -> None:
         tell(f"aiorts: {text}")
 
 
+class Over(ClosedError):
+    """A part of a kernel that was followed is there no more."""
+
+
 def followed(items: Iterator[T], running: Running, count: int | None) -> Iterator[T]:
     """The items, `count` of them where it is given, until what gives them has ended, which is said.
 
@@ -137,18 +141,18 @@ def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
     """What comes of a stream before a time of `time.monotonic()`; it is taken on while this process is held back.
 
     Raises:
-        ClosedError: the stream has ended, or its kernel.
+        Over: the stream has ended, or its kernel in order.
+        ClosedError: the kernel has ended.
     """
     stream.client.read_ahead()
     yield from stream.until(until)
     if stream.ended:
-        raise ClosedError(stream.result or f"{stream.client.entry.name}: has ended")
+        raise Over(stream.result or f"{stream.client.entry.name}: has ended")
 
 
 def has_ended(running: Running, error: ClosedError, number: int, count: int | None) -> int:
     """Say that a kernel, or a part of it, has ended while it was followed; the exit status. Raises as `followed`."""
-    entry = running.client.entry
-    text = str(error).removeprefix(entry.address.removesuffix(entry.name))
+    text = str(error) if isinstance(error, Over) else f"{running.name}: has ended"
     if count is not None:
         raise AbsentError(f"{text}; {number} of {count} have come")
     tell(f"aiorts: {text}")

@@ -12,7 +12,7 @@ from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
 from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
 from aiorts.cli.commands.live.measure.spans import span_plain, span_text
-from aiorts.cli.commands.live.showing import following_options, has_ended
+from aiorts.cli.commands.live.showing import Over, following_options, has_ended
 from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
 from aiorts.cli.console.report import say
@@ -63,7 +63,7 @@ def _follow(
         try:
             for now in readings(running.client, interval, **chosen):
                 if not now["connectors"]:
-                    raise ClosedError(f"{name}: was disconnected")
+                    raise Over(f"{name}: was disconnected")
                 shown += show(now)
                 if shown == count or (until is not None and time.monotonic() >= until):
                     break
