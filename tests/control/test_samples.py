@@ -16,7 +16,7 @@ from aiorts import Component, InPort, OutPort, PeriodicContext, profile_from_pla
 from aiorts.control import END, Client
 from aiorts.errors import ClosedError, RecordError, WiringError
 from aiorts.testing import simulate
-from aiorts.types import TimedDouble
+from aiorts.types import TimedDouble, TimedOctetSeq
 from control_parts import WAIT, Counter, commanded, controlled, entry_of, with_client
 
 pytestmark = pytest.mark.anyio
@@ -248,3 +248,17 @@ async def test_some_fields_and_some_samples_are_printed(capsys: pytest.CaptureFi
         status, text = await commanded(capsys, "print", "counter0.out", "--rate", "0.001", "--for", "0.1")
         assert (status, len(text.splitlines()) <= 1) == (0, True)  # of about 20
         assert (await commanded(capsys, "print", "counter0.out.data", "--fields", "tm"))[0] == 2
+
+
+async def test_what_a_slow_client_has_not_taken_at_the_end_is_sent_or_counted() -> None:
+    async with controlled("last") as kernel:
+        out = kernel.components["counter0"].add_port("large", OutPort(TimedOctetSeq))
+        client = await asyncio.to_thread(Client.open, entry_of("last"))
+        stream = await asyncio.to_thread(lambda: client.stream("tap", port="counter0.large"))
+        for number in range(300):
+            out.write_nowait(TimedOctetSeq(number, bytes(10_000)))
+            await asyncio.sleep(0)
+        took = asyncio.create_task(asyncio.to_thread(lambda: list(stream.until(None))))
+    with client:
+        got = await took
+    assert len(got) + stream.missed == 300

@@ -93,7 +93,7 @@ def folder(tmp_path: Path) -> Path:
 
 def recorded(*words: object) -> tuple[int, str, str]:
     """`aiorts record WORDS` in this process: exit status, standard output, standard error."""
-    done = here("record", *map(str, words), "--min-free", "0")
+    done = here("record", *map(str, words), "--min-free", "0", "--timeout", str(WAIT))
     return done.returncode, done.stdout, done.stderr
 
 
@@ -101,7 +101,7 @@ def recorded(*words: object) -> tuple[int, str, str]:
 def recording(*words: object) -> Iterator[subprocess.Popen[str]]:
     """The same in a process of its own, from when it records."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "aiorts", "record", *map(str, words), "--min-free", "0"],
+        [sys.executable, "-m", "aiorts", "record", *map(str, words), "--min-free", "0", "--timeout", str(WAIT)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -303,7 +303,8 @@ def test_the_end_of_the_kernel_ends_it_with_a_whole_file(how: str, folder: Path)
             assert here("stop", "ends/").returncode == 0
         _, said = process.communicate(timeout=WAIT)
     assert process.returncode == 0
-    assert "aiorts: ends: has ended\n" in said
+    assert "aiorts: ends: " in said
+    assert (" without an end of its ports; " in said) == (how == "kill")
     got = numbers(path, "one.out")
     assert got == list(range(got[0], got[-1] + 1))
     messages(path)
@@ -344,7 +345,20 @@ async def test_killed_at_any_moment_what_can_be_read_has_no_gap(tmp_path: Path) 
 @pytest.mark.fault("D03")
 def test_a_disk_that_is_full_ends_it_with_what_is_whole(folder: Path) -> None:
     path = folder / "run.mcap"
-    words = [sys.executable, "-m", "aiorts", "record", "one.out", "other.out", "-o", str(path), "--min-free", "0"]
+    words = [
+        sys.executable,
+        "-m",
+        "aiorts",
+        "record",
+        "one.out",
+        "other.out",
+        "-o",
+        str(path),
+        "--min-free",
+        "0",
+        "--timeout",
+        str(WAIT),
+    ]
     with running("full", str(folder / "system.toml")):
         done = subprocess.run(
             ["/bin/sh", "-c", 'ulimit -f 16; exec "$@"', "sh", *words], capture_output=True, text=True, timeout=WAIT

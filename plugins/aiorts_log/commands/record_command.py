@@ -45,6 +45,7 @@ def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 @click.option("--append", is_flag=True, help="Continue FILE when it is there.")
 @click.option("--overwrite", "--force", is_flag=True, help="Replace FILE when it is there.")
 @click.option("--min-free", type=click.FloatRange(0.0, 1e12), metavar="MB", help="Of the disk that stay free.")
+@click.option("--timeout", type=click.FloatRange(min=0.001), default=1.0, metavar="S", help="Wait S seconds.")
 @click.option("--json", "as_json", is_flag=True, help="Print the counts as one JSON document.")
 def record(
     names: tuple[str, ...],
@@ -56,6 +57,7 @@ def record(
     append: bool,
     overwrite: bool,
     min_free: float | None,
+    timeout: float,
     as_json: bool,
 ) -> int:
     """Record the samples of out-ports of what runs into an MCAP file, as `aiorts run --record` does.
@@ -74,7 +76,7 @@ def record(
         raise click.UsageError("--all goes not with names; name the kernel with --exclude, or the ports")
     existing = _existing(append=append, overwrite=overwrite)
     began = time.monotonic()
-    with kernels() as found:
+    with kernels(timeout) as found:
         from aiorts_log.live.choice import Choice
         from aiorts_log.live.taking import Taking
         from aiorts_log.recorder.target import check_target
@@ -88,6 +90,8 @@ def record(
     _tell(taking, path, counts, time.monotonic() - began, as_json=as_json)
     if failure is not None:
         _report(failure.code, str(failure))
+        return exits.FAILED
+    if taking.cut_off:
         return exits.FAILED
     return exits.of_signal(ending.number) if ending.number else exits.DONE
 

@@ -63,6 +63,8 @@ class Taking:
         """By name in the recording."""
         self.ended = ""
         """Why the kernel's end ended it; "" while it goes on."""
+        self.cut_off = False
+        """Whether the kernel goes on, and did not wait any longer for this end."""
         self._choice = choice
         self._say = say
         self._clients: list[Client] = [choice.running.client]
@@ -186,9 +188,13 @@ class Taking:
                     self._look_after(writer)
             if self._left != 0 and writer.failure is None:
                 self._last()
-        except ClosedError:
-            self._has_ended()
+        except ClosedError as error:
+            entry = self._client.entry
+            self.ended = str(error).replace(entry.address, entry.name, 1)
+            self.cut_off = ": runs on" in str(error)
             self._take()  # what it said last
+            if self._taps:
+                self.ended += " without an end of its ports; what they sent last may be missing, and is not counted"
 
     def _look_after(self, writer: FrameWriter) -> None:
         path, what = writer.displaced
@@ -234,7 +240,7 @@ class Taking:
         return not self.ended
 
     def _has_ended(self) -> None:
-        self.ended = f"{self.kernel}: has ended"
+        self.ended = self.ended or f"{self.kernel}: has ended"
 
     def _take_from(self, path: str, stream: Stream, one: Recorded) -> None:
         for item in _items(stream):
