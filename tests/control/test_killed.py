@@ -10,10 +10,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 import pytest
 
+from aiorts import Kernel
 from aiorts.control import Client, entries, open_all
 from aiorts.errors import AiortsError
 from campaign import cases, time_limit
@@ -21,6 +24,7 @@ from control_parts import WAIT, controlled, entry_of, running, until
 
 ROOT = Path(__file__).parents[2]
 SYSTEM = str(ROOT / "examples/pid/system.toml")
+_SILENT: Final[dict[str, Any]] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
 CLIENT = """
 import sys
 from aiorts.control import Client, entries
@@ -76,6 +80,93 @@ def test_kernels_that_are_killed_at_any_moment_leave_nothing_to_the_next_reader(
                 Client.open(entry)
         assert entries() == ()
         assert os.listdir(place) == []
+
+
+TOOLS = (
+    ("print", "victim/counter0.out"),
+    ("inject", "victim/reader0.in", "1.5", "--rate", "300"),
+    ("flexidump", "-p", "TimedDouble", "--connect", "victim/counter0.out"),
+)
+
+
+@pytest.mark.timeout(time_limit(1200))
+@pytest.mark.anyio
+async def test_readers_and_writers_that_are_killed_at_any_moment_leave_exact_ledgers(runtime: str) -> None:
+    """Some are killed while they start; a third, at least, while they take or give samples."""
+    chosen, busy = random.Random(18), 0
+    async with controlled("victim", rate=500.0) as kernel:
+        counter, reader = kernel.components["counter0"], kernel.components["reader0"]
+        before, connectors = repr(kernel.profile().structure()), tuple(kernel.connectors)
+        descriptors = len(os.listdir("/proc/self/fd"))
+        for _ in range(cases(70)):
+            victims = [
+                subprocess.Popen([sys.executable, "-m", "aiorts", *words], **_SILENT)
+                for words in chosen.sample(TOOLS, len(TOOLS))
+            ]
+            for victim in victims:
+                if chosen.random() < 0.6:
+                    await _connected(kernel, victim)
+                await asyncio.sleep(chosen.random() * 0.2)
+                busy += any(_is_of(one, victim.pid) for one in _tools(kernel))
+                victim.kill()
+                await asyncio.to_thread(victim.wait)
+        async with asyncio.timeout(WAIT):
+            while _tools(kernel) or len(os.listdir("/proc/self/fd")) > descriptors:
+                await asyncio.sleep(0.02)
+        (wire,) = kernel.connectors.values()
+        counts = wire.statistics
+        assert tuple(kernel.connectors) == connectors
+        assert repr(kernel.profile().structure()) == before
+        assert counts.balanced
+        assert counts.written == counter.count
+        for port in (counter.ports["out"], reader.ports["in"]):
+            assert repr(port).endswith("1 connectors>")
+        assert len(os.listdir(Path(runtime, "aiorts"))) == 2
+    assert busy >= cases(70)
+    assert os.listdir(Path(runtime, "aiorts")) == []
+
+
+@pytest.mark.timeout(time_limit(1200))
+def test_a_source_that_is_killed_at_any_moment_is_told_by_its_readers(runtime: str) -> None:
+    chosen = random.Random(19)
+    constant = ("flexiconst", "-p", "TimedDouble", "-c", "1", "-r", "500", "--name", "src")
+    for number in range(cases(30)):
+        words = (("flexidump", "-p", "TimedDouble", "--connect", "src.output"), ("print", "src.output"))[number % 2]
+        with subprocess.Popen([sys.executable, "-m", "aiorts", *constant], **_SILENT) as source:
+            until(lambda: any(one.name == "src" for one in entries()))
+            with subprocess.Popen(
+                [sys.executable, "-m", "aiorts", *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE, text=True,
+            ) as reader:  # fmt: skip
+                assert reader.stdout is not None
+                first = reader.stdout.readline()
+                time.sleep(chosen.random() * 0.1)
+                source.kill()
+                rest, told = reader.communicate(timeout=WAIT)
+        assert "src: has ended" in told
+        assert reader.returncode == (1 if number % 2 == 0 else 0)
+        assert first
+        assert rest == "" or rest.endswith("\n")
+        for entry in entries():
+            with contextlib.suppress(AiortsError):
+                Client.open(entry)
+        assert os.listdir(Path(runtime, "aiorts")) == []
+
+
+def _tools(kernel: Kernel) -> Sequence[Mapping[str, Any]]:
+    found: Sequence[Mapping[str, Any]] = kernel.profile().services.get("tool", {}).get("connectors", ())
+    return found
+
+
+def _is_of(tool: Mapping[str, Any], pid: int) -> bool:
+    return f"process {pid}]" in tool["client"]
+
+
+async def _connected(kernel: Kernel, tool: subprocess.Popen[bytes]) -> None:
+    """Wait until it takes or gives samples, or has given up, as beside much other work."""
+    async with asyncio.timeout(WAIT):
+        while tool.poll() is None and not any(_is_of(one, tool.pid) for one in _tools(kernel)):
+            await asyncio.sleep(0.01)
 
 
 def test_a_process_that_is_stopped_delays_nobody_else_and_is_named() -> None:
