@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, cast
 
 import msgpack  # type: ignore[import-untyped]
 
@@ -39,8 +39,7 @@ def frame_kind(name: str, schema: str, base: type[Frame] = Frame) -> type[Frame]
 
 
 def _begin(name: str) -> bytes:
-    head: bytes = msgpack.packb([FORMAT, name, None])
-    return head[:-1]
+    return cast("bytes", msgpack.packb([FORMAT, name, None]))[:-1]
 
 
 def type_in(frame: bytes) -> str:
