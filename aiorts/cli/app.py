@@ -30,6 +30,7 @@ _COMMANDS: Final = {
     "schema": ("aiorts.cli.commands.schema:schema_command", "Print the JSON Schema of system files, for editors."),
     "plugins": ("aiorts.cli.commands.plugins:plugins", "List what plugins offer; --check imports each."),
     "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
+    "new": ("aiorts.cli.new.command:new", "Write a plugin with a new component, to begin with."),
     "inspect": ("aiorts.cli.commands.inspection:inspect", "Show a component or a type without running it."),
     "types": ("aiorts.cli.commands.record_types:types", "List the record types that ports can have."),
     "ls": ("aiorts.cli.commands.live.look.ls:ls", "List the kernels that run, their components and ports."),

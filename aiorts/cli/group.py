@@ -13,7 +13,7 @@ import click
 from click.shell_completion import CompletionItem
 
 _SECTIONS: Final = (
-    ("Begin", ("demo", "doctor", "help")),
+    ("Begin", ("demo", "new", "doctor", "help")),
     ("Systems", ("run", "check", "graph", "schema")),
     (
         "What runs",

@@ -25,7 +25,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
             "dynamic-ports",
             *("replace-code", "observe", "control", "save-system", "measure-live", "samples-live", "live-log"),
             *("foxglove-live", "filters", "notebook"),
-            *("write-context", "write-codec", "write-service", "write-bench"),
+            *("write-plugin", "write-context", "write-codec", "write-service", "write-bench"),
         ),
     ),
     "reference": (

@@ -57,7 +57,7 @@ aiorts/cli/console
 aiorts/cli/runtime
 aiorts/cli/commands/live
 aiorts/cli/commands/live/look aiorts/cli/commands/live/measure
-aiorts/cli/commands aiorts/cli/demo
+aiorts/cli/commands aiorts/cli/demo aiorts/cli/new
 aiorts/cli
 plugins/aiorts_log plugins/aiorts_bench/harness plugins/aiorts_flexi/common
 plugins/aiorts_foxglove

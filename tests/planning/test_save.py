@@ -398,6 +398,24 @@ async def test_a_file_that_is_there_stays_unless_it_is_to_be_overwritten(tmp_pat
 
 
 @pytest.mark.anyio
+@pytest.mark.parametrize("turns", [0, 1, 2, 3, 5, 8])
+async def test_cancelled_at_any_moment_the_file_is_the_old_one_or_the_new_one(tmp_path: Path, turns: int) -> None:
+    file = tmp_path / "system.toml"
+    file.write_text("old")
+    async with Kernel() as kernel:
+        await kernel.create("FlexiDupe", "twice", inputs=("TimedDouble:2",))
+        saving = asyncio.ensure_future(kernel.save(file, overwrite=True))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        saving.cancel()
+        await asyncio.wait([saving])
+        assert file.read_text() == "old" or "FlexiDupe" in file.read_text()
+        assert os.listdir(tmp_path) == ["system.toml"]
+        await kernel.save(file, overwrite=True)
+    assert "FlexiDupe" in file.read_text()
+
+
+@pytest.mark.anyio
 async def test_what_a_command_line_chose_for_one_run_is_not_of_the_system(tmp_path: Path) -> None:
     from aiorts.system import prepare
 

@@ -161,6 +161,7 @@ ELSEWHERE = {
     "SimulatedClock.advance_to": "the same",
     "RealtimeContext.add": "Context.add, after a check that waits for nothing",
     "Kernel.reload": "reload/test_cancelled.py",
+    "Kernel.save": "planning/test_save.py",
     "KernelService.closing": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "KernelService.ending": "the kernel's own, while it closes; nobody who is cancelled awaits it",
     "Goal.__anext__": "services/test_goals.py",

@@ -1,0 +1,287 @@
+"""The files of a plugin with one component, as text; it writes nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
+
+from aiorts.cli.new.design import Design, Port, Service
+from aiorts.types import TimedDouble, has_tm
+from aiorts.wire import split_sample
+
+_RATE: Final = 10.0
+"""Hz of the system file."""
+
+
+def files_of(design: Design) -> dict[str, str]:
+    """Path below the folder -> text."""
+    package = design.package
+    return {
+        "pyproject.toml": _pyproject(design),
+        "README.md": _readme(design),
+        "system.toml": _system(design),
+        f"{package}/__init__.py": _face(design),
+        f"{package}/component.py": "\n".join(_component(design)),
+        f"{package}/py.typed": "",
+        f"tests/test_{package.removeprefix('aiorts_')}.py": "\n".join(_tests(design)),
+    }
+
+
+def _pyproject(design: Design) -> str:
+    return f"""\
+# A plugin of aiorts: an ordinary Python project that says in entry points what it offers.
+[build-system]
+requires = ["hatchling>=1.24"]
+build-backend = "hatchling.build"
+
+[project]
+name = "{design.package.replace("_", "-")}"
+version = "0.1.0"
+description = "The component {design.cls} for aiorts"
+requires-python = ">=3.11"
+dependencies = ["aiorts"]
+
+# Each line: NAME = "MODULE:OBJECT". Nothing is imported before the name is used.
+[project.entry-points."aiorts.components"]
+{design.cls} = "{design.package}.component:{design.cls}"
+
+[tool.hatch.build.targets.wheel]
+packages = ["{design.package}"]
+
+[tool.ruff]
+line-length = 120
+src = ["."]
+
+[tool.pytest.ini_options]
+testpaths = ["tests"]
+pythonpath = ["."]
+"""
+
+
+def _face(design: Design) -> str:
+    return f'''\
+"""The component {design.cls}. Nothing is imported here: its name loads its module when it is used."""
+
+from __future__ import annotations
+
+AIORTS_API = 1
+"""The version of aiorts' plugin interface that this was written for."""
+'''
+
+
+def _readme(design: Design) -> str:
+    return f"""\
+# {design.cls}
+
+A component for aiorts. It runs as it lies here, from the folder that holds `{design.name}`:
+
+```sh
+aiorts run {design.name}/system.toml --for 2
+aiorts --plugins {design.name} inspect {design.cls}
+python -m pytest {design.name}
+```
+
+After `pip install ./{design.name}` it needs no `--plugins`, and is a filter: `aiorts {design.cls.lower()} --help`.
+
+- `{design.package}/component.py`: the component; begin at `on_execute`.
+- `system.toml`: a system that it runs in.
+- `tests/`: its test, in virtual time.
+"""
+
+
+# -- the component -----------------------------------------------------------------------------------------------------
+
+
+def _component(design: Design) -> Iterator[str]:
+    own = [("InPort", design.ins), ("OutPort", design.outs), ("Param", design.params or design.flexi)]
+    own += [
+        (role.capitalize(), [one for one in design.services if one.role == role]) for role in ("provided", "required")
+    ]
+    if design.flexi:
+        own = [("InPort", True), ("OutPort", True), *own[2:]]
+    yield f'"""{design.cls}: say here what it is for."""'
+    yield ""
+    yield "from __future__ import annotations"
+    yield ""
+    if design.flexi:
+        yield "from collections.abc import Mapping"
+    typing = [*(["Any"] if design.flexi else []), *(["Protocol"] if design.services else [])]
+    if typing:
+        yield f"from typing import {', '.join(typing)}"
+    if design.flexi or typing:
+        yield ""
+    yield f"from aiorts import {', '.join(['Component', *(name for name, there in own if there)])}"
+    yield from ["from aiorts.types import find_type"] if design.flexi else _imports((*design.ins, *design.outs))
+    yield ""
+    names = sorted((design.cls, *(one.interface for one in design.services)))
+    yield f"__all__ = ({', '.join(map(json.dumps, names))}{',' * (len(names) == 1)})"
+    for service in design.services:
+        yield from _interface(design, service)
+    yield ""
+    yield ""
+    yield f"class {design.cls}(Component):"
+    yield '    """Says in one line what it does."""'
+    yield ""
+    yield from _declarations(design)
+    if design.flexi:
+        yield _FLEXI
+    yield "    async def on_execute(self) -> None:"
+    yield '        """One cycle: take what has come, and write what follows from it."""'
+    yield from _cycle(design)
+    for service in design.services:
+        if service.role == "provided":
+            yield ""
+            yield "    async def ask(self, question: str) -> str:"
+            yield f'        """See `{service.interface}`."""'
+            yield '        return f"{self.name}: {question}"'
+            break
+    yield ""
+
+
+_FLEXI: Final = '''\
+    types: tuple[str, ...] = Param(("TimedDouble",), type=tuple[str, ...], doc="of each pair of ports")
+
+    def ports_for(self, values: Mapping[str, Any]) -> Mapping[str, InPort[Any] | OutPort[Any]]:
+        """An in-port and an out-port for each type; they change with the parameter."""
+        ports: dict[str, InPort[Any] | OutPort[Any]] = {}
+        for number, name in enumerate(values["types"]):
+            cls = find_type(name)
+            ports[f"input{number}"], ports[f"output{number}"] = InPort(cls), OutPort(cls)
+        return ports
+'''
+
+
+def _imports(ports: Iterable[Port]) -> Iterator[str]:
+    """The lines that import their types, in the order that ruff gives them."""
+    found: dict[str, set[str]] = {}
+    for port in ports:
+        found.setdefault(port.module, set()).add(port.type)
+    yield from (f"from {module} import {', '.join(sorted(names))}" for module, names in sorted(found.items()))
+
+
+def _interface(design: Design, service: Service) -> Iterator[str]:
+    yield ""
+    yield ""
+    yield f"class {service.interface}(Protocol):"
+    yield f'    """What can be asked through the service port `{service.name}`."""'
+    yield ""
+    yield "    async def ask(self, question: str) -> str:"
+    yield '        """Answer a question; replace it by the methods that you need."""'
+    yield "        ..."
+
+
+def _declarations(design: Design) -> Iterator[str]:
+    yield from (f"    {one.name} = InPort({one.type})" for one in design.ins)
+    yield from (f"    {one.name} = OutPort({one.type})" for one in design.outs)
+    yield from (f"    {one.name} = {one.role.capitalize()}[{one.interface}]()" for one in design.services)
+    yield from (f"    {name} = Param({_literal(value)})" for name, value in design.params.items())
+    if design.ins or design.outs or design.services or design.params:
+        yield ""
+
+
+def _literal(value: Any) -> str:
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+
+
+def _cycle(design: Design) -> Iterator[str]:
+    if design.flexi:
+        yield "        for number in range(len(self.types)):"
+        yield '            source, target = self.ports[f"input{number}"], self.ports[f"output{number}"]'
+        yield "            if isinstance(source, InPort) and isinstance(target, OutPort):"
+        yield "                for sample in source.drain():"
+        yield "                    await target.write(sample)"
+        return
+    pairs, alone = _pairs(design)
+    for port in design.ins:
+        yield f"        for {port.name} in self.{port.name}.drain():"
+        if pairs[port]:
+            yield from (f"            await self.{one.name}.write({port.name})" for one in pairs[port])
+        else:
+            yield f'            self.log.info("{port.name}: %s", {port.name})'
+    for port in alone:
+        stamp = "tm=self.clock.time_ns()" if has_tm(port.cls) else ""
+        yield f"        await self.{port.name}.write({port.type}({stamp}))"
+    if not design.ins and not alone:
+        yield '        self.log.debug("a cycle")'
+
+
+def _pairs(design: Design) -> tuple[dict[Port, list[Port]], list[Port]]:
+    """For each in-port the out-ports that pass on what comes, of the same type; and the other out-ports."""
+    pairs: dict[Port, list[Port]] = {port: [] for port in design.ins}
+    alone = []
+    for out in design.outs:
+        source = next((port for port in design.ins if port.cls is out.cls), None)
+        (alone if source is None else pairs[source]).append(out)
+    return pairs, alone
+
+
+# -- the system and the test -------------------------------------------------------------------------------------------
+
+
+def _system(design: Design) -> str:
+    name = design.package.removeprefix("aiorts_")
+    parts = [
+        f"# {design.cls} in a system. The plugin is found because it lies beside this file.\n"
+        f"#\n# Run: aiorts run {design.name}/system.toml\nschema = 1\n",
+        f'[components.{name}]\ntype = "{design.cls}"\n',
+    ]
+    ins = [Port("input0", TimedDouble)] if design.flexi else list(design.ins)
+    outs = [Port("output0", TimedDouble)] if design.flexi else list(design.outs)
+    members = [name]
+    if ins:
+        types, constants = [one.type for one in ins], [json.dumps(_data(one)) for one in ins]
+        parts.append(
+            f'[components.source]\ntype = "FlexiConst"\nparams.outputs = {_texts(types)}\n'
+            f"params.constants = {_texts(constants)}\nparams.rate = {_RATE}\n"
+        )
+        members.insert(0, "source")
+    if outs:
+        parts.append(
+            f'[components.show]\ntype = "FlexiDump"\nparams.inputs = {_texts([one.type for one in outs])}\n'
+            f"params.names = {_texts([one.name for one in outs])}\n"
+        )
+        members.append("show")
+    for number, one in enumerate(ins):
+        source = "output" if len(ins) == 1 else f"output{number}"
+        parts.append(f'[[connections]]\nfrom = "source.{source}"\nto = "{name}.{one.name}"\n')
+    parts += [f'[[connections]]\nfrom = "{name}.{one.name}"\nto = "show.{one.name}"\n' for one in outs]
+    parts.append(f'[contexts.loop]\nkind = "periodic"\nrate = {_RATE}\nmembers = {_texts(members)}\n')
+    return "\n".join(parts)
+
+
+def _data(port: Port) -> Any:
+    return split_sample(port.cls())[1]
+
+
+def _texts(texts: list[str]) -> str:
+    return json.dumps(texts, ensure_ascii=False)
+
+
+def _tests(design: Design) -> Iterator[str]:
+    name = design.package.removeprefix("aiorts_")
+    yield f'"""{design.cls} in a rig, where time is virtual."""'
+    yield ""
+    yield "from __future__ import annotations"
+    yield ""
+    yield "from aiorts.testing import Rig, check_component, simulated"
+    fed = [Port("input0", TimedDouble)] if design.flexi else design.ins
+    yield from _imports(fed)
+    yield ""
+    yield f"from {design.package}.component import {design.cls}"
+    yield ""
+    yield ""
+    yield "@simulated"
+    yield "async def test_a_cycle() -> None:"
+    yield f'    async with Rig({design.cls}("{name}0")) as rig:'
+    yield from (f'        rig.feed("{one.name}", {one.type}())' for one in fed)
+    yield "        await rig.tick()"
+    written = ["output0"] if design.flexi else [one.name for one in design.outs]
+    yield from (f'        assert len(rig.received("{one}")) == 1' for one in written)
+    if not written:
+        yield "        assert rig.failures == ()"
+    yield ""
+    yield ""
+    yield "def test_it_is_a_good_neighbour() -> None:"
+    yield f"    check_component({design.cls})"
+    yield ""
