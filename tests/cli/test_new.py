@@ -110,13 +110,13 @@ def test_a_type_that_there_is_not_is_absent(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_what_is_there_is_not_touched(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "alone").mkdir()
-    assert run_command(["new", "alone", "--folder", str(tmp_path)]) == 2
+    (tmp_path / "fresh").mkdir()
+    assert run_command(["new", "fresh", "--folder", str(tmp_path)]) == 2
     assert "is there already" in capsys.readouterr().err
-    assert list((tmp_path / "alone").iterdir()) == []
+    assert list((tmp_path / "fresh").iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("")
-    assert run_command(["new", "alone", "--folder", str(tmp_path / "file")]) == 2
+    assert run_command(["new", "fresh", "--folder", str(tmp_path / "file")]) == 2
     assert "cannot be written" in capsys.readouterr().err

@@ -16,10 +16,11 @@ from aiorts.errors import ConfigurationError
 
 
 def _types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
-    from aiorts.cli.console.completion import items, type_names
+    from aiorts.cli.console.completion import items
+    from aiorts.types import all_types
 
     port, sign, _ = incomplete.partition(":")
-    return items((f"{port}:{name}" for name in type_names()), incomplete) if sign else []
+    return items((f"{port}:{name}" for name in all_types()), incomplete) if sign else []
 
 
 @click.command(short_help="Write a plugin with a new component, to begin with.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -182,14 +182,15 @@ def _attribute(option: str, name: str) -> str:
 
 
 def _check_distinct(made: Design) -> None:
-    names: Iterable[str] = [*(one.name for one in (*made.ins, *made.outs, *made.services)), *made.params]
+    ports = (*made.ins, *made.outs)
+    names = [*(one.name for one in ports), *(one.name for one in made.services), *made.params]
     seen: set[str] = set()
     for name in names:
         if name in seen:
             raise ConfigurationError(f"{name}: is given twice; each port, parameter and service has a name of its own")
         seen.add(name)
     classes = [made.cls, *(one.interface for one in made.services)]
-    taken = _IMPORTED | {one.type for one in (*made.ins, *made.outs)}
+    taken = _IMPORTED | {one.type for one in ports}
     for number, cls in enumerate(classes):
         if cls in taken or cls in classes[:number]:
             raise ConfigurationError(f"{cls}: two classes of {made.name} would have this name; choose another")

@@ -94,12 +94,14 @@ After `pip install ./{design.name}` it needs no `--plugins`, and is a filter: `a
 
 
 def _component(design: Design) -> Iterator[str]:
-    own = [("InPort", design.ins), ("OutPort", design.outs), ("Param", design.params or design.flexi)]
-    own += [
-        (role.capitalize(), [one for one in design.services if one.role == role]) for role in ("provided", "required")
-    ]
-    if design.flexi:
-        own = [("InPort", True), ("OutPort", True), *own[2:]]
+    roles = {one.role for one in design.services}
+    used = {
+        "InPort": bool(design.ins) or design.flexi,
+        "OutPort": bool(design.outs) or design.flexi,
+        "Param": bool(design.params) or design.flexi,
+        "Provided": "provided" in roles,
+        "Required": "required" in roles,
+    }
     yield f'"""{design.cls}: say here what it is for."""'
     yield ""
     yield "from __future__ import annotations"
@@ -111,7 +113,7 @@ def _component(design: Design) -> Iterator[str]:
         yield f"from typing import {', '.join(typing)}"
     if design.flexi or typing:
         yield ""
-    yield f"from aiorts import {', '.join(['Component', *(name for name, there in own if there)])}"
+    yield f"from aiorts import {', '.join(['Component', *(name for name, is_used in used.items() if is_used)])}"
     yield from ["from aiorts.types import find_type"] if design.flexi else _imports((*design.ins, *design.outs))
     yield ""
     names = sorted((design.cls, *(one.interface for one in design.services)))
@@ -209,7 +211,7 @@ def _cycle(design: Design) -> Iterator[str]:
 def _pairs(design: Design) -> tuple[dict[Port, list[Port]], list[Port]]:
     """For each in-port the out-ports that pass on what comes, of the same type; and the other out-ports."""
     pairs: dict[Port, list[Port]] = {port: [] for port in design.ins}
-    alone = []
+    alone: list[Port] = []
     for out in design.outs:
         source = next((port for port in design.ins if port.cls is out.cls), None)
         (alone if source is None else pairs[source]).append(out)
