@@ -9,12 +9,14 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.planning.canon import Canon, service_connection, table, whole
     from aiorts.planning.planning import Planning
     from aiorts.planning.reading import wanted_of
 
 _late(
     globals(),
     {
+        "aiorts.planning.canon": "Canon service_connection table whole",
         "aiorts.planning.planning": "Planning",
         "aiorts.planning.reading": "wanted_of",
     },

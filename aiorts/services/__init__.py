@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from aiorts.services.service_ends import Provided, Required
     from aiorts.services.service_heritage import ServiceHeritage
     from aiorts.services.service_port import Made, Service, ServiceConnector, ServiceEnd, ServicePort
-    from aiorts.services.service_wiring import fault_of
+    from aiorts.services.service_wiring import fault_of, pairs_of
 
 _late(
     globals(),
@@ -27,6 +27,6 @@ _late(
         "aiorts.services.service_ends": "Provided Required",
         "aiorts.services.service_heritage": "ServiceHeritage",
         "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort",
-        "aiorts.services.service_wiring": "fault_of",
+        "aiorts.services.service_wiring": "fault_of pairs_of",
     },
 )

@@ -190,13 +190,23 @@ def _end_of(kernel: Microkernel, path: str) -> ServiceEnd[Any]:
     raise WiringError(f"{path}: there is no such interface")
 
 
+def pairs_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The paths of each required interface and of the provided one that it would be bound with, of ports as above.
+
+    Raises:
+        WiringError: they cannot be connected.
+    """
+    where = " -> ".join(port.path for port in ports)
+    mapping, strict = _options(where, options)
+    ends = [end for port in ports for end in port.interfaces]
+    found = _Matching(where, ends, mapping, strict=strict, explicit=[]).pairs()
+    return [(required.path, provided.path) for required, provided in found]
+
+
 def fault_of(ports: Sequence[ServicePort], options: Mapping[str, Any]) -> WiringError | None:
     """What keeps these ports from being connected, said of ports that need not be in a kernel yet."""
-    where = " -> ".join(port.path for port in ports)
     try:
-        mapping, strict = _options(where, options)
-        ends = [end for port in ports for end in port.interfaces]
-        _Matching(where, ends, mapping, strict=strict, explicit=[]).pairs()
+        pairs_of(ports, options)
     except WiringError as error:
         return error
     return None

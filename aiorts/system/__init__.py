@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from aiorts.system.stdio.live import LiveInput
     from aiorts.system.stdio.pipes import StandardInput, StandardOutput
     from aiorts.system.stdio.stream import LineStream
+    from aiorts.system.wanting import wanted
 
 __all__ = (
     "GRAPH_FORMATS",
@@ -68,6 +69,7 @@ __all__ = (
     "running_graph",
     "schema",
     "wait_finished",
+    "wanted",
 )
 
 _late(
@@ -91,5 +93,6 @@ _late(
         "aiorts.system.stdio.live": "LiveInput",
         "aiorts.system.stdio.pipes": "StandardInput StandardOutput",
         "aiorts.system.stdio.stream": "LineStream",
+        "aiorts.system.wanting": "wanted",
     },
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -31,6 +31,13 @@ class ComponentEntry:
     """The active set; "" is the default one."""
     supervision: Supervision | None = None
     start: StartRule | None = None
+
+
+def chosen(rule: Supervision | StartRule) -> dict[str, Any]:
+    """What a rule says that is not so by default."""
+    usual = Supervision() if isinstance(rule, Supervision) else StartRule(rule.component)
+    names = (one.name for one in fields(rule))
+    return {name: getattr(rule, name) for name in names if getattr(rule, name) != getattr(usual, name)}
 
 
 @dataclass(frozen=True, slots=True)

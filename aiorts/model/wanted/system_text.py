@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.errors import SystemFileError
 from aiorts.late import dataclass
 from aiorts.model.configuration.toml_values import basic_string, value_text
-from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.model.wanted.entries import (
+    ComponentEntry,
+    CompositeEntry,
+    ConnectionEntry,
+    ContextEntry,
+    Wanted,
+    chosen,
+)
 
 _BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _LONGEST: Final = 100
@@ -87,9 +93,9 @@ class _Writer:
         for name, values in one.sets.items():
             yield f"sets.{_key(name)} = {self._inline(f'{one.name}.{name}', values)}"
         if one.supervision is not None:
-            yield f"supervision = {self._inline(one.name, _chosen(one.supervision))}"
+            yield f"supervision = {self._inline(one.name, chosen(one.supervision))}"
         if one.start is not None:
-            yield f"start = {self._inline(one.name, _chosen(one.start, 'component'))}"
+            yield f"start = {self._inline(one.name, chosen(one.start))}"
 
     def _composite(self, one: CompositeEntry) -> Iterator[str]:
         yield self._pair(one.name, "members", one.members)
@@ -152,13 +158,6 @@ class _Writer:
         if isinstance(value, tuple):
             return f"[{', '.join(self._value(where, item) for item in value)}]"
         return value_text(where, value)
-
-
-def _chosen(rule: Any, but: str = "") -> dict[str, Any]:
-    """The fields of a rule that are not as they are by default."""
-    usual = type(rule)(*(getattr(rule, but),) if but else ())
-    names = (one.name for one in fields(rule))
-    return {name: getattr(rule, name) for name in names if getattr(rule, name) != getattr(usual, name)}
 
 
 def _key(name: str) -> str:

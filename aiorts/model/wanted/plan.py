@@ -1,0 +1,227 @@
+"""The difference between two systems, as the steps that make one of the other; pure.
+
+What is new is made and connected first, then all that changes is switched over, then what is not wanted any more goes.
+So no sample is lost for want of a reader, and the reverse steps in reverse order are right, too. What is equal is
+touched by no step. The order of components, connections and contexts means nothing; that of members does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final
+
+from aiorts.late import dataclass
+from aiorts.model.numbering import Numbering
+from aiorts.model.options import CHANGEABLE
+from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.model.wanted.steps import (
+    Activate,
+    Change,
+    Configure,
+    Connect,
+    Create,
+    Disconnect,
+    Move,
+    Places,
+    Reload,
+    Remove,
+    Renew,
+    RenewContext,
+    Retime,
+    StartContext,
+    Step,
+    StopContext,
+    Supervise,
+)
+
+_ABSENT: Final = object()
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be done, in order."""
+
+    steps: tuple[Step, ...] = ()
+    refused: tuple[str, ...] = ()
+    """What differs and cannot be changed while a system runs."""
+
+    @property
+    def empty(self) -> bool:
+        """Whether the two systems are the same."""
+        return not self.steps and not self.refused
+
+    def reverse(self) -> Plan:
+        """The plan that takes all of this back."""
+        return Plan(tuple(step.reverse() for step in reversed(self.steps)), self.refused)
+
+    def to_plain(self) -> dict[str, Any]:
+        """The plan as JSON has it."""
+        return {"steps": [step.to_plain() for step in self.steps], "refused": list(self.refused)}
+
+
+def plan(now: Wanted, wanted: Wanted) -> Plan:
+    """The steps that make the wanted system of the one that there is; both in the one form (see `Wanted`)."""
+    return _Planner(now, wanted).plan()
+
+
+def connections_by_name(wanted: Wanted) -> dict[str, ConnectionEntry]:
+    """The connections by the names that their connectors have."""
+    found: dict[str, ConnectionEntry] = {}
+    numbering = Numbering(found.__contains__)
+    for one in wanted.connections:
+        name = str(one.options.get("name") or f"{one.ports[0]}-{one.ports[1]}")
+        found[numbering.lowest(f"{name}-", 2) if name in found else name] = one
+    return found
+
+
+class _Planner:
+    """Compares two systems."""
+
+    def __init__(self, now: Wanted, wanted: Wanted) -> None:
+        self._now = now
+        self._wanted = wanted
+        self._before = connections_by_name(now)
+        self._after = connections_by_name(wanted)
+        self._touched = {
+            name
+            for name, one in wanted.components.items()
+            if name in now.components and _shape(now.components[name]) != _shape(one)
+        }
+        """Components that may have other ports afterwards."""
+
+    def plan(self) -> Plan:
+        refused = tuple(self._refused())
+        if refused:
+            return Plan((), refused)
+        now, wanted = self._now, self._wanted
+        made = [one for name, one in wanted.components.items() if name not in now.components]
+        gone = [one for name, one in now.components.items() if name not in wanted.components]
+        started = [one for name, one in wanted.contexts.items() if name not in now.contexts]
+        stopped = [one for name, one in now.contexts.items() if name not in wanted.contexts]
+        connecting, changing, ending = self._connections()
+        clearing = [one for one in ending if one.name in self._after or self._is_touched(one.connection)]
+        waiting = [one for one in connecting if self._is_touched(one.connection)]
+        steps: list[Step] = [
+            *clearing,
+            *map(Create, made),
+            *(one for one in connecting if one not in waiting),
+            *(StartContext(replace(one, members=())) for one in started),
+            *self._components(),
+            *waiting,
+            *changing,
+            *self._contexts(),
+            *self._move(),
+            *self._activity(),
+            *(StopContext(replace(one, members=())) for one in reversed(stopped)),
+            *(one for one in ending if one not in clearing),
+            *map(Remove, reversed(gone)),
+        ]
+        return Plan(tuple(steps))
+
+    def _refused(self) -> Iterator[str]:
+        now, wanted = self._now, self._wanted
+        if now.clock != wanted.clock:
+            yield "the clock of a system that runs cannot be changed; stop it and run the file"
+        for name in {**now.services, **wanted.services}:
+            before, after = now.services.get(name), wanted.services.get(name)
+            if before != after:
+                what = "is added" if before is None else "is taken away" if after is None else "is changed"
+                yield f"[{name}] {what}: the table of a service is read when a system starts; stop it and run the file"
+        for one, other, what in ((now, wanted, "composite"), (wanted, now, "component")):
+            for name in one.components:
+                if name in other.composites:
+                    yield f"{name}: becomes a {what} of the same name; give it another one"
+
+    # -- components ------------------------------------------------------------------------------------------------
+
+    def _components(self) -> Iterator[Step]:
+        for name, after in self._wanted.components.items():
+            before = self._now.components.get(name)
+            if before is None or before == after:
+                continue
+            if before.type != after.type:
+                yield Reload(before, after)
+                continue
+            if _shape(before) != _shape(after):
+                yield Configure(before, replace(after, supervision=before.supervision, start=before.start))
+                before = replace(after, supervision=before.supervision, start=before.start)
+            if before != after:
+                yield Supervise(before, after)
+
+    # -- connections -----------------------------------------------------------------------------------------------
+
+    def _connections(self) -> tuple[list[Connect], list[Step], list[Disconnect]]:
+        before, after = self._before, self._after
+        changing: list[Step] = []
+        left = {name: one for name, one in before.items() if name not in after or after[name].ports != one.ports}
+        connecting = []
+        for name, one in after.items():
+            old = before.get(name)
+            if old is None or old.ports != one.ports:
+                connecting.append(Connect(name, one))
+            elif (made := _options(one)) != (was := _options(old)):
+                words = [word for word in {**was, **made} if was.get(word, _ABSENT) != made.get(word, _ABSENT)]
+                kind = Change if all(word in CHANGEABLE for word in words) and _in_place(old, one) else Renew
+                changing.append(kind(name, old, one))
+        return connecting, changing, [Disconnect(name, one) for name, one in left.items()]
+
+    def _is_touched(self, connection: ConnectionEntry) -> bool:
+        return any(path.partition(".")[0] in self._touched for path in connection.ports)
+
+    # -- contexts --------------------------------------------------------------------------------------------------
+
+    def _contexts(self) -> Iterator[Step]:
+        for name, after in self._wanted.contexts.items():
+            before = self._now.contexts.get(name)
+            if before is None or (before.kind, before.options) == (after.kind, after.options):
+                continue
+            changed = replace(before, kind=after.kind, options=after.options)
+            yield Retime(before, changed) if _is_rate_alone(before, after) else RenewContext(before, changed)
+
+    def _activity(self) -> Iterator[Step]:
+        for name, after in self._wanted.contexts.items():
+            before = self._now.contexts.get(name)
+            if before is not None and before.activate != after.activate:
+                yield Activate(name, before.activate, after.activate)
+
+    def _move(self) -> Iterator[Step]:
+        before = {name: one.members for name, one in self._now.contexts.items()}
+        after = {name: one.members for name, one in self._wanted.contexts.items()}
+        contexts = [name for name in {**before, **after} if before.get(name, ()) != after.get(name, ())]
+        groups = {**self._now.composites, **self._wanted.composites}
+        composites = [name for name in groups if self._now.composites.get(name) != self._wanted.composites.get(name)]
+        if contexts or composites:
+            yield Move(
+                Places(
+                    MappingProxyType({name: before.get(name, ()) for name in contexts}),
+                    MappingProxyType({name: self._now.composites.get(name) for name in composites}),
+                ),
+                Places(
+                    MappingProxyType({name: after.get(name, ()) for name in contexts}),
+                    MappingProxyType({name: self._wanted.composites.get(name) for name in composites}),
+                ),
+            )
+
+
+def _shape(one: ComponentEntry) -> tuple[Any, ...]:
+    """What the ports of a component may follow from."""
+    return one.type, one.params, one.sets, one.active
+
+
+def _options(one: ConnectionEntry) -> Mapping[str, Any]:
+    """The options, without the name, which is what it was found by."""
+    return {word: value for word, value in one.options.items() if word not in ("name", "allow_duplicate")}
+
+
+def _in_place(before: ConnectionEntry, after: ConnectionEntry) -> bool:
+    """Whether a connector can be changed so: one without a buffer is of another kind."""
+    return (before.options.get("length") == 0) is (after.options.get("length") == 0)
+
+
+def _is_rate_alone(before: ContextEntry, after: ContextEntry) -> bool:
+    """Whether the rate alone is another; one without a rate is another kind of context."""
+    rates = before.options.get("rate"), after.options.get("rate")
+    others = [{**one.options, "rate": None} for one in (before, after)]
+    return before.kind == after.kind and None not in rates and others[0] == others[1]
