@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
-import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from aiorts import Kernel
-from aiorts.system import build, check, load
+from aiorts.planning import Planning
+from aiorts.system import SystemFile, build, check_text, load, parse
 from aiorts.testing import simulate
 from aiorts.types import TimedDouble, TimedShortSeq
 from aiorts_log import RecordingWriter
@@ -18,8 +16,11 @@ from aiorts_log import RecordingWriter
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FILES = sorted(path for path in EXAMPLES.rglob("*.toml") if path.name != "pyproject.toml")
 CHANGES = {
-    "manipulator/replay.toml": ("tape.path=run.csv",),
-    "roomba/replay.toml": ("recorder.min_free=0", "player.speed=1000"),
+    "manipulator": ("tape.path={}/run.csv",),
+    "roomba": (
+        *("recorder.min_free=0", "player.speed=1000", "player.logfile={}/drive.mcap"),
+        "recorder.logfile={}/driven.mcap",
+    ),
 }
 
 
@@ -39,26 +40,26 @@ def drive(folder: Path) -> None:
             writer.write(truth, TimedDouble(tm, 0.0), tm)
 
 
-async def saved(file: Path, changes: Sequence[str], into: Path) -> str:
-    """The system of a file, saved after it ran for a while."""
+async def saved(system: SystemFile) -> str:
+    """The system of a file, as the text of one beside it, after it ran for a while."""
     async with Kernel() as kernel:
-        await build(kernel, load(file, changes))
+        await build(kernel, system)
         await kernel.sleep(0.2)
-        assert await kernel.save(into) == ()
-    return await asyncio.to_thread(into.read_text)
+        found = kernel.service(Planning).text(system.path.parent)
+    assert found.notes == ()
+    return found.text
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
-def test_what_was_saved_is_the_same_system(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / file.parent.name
-    shutil.copytree(file.parent, folder)
-    monkeypatch.chdir(folder)
-    changes = CHANGES.get(f"{folder.name}/{file.name}", ())
+def test_what_was_saved_is_the_same_system(file: Path, tmp_path: Path) -> None:
+    changes: tuple[str, ...] = ()
     if file.name == "replay.toml":
-        (tape if folder.name == "manipulator" else drive)(folder)
-    first, second = folder / "first.toml", folder / "second.toml"
-    text = simulate(saved(folder / file.name, changes, first))
-    assert [one for one in check(first) if one.severity == "error"] == []
-    (folder / "driven.mcap").unlink(missing_ok=True)
-    assert simulate(saved(first, (), second)) == text
-    assert str(tmp_path) not in text
+        (tape if file.parent.name == "manipulator" else drive)(tmp_path)
+        changes = tuple(change.format(tmp_path) for change in CHANGES[file.parent.name])
+    text = simulate(saved(load(file, changes)))
+    for path in tmp_path.glob("driven*"):
+        path.unlink()
+    assert str(file.parent) not in text
+    again = file.with_name("saved.toml")
+    assert [one for one in check_text(text, again) if one.severity == "error"] == []
+    assert simulate(saved(parse(text, again))) == text
