@@ -80,6 +80,8 @@ _DELIVERED: Final = {
     "aiorts_foxglove.command:foxglove": "Show what runs in Foxglove.",
     "aiorts_log.commands.command:log": "Recordings: look, convert, compare, draw, salvage.",
     "aiorts_log.commands.record_command:record": "Record samples of what runs.",
+    "aiorts_openrtm.commands.exporting:export": "Make a profile of OpenRTM of a system file.",
+    "aiorts_openrtm.commands.importing:import_": "Make a system file of a file of OpenRTM.",
 }
 """One line of help for plugins that come with aiorts; of all others nothing is known before they are imported."""
 _EXTENSION: Final = "aiorts.extension"

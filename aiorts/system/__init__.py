@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         ContextEntry,
         Wanted,
     )
+    from aiorts.model.wanted.system_text import system_text
     from aiorts.system.blueprint import Blueprint, build, prepare
     from aiorts.system.checks.check import check, check_text
     from aiorts.system.checks.findings import Finding
@@ -68,6 +69,7 @@ __all__ = (
     "prepare",
     "running_graph",
     "schema",
+    "system_text",
     "wait_finished",
     "wanted",
 )
@@ -77,6 +79,7 @@ _late(
     {
         "aiorts.kernel.component": "construct",
         "aiorts.model.wanted.entries": ("ClockEntry ComponentEntry CompositeEntry ConnectionEntry ContextEntry Wanted"),
+        "aiorts.model.wanted.system_text": "system_text",
         "aiorts.system.blueprint": "Blueprint build prepare",
         "aiorts.system.checks.check": "check check_text",
         "aiorts.system.checks.findings": "Finding",

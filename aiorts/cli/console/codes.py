@@ -159,6 +159,11 @@ CODES: Final[dict[str, Code]] = {
         "Its process is stopped, or its event loop is held.",
         "Ask again with a longer --timeout; `aiorts ls` shows who does not answer.",
     ),
+    "E-OPENRTM": Code(
+        "A file of OpenRTM cannot be read, or not be made.",
+        "It is none of those that aiorts import takes, too large or too deep, or something in it cannot be.",
+        "The line names the place and what to do; aiorts help openrtm-files lists what is read.",
+    ),
     "E-OUTPUT": Code(
         "Standard output could not be written; its last lines are lost.",
         "The disk is full, or the stream was closed.",

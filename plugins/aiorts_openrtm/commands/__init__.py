@@ -1,0 +1,1 @@
+"""`aiorts import` and `aiorts export`."""

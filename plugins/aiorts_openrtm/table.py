@@ -1,0 +1,24 @@
+"""`[openrtm]`: the table of a system file that says which file of OpenRTM it was made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aiorts import KernelService, setting
+
+
+@dataclass(frozen=True, slots=True)
+class OpenRTMSettings:
+    """Where the system came from, and goes back to."""
+
+    profile: Path | None = setting(  # noqa: RUF009 - it makes a field
+        None, "The file of OpenRTM it was made of: aiorts export takes from it what a system file has no words for."
+    )
+
+
+class OpenRTM(KernelService):
+    """Does nothing while a system runs."""
+
+    name = "openrtm"
+    settings = OpenRTMSettings
