@@ -104,7 +104,7 @@ EXPECTED = {
     "E21": "A client that floods, stalls or says nonsense is bounded in rate and memory; others are served.",
     "E22": "A thousand short sessions: no call of others fails, and nothing of them is left.",
     "F01": "A file that is no TOML: line, column and reason, within a second.",
-    "F02": "YAML in foreign files is not read at all.",
+    "F02": "YAML of others: no tags, few aliases, each key once; else it is not read.",
     "F03": "A misspelt key or section is told the one that was probably meant.",
     "F04": "An unknown component or command is told the nearest and what is installed.",
     "F05": "A plugin that is broken in any way is named with its origin; all else works.",

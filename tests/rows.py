@@ -92,6 +92,7 @@ FEATURES = {
     104: "What a state machine is and does can be seen: the table that runs, every moment of it",
     90: "Names of instances by a policy",
     92: "Orderly shutdown, in the reverse order",
+    107: "A system is saved as an RtsProfile, XML or YAML",
     111: "Ordered start and stop with conditions",
     98: "Composites: shared context and order, exported ports",
     99: "Members of a composite change while it runs: all or nothing",

@@ -20,7 +20,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
         "How to",
         (
             *("choose-policy", "records", "slow-reader", "quality-of-service", "convert", "synchronize", "camera"),
-            *("real-time", "supervise", "deploy", "ros-bag"),
+            *("real-time", "supervise", "deploy", "ros-bag", "openrtm-files"),
             *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
             "dynamic-ports",
             *("replace-code", "observe", "control", "save-system", "measure-live", "samples-live", "live-log"),

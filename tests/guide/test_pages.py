@@ -23,6 +23,7 @@ ELSEWHERE = {
     "component": 1,
     "deploy": 1,
     "fastapi": 2,
+    "openrtm-files": 1,
     "plugin": 1,
     "recording": 1,
     "ros-bag": 1,
