@@ -53,6 +53,7 @@ def test_it_passes_its_test_and_is_clean(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", WORDS)
+@pytest.mark.row(119)
 def test_its_system_is_without_a_fault(tmp_path: Path, name: str) -> None:
     folder = made(tmp_path, name)
     assert [one for one in check(folder / "system.toml") if one.severity == "error"] == []

@@ -17,6 +17,7 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
+@pytest.mark.row(121)
 async def test_lines_are_carried_out_in_order_and_each_sees_what_the_others_did(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

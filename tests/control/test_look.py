@@ -50,6 +50,7 @@ async def test_the_part_of_a_component_is_that_of_the_whole_profile() -> None:
         assert part["service_connectors"] == {}
 
 
+@pytest.mark.row(121)
 async def test_ls_shows_kernels_components_ports_and_what_globs_mean(capsys: pytest.CaptureFixture[str]) -> None:
     async with two():
         whole = "other/\n  counter0\n  reader0\n  only1\nunit/\n  counter0\n  reader0\n"

@@ -45,6 +45,7 @@ async def until(condition: Any) -> None:
             await asyncio.sleep(0.005)
 
 
+@pytest.mark.row(114)
 async def test_every_sample_comes_in_order_and_the_system_does_not_know() -> None:
     async with controlled("tapped") as kernel:
         before = kernel.profile().structure().to_json()
@@ -109,6 +110,7 @@ async def test_a_tap_ends_with_its_component() -> None:
     assert "removed" in stream.result
 
 
+@pytest.mark.row(114)
 async def test_injected_samples_arrive_and_take_no_place() -> None:
     async with controlled("into") as kernel:
         narrow = await kernel.create(Narrow, "narrow")

@@ -74,6 +74,7 @@ async def test_changes_begin_with_the_profile_and_follow_in_order() -> None:
     assert parts["counter0"]["now"]["states"] == {"loop": "inactive"}
 
 
+@pytest.mark.row(106)
 async def test_the_last_lines_and_those_that_come() -> None:
     async with controlled("lines") as kernel:
         kernel.components["counter0"].log.warning("one %d", 1)
@@ -113,6 +114,7 @@ async def test_nothing_is_left_of_a_reader_of_the_log() -> None:
                 await kernel.sleep(0.01)
 
 
+@pytest.mark.row(106)
 async def test_a_level_is_set_for_one_component_and_put_back_with_the_session() -> None:
     async with controlled("levels") as kernel:
         counter, reader = kernel.components["counter0"].log, kernel.components["reader0"].log

@@ -86,7 +86,11 @@ async def test_a_kernel_attaches_what_it_was_given_by_name(catalogue: Catalogue)
     ("services", "error", "said"),
     [
         ({"fense": {}}, PluginError, "no service named 'fense'; did you mean fence?"),
-        ({"zenoh": {}}, PluginError, "named 'zenoh'; there are control, fence, openrtm, record, supervision, watch_loop"),
+        (
+            {"zenoh": {}},
+            PluginError,
+            "named 'zenoh'; there are control, fence, openrtm, record, supervision, watch_loop",
+        ),
         ({"fence": {"lo": 1}}, ConfigurationError, "service 'fence': lo: unknown key 'lo'; did you mean 'low'?"),
         ({"fence": {"low": "x"}}, ConfigurationError, "service 'fence': low: expected a number, got 'x'"),
         ({"fence": {"high": 1e9}}, ConfigurationError, "service 'fence': high: expected at most 100 m, got 1000000000"),
