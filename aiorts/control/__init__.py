@@ -10,7 +10,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.control.client import END, TIMEOUT, Client, Silent, Stream, open_all
+    from aiorts.control.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
     from aiorts.control.folder import Entry, entries
     from aiorts.control.target import (
         FILES,
@@ -33,6 +33,7 @@ __all__ = (
     "PATIENCE",
     "TIMEOUT",
     "Client",
+    "CutOff",
     "Entry",
     "Found",
     "Kernels",
@@ -53,7 +54,7 @@ __all__ = (
 _late(
     globals(),
     {
-        "aiorts.control.client": "END TIMEOUT Client Silent Stream open_all",
+        "aiorts.control.client": "END TIMEOUT Client CutOff Silent Stream open_all",
         "aiorts.control.folder": "Entry entries",
         "aiorts.control.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"

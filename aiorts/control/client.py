@@ -277,7 +277,7 @@ class Client:
     def _ended(self) -> errors.ClosedError:
         """Why nothing comes any more."""
         if not self._gone and self.hello and is_served(self.entry):
-            return errors.ClosedError(
+            return CutOff(
                 f"{self.entry.address}: runs on, and has cut off this process, which took nothing for "
                 f"{STALL_SECONDS:.0f} s; what it missed at the end is not counted"
             )
@@ -288,6 +288,10 @@ class Client:
         if self._ahead is None:
             self._sort()
         return bool(self._answers.get(number))
+
+
+class CutOff(errors.ClosedError):
+    """The kernel runs on, and has ended the session of a client that took nothing."""
 
 
 class Stream:

@@ -77,11 +77,14 @@ async def test_all_is_printed_or_counted_though_the_source_ended_before_the_read
     assert not pause or lost < count // 2
 
 
-async def test_one_that_was_stopped_for_too_long_is_cut_off_and_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("words", "status"), [(READERS["filter"], 1), (READERS["print"], 5)], ids=["filter", "print"])
+async def test_one_that_was_stopped_for_too_long_is_cut_off_and_told_so(
+    words: tuple[str, ...], status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("aiorts.control.server.connection.STALL_SECONDS", 0.5)
     async with controlled("src") as kernel:
         quick = await kernel.create(Counter, "quick")
-        async with reader(*READERS["filter"]) as process:
+        async with reader(*words) as process:
             await taps(kernel, 1)
             process.send_signal(signal.SIGSTOP)
             async with asyncio.timeout(WAIT):
@@ -91,7 +94,7 @@ async def test_one_that_was_stopped_for_too_long_is_cut_off_and_told_so(monkeypa
                     await asyncio.sleep(0.001)
             process.send_signal(signal.SIGCONT)
             _, _, said = await end_of(process)
-    assert process.returncode == 1
+    assert process.returncode == status, said
     assert "runs on, and has cut off this process" in said
 
 

@@ -57,13 +57,15 @@ def print_(
         stream = client.stream("tap", port=path)
         hint(f"{one.running.name}/{path}: samples from now on; Ctrl-C ends")
         items = followed(_thinned(_items(stream, until), rate), one.running, count)
-        if plot:
-            _draw(items, stream, f"{path}.{field}" if field else path, field)
-        else:
-            for item in items:
-                _show(item, stream.began, field, chosen)
-        if stream.missed:
-            report("W-DROPPED", f"{path}: {stream.missed} samples were dropped on the way to this terminal")
+        try:
+            if plot:
+                _draw(items, stream, f"{path}.{field}" if field else path, field)
+            else:
+                for item in items:
+                    _show(item, stream.began, field, chosen)
+        finally:
+            if stream.missed:
+                report("W-DROPPED", f"{path}: {stream.missed} samples were dropped on the way to this terminal")
     return exits.DONE
 
 

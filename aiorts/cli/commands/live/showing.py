@@ -11,8 +11,8 @@ import click
 from aiorts import exits
 from aiorts.cli.console.output import say, say_json
 from aiorts.cli.console.report import say as tell
-from aiorts.control import Kernels, Running, Stream
-from aiorts.errors import AbsentError, ClosedError
+from aiorts.control import CutOff, Kernels, Running, Stream
+from aiorts.errors import AbsentError, ClosedError, NoAnswerError
 
 C = TypeVar("C", bound=Callable[..., Any])
 T = TypeVar("T")
@@ -142,7 +142,7 @@ def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
 
     Raises:
         Over: the stream has ended, or its kernel in order.
-        ClosedError: the kernel has ended.
+        ClosedError: the kernel has ended, or has cut off this process.
     """
     stream.client.read_ahead()
     yield from stream.until(until)
@@ -151,7 +151,14 @@ def items_of(stream: Stream, until: float | None) -> Iterator[Any]:
 
 
 def has_ended(running: Running, error: ClosedError, number: int, count: int | None) -> int:
-    """Say that a kernel, or a part of it, has ended while it was followed; the exit status. Raises as `followed`."""
+    """Say that a kernel, or a part of it, has ended while it was followed; the exit status.
+
+    Raises:
+        AbsentError: as `followed`.
+        NoAnswerError: the kernel runs on: it has cut off this process, which took nothing.
+    """
+    if isinstance(error, CutOff):
+        raise NoAnswerError(str(error)) from None
     text = str(error) if isinstance(error, Over) else f"{running.name}: has ended"
     if count is not None:
         raise AbsentError(f"{text}; {number} of {count} have come")
