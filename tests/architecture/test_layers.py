@@ -25,7 +25,7 @@ aiorts/guide
 aiorts/timer_heap.py
 aiorts/clock.py
 aiorts/model
-aiorts/model/configuration
+aiorts/model/configuration aiorts/model/health
 aiorts/model/wanted
 aiorts/types
 aiorts/types/ros aiorts/wire
@@ -36,7 +36,7 @@ aiorts/kernel/execution
 aiorts/kernel/quality
 aiorts/kernel
 aiorts/contexts
-aiorts/configuration aiorts/diagnostics aiorts/functions aiorts/realtime aiorts/services aiorts/sync
+aiorts/configuration aiorts/diagnostics aiorts/functions aiorts/health aiorts/realtime aiorts/services aiorts/sync
 aiorts/observe
 aiorts/composites aiorts/statemachines
 aiorts/supervision
@@ -64,8 +64,8 @@ plugins/aiorts_foxglove
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
-    *("composites", "configuration", "control", "diagnostics", "functions", "observe", "planning"),
-    *("realtime", "reload", "services", "statemachines", "supervision", "sync"),
+    *("composites", "configuration", "control", "diagnostics", "functions", "health", "observe"),
+    *("planning", "realtime", "reload", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""
 LARGEST_ROOM = 21

@@ -1,0 +1,14 @@
+"""How a kernel does: its connectors, contexts and components are counted over windows of time, beside what runs.
+
+`aiorts.model.health` compares two windows.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.health.measuring import Health
+
+_late(globals(), {"aiorts.health.measuring": "Health"})

@@ -1,0 +1,153 @@
+"""Whether a system does worse after a change than before it: pure, from the window before and the window after.
+
+What a change is meant to do is no fault of it. Where it has lowered the rate of a context, or taken away what an
+in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active. What the
+machine does to a system is no fault of a change either: overruns that it is to blame for do not count, and while it ran
+others less is expected.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from typing import Final
+
+from aiorts.late import dataclass
+from aiorts.model.health.windows import ContextCounts, EdgeCounts, Window
+
+SAMPLES: Final = 50
+"""Fewer samples, or ticks, decide nothing."""
+MORE: Final = 2
+"""So many times as many overruns, or drops, as before are healthy,"""
+PERCENT: Final = 1
+"""and so many of 100 ticks, or samples written, beside them."""
+SLOWEST: Final = 80
+"""So many percent of the rate before are healthy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unhealthy:
+    """The figure that says that a system does worse than before; `str` gives it as one sentence."""
+
+    what: str
+    """ "error", "overruns", "drops" or "rate"."""
+    name: str
+    """Of the component, the context or the connector."""
+    text: str
+    """The figure, with that of the window before."""
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.text}"
+
+
+def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealthy | None:
+    """What is worse in the window after a change than in the one before it; None: nothing, or too little was counted.
+
+    Args:
+        new: components that the change has made or replaced: for any other, to be in error as before is no worse.
+    """
+    for name, why in after.errors.items():
+        if name in new or name not in before.errors:
+            return Unhealthy("error", name, f"in error: {why}")
+    if after.length_ns <= 0:
+        return None
+    if before.length_ns <= 0:
+        before = Window(1)  # nothing was counted: everything is new
+    lengths = after.length_ns, before.length_ns
+    seconds = after.length_ns / 1e9
+    for name, ran in after.contexts.items():
+        was = before.contexts.get(name, _NO_TICKS)
+        late, late_before = ran.overruns - ran.by_machine, was.overruns - was.by_machine
+        if _too_many(late, ran.ticks, late_before, *lengths):
+            text = f"{late} of {ran.ticks} ticks overran in {seconds:g} s, and {late_before} of {was.ticks} before"
+            return Unhealthy("overruns", name, text)
+    for name, one in after.edges.items():
+        had = before.edges.get(name, _NO_SAMPLES)
+        if _too_many(one.dropped, one.written, had.dropped, *lengths):
+            lost = f"{one.dropped} of {one.written} samples were dropped in {seconds:g} s"
+            return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
+    return _slower(before, after, *lengths)
+
+
+_NO_TICKS: Final = ContextCounts()
+_NO_SAMPLES: Final = EdgeCounts("", "")
+
+
+def _too_many(lost: int, of: int, lost_before: int, now_ns: int, then_ns: int) -> bool:
+    if lost <= 0 or of < SAMPLES:
+        return False
+    return 100 * lost * then_ns > 100 * MORE * lost_before * now_ns + PERCENT * of * then_ns
+
+
+def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:
+    """The first edge that is too slow."""
+    expected: Mapping[str, float] | None = None
+    for name, one in after.edges.items():
+        had = before.edges.get(name)
+        if had is None or had.written < SAMPLES or 100 * one.written * then_ns >= SLOWEST * had.written * now_ns:
+            continue
+        if expected is None:  # for few, since most systems are healthy
+            expected = _expected(before, after)
+        due = had.written * now_ns / then_ns * expected.get(_component(one.source), 1.0 - after.stalled)
+        if due >= SAMPLES and 100 * one.written < SLOWEST * due:
+            now, then = one.written * 1e9 / now_ns, had.written * 1e9 / then_ns
+            return Unhealthy("rate", name, f"{now:.4g} samples a second, and {then:.4g} before")
+    return None
+
+
+def _expected(before: Window, after: Window) -> dict[str, float]:
+    """For components of which less is expected, the part of what they wrote before: from 0 to 1."""
+    found = dict.fromkeys(after.idle, 0.0)
+    rates = _rates(before)
+    for name, rate in _rates(after).items():
+        was = rates.get(name, 0.0)
+        if was > 0.0 and rate < was:
+            found[name] = min(found.get(name, 1.0), rate / was)
+    for one in after.contexts.values():
+        if one.left_out > 0:
+            share = 1.0 - one.left_out / max(one.ticks, one.left_out)
+            for name in one.members:
+                found[name] = min(found.get(name, 1.0), share)
+    for port in _starved(before, after):
+        found[_component(port)] = 0.0
+    if found:
+        _pass_on(found, after)
+    usual = 1.0 - after.stalled
+    return {name: min(part, usual) for name, part in found.items()}
+
+
+def _rates(window: Window) -> dict[str, float]:
+    """The highest rate of the contexts of each component; 0 where none has one."""
+    rates: dict[str, float] = {}
+    for one in window.contexts.values():
+        for name in one.members:
+            rates[name] = max(rates.get(name, 0.0), one.rate or 0.0)
+    return rates
+
+
+def _starved(before: Window, after: Window) -> list[str]:
+    """In-ports that have fewer connectors than before."""
+    lost = [one.target for name, one in before.edges.items() if after.edges.get(name, _NO_SAMPLES).target != one.target]
+    if not lost:
+        return lost
+    ports = Counter(one.target for one in before.edges.values())
+    ports.subtract(one.target for one in after.edges.values())
+    return [port for port in lost if ports[port] > 0]
+
+
+def _pass_on(expected: dict[str, float], window: Window) -> None:
+    """Of no component is more expected than of any that it reads from."""
+    readers: dict[str, set[str]] = {}
+    for edge in window.edges.values():
+        readers.setdefault(_component(edge.source), set()).add(_component(edge.target))
+    todo = list(expected)
+    while todo:
+        writer = todo.pop()
+        for reader in readers.get(writer, ()):
+            if expected[writer] < expected.get(reader, 1.0):
+                expected[reader] = expected[writer]
+                todo.append(reader)
+
+
+def _component(path: str) -> str:
+    return path.partition(".")[0]
