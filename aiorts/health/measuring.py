@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from aiorts.clock import SimulatedClock
 from aiorts.errors import ClosedError, format_error
+from aiorts.health.stalls import Stalls
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Overrun, StateChanged
 from aiorts.kernel.loop.tasks import kernel_task
@@ -34,7 +35,6 @@ _CONNECTORS_AT_ONCE: Final = 200
 _COMPONENTS_AT_ONCE: Final = 400
 _CONTEXTS_AT_ONCE: Final = 4
 """How many are looked at before the loop turns: at most 1 ms of each."""
-_SCHEDSTAT: Final = "/proc/thread-self/schedstat"
 _HELD: Final = 2
 """Of windows that are watched: one is always as long as what may be asked for."""
 _ACTIVE, _ERROR = LifecycleState.ACTIVE, LifecycleState.ERROR
@@ -111,11 +111,15 @@ class _Measurement:
         self._edges: Mapping[str, EdgeCounts] = _NO_EDGES
         self._contexts: Mapping[str, ContextCounts] = _NO_CONTEXTS
         self._real_ns = self._stalled_ns = 0
+        self._stalls: Stalls | None = None
+        """None on a simulated clock, for which no machine is too slow."""
         self.began_ns: int | None = None
         """When, once all has been counted."""
 
     def __enter__(self) -> _Measurement:
-        bus = self._kernel.bus
+        kernel, bus = self._kernel, self._kernel.bus
+        if not isinstance(kernel.clock, SimulatedClock):
+            self._stalls = Stalls(kernel.loop)
         self._unsubscribe = bus.subscribe(Overrun, self._overran), bus.subscribe(StateChanged, self._changed)
         return self
 
@@ -126,11 +130,13 @@ class _Measurement:
         """Measure no more."""
         for unsubscribe in self._unsubscribe:
             unsubscribe()
+        if self._stalls is not None:
+            self._stalls.close()
 
     async def begin(self) -> None:
         """Count what is compared with."""
         began_ns = self._kernel.clock.monotonic_ns()
-        self._real_ns, self._stalled_ns = time.monotonic_ns(), _stalled_ns(self._kernel)
+        self._real_ns, self._stalled_ns = time.monotonic_ns(), self._stalled()
         self._edges, self._contexts = await self._count_edges(), await self._count_contexts()
         self.began_ns = began_ns
 
@@ -138,7 +144,7 @@ class _Measurement:
         """What was counted since then; measuring goes on."""
         kernel, began_ns = self._kernel, self.began_ns or 0
         length_ns, real_ns = kernel.clock.monotonic_ns() - began_ns, time.monotonic_ns() - self._real_ns
-        stalled = (_stalled_ns(kernel) - self._stalled_ns) / max(1, real_ns)
+        stalled = (self._stalled() - self._stalled_ns) / max(1, real_ns)
         edges, contexts = await self._count_edges(), await self._count_contexts()
         errors, idle = await self._look_at_components()
         return Window(
@@ -150,10 +156,25 @@ class _Measurement:
             min(1.0, max(0.0, stalled)),
         )
 
+    def _stalled(self) -> int:
+        return 0 if self._stalls is None else self._stalls.look()
+
     def _overran(self, event: Overrun) -> None:
-        if event.blame is not None and event.blame.kind == "machine":
+        if self._is_by_machine(event):
             count, left_out = self._by_machine.get(event.context, (0, 0))
             self._by_machine[event.context] = count + 1, left_out + event.skipped
+
+    def _is_by_machine(self, event: Overrun) -> bool:
+        """Whether the machine is to blame for it, or it would have been in time had the machine not run others."""
+        if event.blame is not None and event.blame.kind == "machine":
+            return True
+        context = self._kernel.contexts.get(event.context)
+        if self._stalls is None or context is None or context.exclusive:
+            return False  # no time that passes, or a thread of its own
+        speed = self._kernel.clock.speed
+        late_ns = event.late_ns / speed
+        period_ns = 1e9 / context.rate / speed if context.rate else 0.0
+        return self._stalls.since(time.monotonic_ns() - int(late_ns + period_ns)) >= late_ns
 
     def _changed(self, event: StateChanged) -> None:
         if event.new is _ERROR:
@@ -228,14 +249,3 @@ async def _wait(kernel: Microkernel, seconds: float) -> None:
         finally:
             timer.cancel()
     kernel.check_open("measure its health")
-
-
-def _stalled_ns(kernel: Microkernel) -> int:
-    """How long this thread was ready to run and did not, as far as the system counts it; 0 where it does not."""
-    if isinstance(kernel.clock, SimulatedClock):
-        return 0
-    try:
-        with open(_SCHEDSTAT, encoding="ascii") as file:
-            return int(file.read().split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0

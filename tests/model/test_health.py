@@ -154,8 +154,19 @@ def test_a_rate_is_not_lower_for_what_the_machine_has_kept_from_running() -> Non
     stopped = window(1, edge(60), contexts=loop(100, 5, by_machine=5, left_out=40, members=("a",)))
     assert said(before, stopped) is None
     assert said(before, replace(stopped, edges=edge(40))) == ("rate", NAMES[0])
-    assert said(before, window(1, edge(60), stalled=0.3)) is None
-    assert said(before, window(1, edge(50), stalled=0.3)) == ("rate", NAMES[0])
+
+
+def test_where_the_machine_took_more_than_before_as_much_more_is_no_fault() -> None:
+    before = window(1, edge(100), contexts=loop(100), stalled=0.2)
+    assert said(before, window(1, edge(60), stalled=0.35)) is None
+    assert said(before, window(1, edge(60), stalled=0.3)) == ("rate", NAMES[0])
+    assert said(replace(before, stalled=0.5), window(1, edge(60), stalled=0.5)) == ("rate", NAMES[0])
+    for lost, found in ((25, False), (27, True)):
+        late = said(before, window(1, contexts=loop(100, lost), stalled=0.45))
+        assert (late == ("overruns", "loop")) is found
+        gone = said(before, window(1, edge(100, lost), stalled=0.45))
+        assert (gone == ("drops", NAMES[0])) is found
+        assert said(before, window(1, edge(100, lost), stalled=0.1)) == ("drops", NAMES[0])
 
 
 def test_a_rate_that_was_lowered_is_expected_downstream() -> None:

@@ -1,9 +1,12 @@
 """Whether a system does worse after a change than before it: pure, from the window before and the window after.
 
 What a change is meant to do is no fault of it. Where it has lowered the rate of a context, or taken away what an
-in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active. What the
-machine does to a system is no fault of a change either: overruns that it is to blame for do not count, and while it ran
-others less is expected.
+in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active.
+
+What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
+it took more of the loop's time than before, backlogs follow, and what is late by them cannot be told from what is late
+by itself: that part of the ticks may overrun, and of the samples be dropped, besides; how far rates fall then says
+nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ PERCENT: Final = 1
 """and so many of 100 ticks, or samples written, beside them."""
 SLOWEST: Final = 80
 """So many percent of the rate before are healthy."""
+BUSY: Final = 0.1
+"""Where the machine took more of the loop's time than this beside what it took before, rates decide nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,29 +59,31 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
     if before.length_ns <= 0:
         before = Window(1)  # nothing was counted: everything is new
     lengths = after.length_ns, before.length_ns
+    taken = max(0.0, after.stalled - before.stalled)
     seconds = after.length_ns / 1e9
     for name, ran in after.contexts.items():
         was = before.contexts.get(name, _NO_TICKS)
         late, late_before = ran.overruns - ran.by_machine, was.overruns - was.by_machine
-        if _too_many(late, ran.ticks, late_before, *lengths):
+        if _too_many(late, ran.ticks, late_before, *lengths, taken):
             text = f"{late} of {ran.ticks} ticks overran in {seconds:g} s, and {late_before} of {was.ticks} before"
             return Unhealthy("overruns", name, text)
     for name, one in after.edges.items():
         had = before.edges.get(name, _NO_SAMPLES)
-        if _too_many(one.dropped, one.written, had.dropped, *lengths):
+        if _too_many(one.dropped, one.written, had.dropped, *lengths, taken):
             lost = f"{one.dropped} of {one.written} samples were dropped in {seconds:g} s"
             return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
-    return _slower(before, after, *lengths)
+    return _slower(before, after, *lengths) if taken <= BUSY else None
 
 
 _NO_TICKS: Final = ContextCounts()
 _NO_SAMPLES: Final = EdgeCounts("", "")
 
 
-def _too_many(lost: int, of: int, lost_before: int, now_ns: int, then_ns: int) -> bool:
+def _too_many(lost: int, of: int, lost_before: int, now_ns: int, then_ns: int, taken: float) -> bool:
     if lost <= 0 or of < SAMPLES:
         return False
-    return 100 * lost * then_ns > 100 * MORE * lost_before * now_ns + PERCENT * of * then_ns
+    beside = (PERCENT + 100 * taken if taken else PERCENT) * of
+    return 100 * lost * then_ns > 100 * MORE * lost_before * now_ns + beside * then_ns
 
 
 def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:
@@ -88,7 +95,7 @@ def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealt
             continue
         if expected is None:  # for few, since most systems are healthy
             expected = _expected(before, after)
-        due = had.written * now_ns / then_ns * expected.get(_component(one.source), 1.0 - after.stalled)
+        due = had.written * now_ns / then_ns * expected.get(_component(one.source), 1.0)
         if due >= SAMPLES and 100 * one.written < SLOWEST * due:
             now, then = one.written * 1e9 / now_ns, had.written * 1e9 / then_ns
             return Unhealthy("rate", name, f"{now:.4g} samples a second, and {then:.4g} before")
@@ -112,8 +119,7 @@ def _expected(before: Window, after: Window) -> dict[str, float]:
         found[_component(port)] = 0.0
     if found:
         _pass_on(found, after)
-    usual = 1.0 - after.stalled
-    return {name: min(part, usual) for name, part in found.items()}
+    return found
 
 
 def _rates(window: Window) -> dict[str, float]:
