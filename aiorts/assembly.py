@@ -286,6 +286,7 @@ class Kernel(Microkernel):
         seconds: float = 1.0,
         timeout: float | None = 5.0,
         import_timeout: float = 30.0,
+        window: float = 0.0,
     ) -> Reloaded:
         """Replace a component type's code while the system runs: its file is read anew, its instances go on with it.
 
@@ -311,10 +312,16 @@ class Kernel(Microkernel):
             timeout: seconds of the kernel's clock in which `on_initialize` of each new instance has to return, every
                 context to come to the end of a cycle, and `on_reload` to return; None is forever.
             import_timeout: seconds of real time that running the file may take.
+            window: seconds of the kernel's clock; above 0 the system is measured for so long with the old code and for
+                so long with the new, and must not do worse: no component in error that was not; of the ticks of each
+                context (of the samples of each connector) no more overrun (are dropped) than twice as many as before
+                and 1 % beside them; no connector has less than 0.8 of its rate. Fewer than 50 decide nothing, nor does
+                what the machine is to blame for.
 
         Raises:
             PluginError: no such type, or its file cannot be loaded, or an instance not be made; names file and line.
-            ComponentError: `on_reload`, or a hook in the first cycles, failed.
+            ComponentError: `on_reload`, or a hook in the first cycles, failed; or the system does worse, with the
+                figure and what it is of.
             StateError: one of them cannot be
                 replaced: it is in a real-time context, say.
             TransitionTimeout: a context did not come to it in time.
@@ -323,7 +330,9 @@ class Kernel(Microkernel):
         self.check_open("reload")
         from aiorts.reload import reload  # late: most systems never do
 
-        return await reload(self, kind, cycles=cycles, seconds=seconds, timeout=timeout, import_timeout=import_timeout)
+        return await reload(
+            self, kind, cycles=cycles, seconds=seconds, timeout=timeout, import_timeout=import_timeout, window=window
+        )
 
     # -- who is ready, and in which order ---------------------------------------------------------------------------
 

@@ -3,7 +3,8 @@
 In this order: the file is read and run aside (`fresh_code.py`); a new instance of each component of the type is made
 beside the old one (`replacement.py`); in each context all of them are put in place between two cycles, one
 after the other with nothing in between (`swap.py`), and `on_reload` is told the old one; they have to do a few
-cycles without a failure; then the old ones are ended. What fails on the way takes all of it back. One reload at a time.
+cycles without a failure, and in a window of time no worse than the old ones before; then the old ones are ended. What
+fails on the way takes all of it back. One reload at a time.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from contextlib import nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.errors import AiortsError, ConfigurationError, StateError
+from aiorts.errors import AiortsError, ComponentError, ConfigurationError, StateError
+from aiorts.health import Health
 from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.cycle import Action, Call
 from aiorts.kernel.loop.bus import HookFailed
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
+from aiorts.model.health.verdict import verdict
 from aiorts.reload.fresh_code import FreshCode, find_type, read_anew
 from aiorts.reload.reload_events import Reloaded
 from aiorts.reload.replacement import Replacement, retire
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.cycle import Steps
     from aiorts.kernel.execution.member import Member
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.model.health.windows import Window
 
 _LOG = KernelLog()
 _GOING_BACK: Final = 10.0
@@ -48,6 +52,7 @@ async def reload(
     seconds: float,
     timeout: float | None,
     import_timeout: float,
+    window: float = 0.0,
 ) -> Reloaded:
     """See `Kernel.reload`."""
     for name, value in (
@@ -55,6 +60,7 @@ async def reload(
         ("seconds", seconds),
         ("timeout", timeout),
         ("import_timeout", import_timeout),
+        ("window", window),
     ):
         if value is not None and not (isinstance(value, int | float) and 0 <= value < math.inf):
             raise ConfigurationError(f"reload: {name} = {value!r}: expected a number from 0 on")
@@ -68,7 +74,7 @@ async def reload(
                     f"reload({origin}): called by a hook, or a task, that it would wait for or end; call it from "
                     "outside of the component's contexts"
                 )
-    one = _Reload(kernel, kind, cycles, seconds, timeout, import_timeout)
+    one = _Reload(kernel, kind, cycles, seconds, timeout, import_timeout, window)
     task = kernel_task(kernel.loop, one.run(), f"aiorts reload {origin}")
     renewing = kernel.registry.renewing
     renewing.add(task)
@@ -116,6 +122,7 @@ class _Reload:
         seconds: float,
         timeout: float | None,
         import_timeout: float,
+        window: float,
     ) -> None:
         self._kernel = kernel
         self._timeout = timeout
@@ -124,6 +131,8 @@ class _Reload:
         self._cycles = cycles
         self._seconds = seconds
         self._import_timeout = import_timeout
+        self._window = window
+        self._health = Health(kernel)
 
     async def run(self) -> Reloaded:
         """All of it."""
@@ -132,6 +141,7 @@ class _Reload:
             kernel.check_open("reload")
             origin = find_type(kernel, self._kind)
             code = await read_anew(kernel, origin, self._import_timeout)
+            before = await self._health.window(self._window) if self._window else None
             unsubscribe = kernel.bus.subscribe(HookFailed, self._look)
             try:
                 await self._prepare(code)
@@ -140,7 +150,7 @@ class _Reload:
                 composed = any(cell(replacement.old).group is not None for replacement in self._swap.replacements)
                 async with kernel.registry.composing if composed else nullcontext():
                     await self._swap.switch()
-                await self._prove()
+                await (self._prove() if before is None else self._prove_healthy(before, str(origin)))
             except BaseException as error:
                 await self._take_back(error)
                 code.forget()
@@ -210,6 +220,21 @@ class _Reload:
             context.ticks - began >= self._cycles or context not in replacement.new.contexts
             for context, began in replacement.began.items()
         )
+
+    async def _prove_healthy(self, before: Window, origin: str) -> None:
+        """Wait, too, for a window from now on, and raise ComponentError when it is worse than the one before."""
+        measured = kernel_task(self._kernel.loop, self._health.window(self._window), "aiorts health")
+        measured.add_done_callback(lambda task: None if task.cancelled() else task.exception())
+        try:
+            await self._prove()
+            waited: list[asyncio.Future[Any]] = [measured, self._swap.failed]
+            await asyncio.wait(waited, return_when=asyncio.FIRST_COMPLETED)
+            self._swap.check()
+            found = verdict(before, measured.result(), [one.old.name for one in self._swap.replacements])
+        finally:
+            measured.cancel()
+        if found is not None:
+            raise ComponentError(f"{origin}: the new code does worse: {found}; the old code is in force again")
 
     # -- as it was -------------------------------------------------------------------------------------------------
 

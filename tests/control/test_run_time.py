@@ -142,6 +142,30 @@ async def test_code_is_replaced_by_the_name_of_a_component_or_by_its_file(
         assert getattr(kernel.components["src"], "text") == "three"  # noqa: B009
 
 
+_SLOW_CODE = """
+from aiorts import Component
+
+
+class Source(Component):
+    async def on_execute(self):
+        await self.sleep({seconds})
+"""
+
+
+async def test_code_that_does_worse_in_its_window_is_taken_back(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "slow_source.py"
+    file.write_text(_SLOW_CODE.format(seconds=0.0))
+    async with Kernel(services={"control": {"name": "codes"}}) as kernel:
+        source = await kernel.create(f"{file}:Source", "src")
+        await kernel.start(PeriodicContext(rate=500.0, name="loop"), source, activate=True)
+        file.write_text(_SLOW_CODE.format(seconds=0.003))
+        status, text = await commanded(capsys, "reload", "src", "--window", "0.25")
+        assert (status, "does worse: loop: " in text, "ticks overran" in text) == (1, True, True)
+        assert kernel.components["src"] is source
+
+
 async def test_no_code_is_read_where_others_may_only_look(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled("looks", mode="view"):
         status, text = await commanded(capsys, "reload", "counter0")

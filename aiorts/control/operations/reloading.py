@@ -23,6 +23,8 @@ class Reload:
     """or after so many seconds of the kernel's clock."""
     timeout: float | None = 5.0
     """Seconds of the kernel's clock in which each new instance has to be in its place; None is forever."""
+    window: float = 0.0
+    """Seconds of the kernel's clock for which the old code is measured, and the new; it must not do worse."""
 
 
 async def _reload(session: Session, given: Reload) -> Reloaded:
@@ -35,7 +37,13 @@ async def _reload(session: Session, given: Reload) -> Reloaded:
     if not kind:
         raise ControlError("reload: say a component or a type")
     return await reload(
-        kernel, kind, cycles=given.cycles, seconds=given.seconds, timeout=given.timeout, import_timeout=30.0
+        kernel,
+        kind,
+        cycles=given.cycles,
+        seconds=given.seconds,
+        timeout=given.timeout,
+        import_timeout=30.0,
+        window=given.window,
     )
 
 
