@@ -94,10 +94,14 @@ All are frozen: a value describes one moment and does not change. A field whose 
 def system_file() -> str:
     from aiorts.system import schema
 
-    made = schema()
+    made = schema(templates=False)
     parts = []
     top = made["properties"]
     parts.append("## At the top\n\n" + _keys({"schema": top.pop("schema")}, made["required"]))
+    include = top.pop("include")
+    parts.append(_table("[[include]]", {**include["items"], "description": include["description"]}))
+    variables = top.pop("variables")
+    parts.append(_table("[variables]", variables))
     parts.append(_table("[plugins]", top.pop("plugins"), "Where to look for components besides installed packages."))
     clock = top.pop("clock")
     kinds = [word for one in clock["oneOf"] for word in _words(one["properties"]["kind"])]

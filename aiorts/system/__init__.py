@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from aiorts.system.draw.graph import GRAPH_FORMATS, graph
     from aiorts.system.draw.running import running_graph
     from aiorts.system.ending import Ending, ended_in_error, is_source, wait_finished
+    from aiorts.system.expansion.choices import AS_WRITTEN, Choices
     from aiorts.system.file.arguments import option_params, parse_options
     from aiorts.system.file.load import load
     from aiorts.system.file.parse import parse
@@ -37,7 +38,9 @@ if TYPE_CHECKING:
 
 __all__ = (
     "GRAPH_FORMATS",
+    "AS_WRITTEN",
     "Blueprint",
+    "Choices",
     "ClockEntry",
     "ComponentEntry",
     "CompositeEntry",
@@ -87,6 +90,7 @@ _late(
         "aiorts.system.draw.graph": "GRAPH_FORMATS graph",
         "aiorts.system.draw.running": "running_graph",
         "aiorts.system.ending": "Ending ended_in_error is_source wait_finished",
+        "aiorts.system.expansion.choices": "AS_WRITTEN Choices",
         "aiorts.system.file.arguments": "option_params parse_options",
         "aiorts.system.file.load": "load",
         "aiorts.system.file.parse": "parse",

@@ -31,10 +31,10 @@ from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
 from aiorts.system.file.families import inner_first, readers_first, root, unstartable
 from aiorts.system.file.parse import spelled
-from aiorts.system.file.places import Key, places_of
 from aiorts.system.file.setting import Setting
 from aiorts.system.file.survey import Fault, Survey, survey
 from aiorts.system.file.values import SystemFile
+from aiorts.system.text.places import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def prepare(
     found = survey(system, catalogue, services)
     _check_declared(found)
     for key, text in unstartable(system):
-        found.say(key, SystemFileError(text), spelled(places_of(system.text).known(key)) if system.text else "")
+        found.say(key, SystemFileError(text), spelled(system.origins.known(key)) if system.text else "")
     if found.faults:
         raise _refused(system, found.faults[0]) from found.faults[0].error.__cause__
     converters = {number: one.convert for number, (one, _) in found.profiles.items() if one.convert is not None}
@@ -88,8 +88,7 @@ def _refused(system: SystemFile, fault: Fault) -> AiortsError:
     where = f"{system.at(*fault.key, of_key=fault.of_key)}: {fault.where}"
     error = type(fault.error)(f"{where}: {fault.error}").like(fault.error)
     if error.typed is None and not isinstance(error, PluginError):  # that is wrong in another file
-        text = system.text.replace("\r\n", "\n")
-        error.at(text, *places_of(text).extent(system.place(*fault.key, of_key=fault.of_key)))
+        system.origins.spot(fault.key, of_key=fault.of_key).mark(error)
     return error
 
 
@@ -225,8 +224,7 @@ def _place_of(system: SystemFile, name: str, error: AiortsError) -> str:
     if not system.text:
         return name
     said = of_draft(system, name, error)
-    place = said.place or system.place(*said.key)
-    return f"{system.path}:{place.line}:{place.column}: {name}"
+    return f"{said.spot or system.origins.spot(said.key)}: {name}"
 
 
 def _blamed(connection: ConnectionEntry, why: str) -> Key:

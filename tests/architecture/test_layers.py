@@ -47,6 +47,8 @@ aiorts/control/operations
 aiorts/control/server
 aiorts/assembly.py
 aiorts/running.py aiorts/events.py aiorts/statechart.py
+aiorts/system/text
+aiorts/system/expansion
 aiorts/system/file
 aiorts/system/stdio
 aiorts/system/checks

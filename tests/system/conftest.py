@@ -24,3 +24,17 @@ def write(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def put(write: Callable[..., Path], tmp_path: Path) -> Callable[..., Path]:
+    """Write several files; answers with the first."""
+
+    def put(**files: str) -> Path:
+        for name, text in files.items():
+            path = tmp_path / f"{name.replace('__', '/')}.toml"
+            path.parent.mkdir(exist_ok=True)
+            write(text if text.startswith("schema") else f"schema = 1\n{text}", str(path.relative_to(tmp_path)))
+        return tmp_path / f"{next(iter(files))}.toml"
+
+    return put

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts.system.file.places import Place, Places
+from aiorts.system.text.places import Place, Places
 from campaign import cases, time_limit
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").rglob("*.toml"))

@@ -25,6 +25,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted(path for path in (ROOT / "examples").rglob("*.toml") if path.name != "pyproject.toml")
 CATALOGUE = Catalogue()
 SCHEMA = schema(CATALOGUE)
+PLAIN = schema(CATALOGUE, templates=False)
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 
@@ -109,6 +110,62 @@ def test_thirty_broken_ones_do_not_validate(old: str, new: str) -> None:
     assert faults(GOOD.replace(old, new, 1)) != []
 
 
+TEMPLATES = """
+include = ["other.toml", { file = "arm.toml", prefix = "left{i}_", repeat = 2, if = "${sim}", vars = { a = 1 } }]
+schema = 1
+[variables]
+sim = true
+rate = 100.0
+env = ["ROBOT"]
+[clock]
+kind = "scaled"
+speed = "${speed}"
+[components."source{i}"]
+repeat = "${count}"
+if = "not ${sim}"
+type = "${type}"
+options = "${options}"
+[components.const]
+type = "FlexiConst"
+params.rate = "${rate}"
+supervision = { restart = "${restart}", backoff = "${backoff}" }
+start = { after = ["source{i} active"] }
+[[connections]]
+repeat = 3
+from = "source{i}.out"
+to = ["middle{i}.input", "${out}"]
+length = "${length}"
+[contexts.fast]
+kind = "periodic"
+rate = "${rate}"
+members = "${members}"
+[contexts."fast{i}"]
+kind = "${kind}"
+members = []
+"""
+
+
+def test_templates_validate_wherever_a_value_does() -> None:
+    assert faults(TEMPLATES) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('if = "not ${sim}"', "if = 3"),
+        ("repeat = 3", "repeat = -1"),
+        ("repeat = 3", 'repeat = "often"'),
+        ('file = "arm.toml"', 'fil = "arm.toml"'),
+        ('speed = "${speed}"', 'speed = "fast"'),
+        ('env = ["ROBOT"]', "env = 3"),
+        ("sim = true\n", "sim = { a = 1 }\n"),
+    ],
+)
+def test_templates_that_are_wrong_do_not_validate(old: str, new: str) -> None:
+    assert old in TEMPLATES
+    assert faults(TEMPLATES.replace(old, new, 1)) != []
+
+
 def test_it_has_every_option_of_a_connection_and_no_other() -> None:
     assert set(OPTIONS) == set(options.OWN_KEYS)
     for key, one in OPTIONS.items():
@@ -124,14 +181,14 @@ def spelled(key: str, word: str) -> ConnectorProfile:
 
 def test_an_editor_finds_types_parameters_units_defaults_and_docs() -> None:
     filters = next(
-        one for one in SCHEMA["$defs"]["component"]["oneOf"] if one["properties"]["type"].get("const") == "FlexiFilter"
+        one for one in PLAIN["$defs"]["component"]["oneOf"] if one["properties"]["type"].get("const") == "FlexiFilter"
     )
     rounding = filters["properties"]["params"]["properties"]["rounding"]
     assert rounding["enum"] == ["nearest", "truncate", "floor"]
     assert (rounding["default"], rounding["description"]) == ("nearest", "fraction to integer; nearest: halves to even")
     assert "-m, --map: in[:pin]" in filters["properties"]["options"]["description"]
     const = next(
-        one for one in SCHEMA["$defs"]["component"]["oneOf"] if one["properties"]["type"].get("const") == "FlexiConst"
+        one for one in PLAIN["$defs"]["component"]["oneOf"] if one["properties"]["type"].get("const") == "FlexiConst"
     )
     rate = const["properties"]["params"]["properties"]["rate"]
     assert rate["title"] == "float | None [Hz]"
@@ -139,7 +196,7 @@ def test_an_editor_finds_types_parameters_units_defaults_and_docs() -> None:
     assert number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 1e6}
     assert text["type"] == "string"
     periodic = next(
-        one for one in SCHEMA["$defs"]["context"]["oneOf"] if one["properties"]["kind"]["const"] == "periodic"
+        one for one in PLAIN["$defs"]["context"]["oneOf"] if one["properties"]["kind"]["const"] == "periodic"
     )
     assert periodic["required"] == ["kind", "rate", "members"]
     assert periodic["properties"]["rate"]["description"].startswith("Hz")

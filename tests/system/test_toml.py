@@ -18,7 +18,7 @@ from aiorts.errors import ConfigurationError, SystemFileError
 from aiorts.model.configuration.configuration_text import parse_document
 from aiorts.system import check, check_text, load, parse
 from aiorts.system.file.parse import read
-from aiorts.system.file.toml import tables
+from aiorts.system.text.toml import tables
 from campaign import CAMPAIGN, cases, time_limit
 from system_parts import CHAIN
 

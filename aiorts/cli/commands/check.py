@@ -15,9 +15,10 @@ from aiorts import exits
 from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
 from aiorts.cli.commands.live.target import complete_systems
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
 from aiorts.cli.console.report import has_colours, painted, printed
-from aiorts.system import Finding, check, check_running
+from aiorts.system import Choices, Finding, check, check_running
 
 _WORDS: Final = {"error": "E", "warning": "W", "note": "N"}
 _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
@@ -43,12 +44,14 @@ _GITHUB: Final = {"error": "error", "warning": "warning", "note": "notice"}
     help="text for people, json one object for each file in a line, github for its annotations.",
 )
 @click.option("--json", "layout", flag_value="json", help="The same as --format json.")
+@choices_options
 @plugins_option
 @click.option("--strict", is_flag=True, help="Exit status 1 when there are warnings and no errors.")
 @click.option("-q", "--quiet", is_flag=True, help="Leave notes out.")
 def check_command(
     files: tuple[str, ...],
     changes: tuple[str, ...],
+    choices: Choices,
     layout: str,
     plugins: tuple[Path, ...],
     strict: bool,
@@ -70,7 +73,7 @@ def check_command(
             found = check_running(profile, file)
         else:
             with quietly():
-                found = check(file, changes, folders)
+                found = check(file, changes, folders, choices)
             tell_of(file, "check")
         findings = [one for one in found if not (quiet and one.severity == "note")]
         counts.update(one.severity for one in findings)

@@ -12,9 +12,10 @@ from aiorts import exits
 from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
 from aiorts.cli.commands.live.target import complete_systems
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
 from aiorts.errors import ConfigurationError
-from aiorts.system import GRAPH_FORMATS, check, graph, load, running_graph
+from aiorts.system import AS_WRITTEN, GRAPH_FORMATS, Choices, check, graph, load, running_graph
 
 _ENDINGS: Final = {
     "": "mermaid",
@@ -41,9 +42,15 @@ _ENDINGS: Final = {
 @click.option(
     "--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the drawn system."
 )
+@choices_options
 @plugins_option
 def graph_command(
-    file: str, language: str | None, output: str | None, changes: tuple[str, ...], plugins: tuple[Path, ...]
+    file: str,
+    language: str | None,
+    output: str | None,
+    changes: tuple[str, ...],
+    choices: Choices,
+    plugins: tuple[Path, ...],
 ) -> int:
     """Draw the system that SYSTEM.toml describes: its components by context, their ports, and the connectors.
 
@@ -56,14 +63,16 @@ def graph_command(
     if is_live(file):
         if changes:
             raise click.UsageError(f"--set is of a system file, and {file} is none; see aiorts conf")
+        if choices != AS_WRITTEN:
+            raise click.UsageError(f"--var and --remap are of a system file, and {file} is none")
         earlier, later = profiles_of(file, 2)[1]
         _give(output, running_graph(later, language, earlier))
         return exits.DONE
-    system = load(file, changes)
+    system = load(file, changes, choices)
     with quietly():
         catalogue = catalogue_of(system, plugins)
         text = graph(system, language, catalogue)
-        wrong = [one for one in check(file, changes, catalogue.folders) if one.severity == "error"]
+        wrong = [one for one in check(file, changes, catalogue.folders, choices) if one.severity == "error"]
     _give(output, text)
     tell_of(file, "graph")
     for one in wrong:

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from aiorts import exits
+from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.completion import targets
 from aiorts.cli.runtime.alone import DEFAULT_RATE, input_is_given
 from aiorts.cli.runtime.options import Options, checked, with_clock
@@ -19,6 +20,7 @@ from aiorts.cli.runtime.session import execute, log_of, refuse
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.cli.runtime.target import errors_of, find_target
 from aiorts.errors import AiortsError, ComponentError
+from aiorts.system import Choices
 
 
 @click.command(cls=RunCommand, short_help="Run a system file, or one component.")
@@ -30,6 +32,7 @@ from aiorts.errors import AiortsError, ComponentError
     metavar="COMPONENT.PARAM=VALUE",
     help="Set a parameter, or with active=NAME the configuration set that is active; repeatable.",
 )
+@choices_options
 @click.option("--for", "duration", type=float, metavar="S", help="End after S seconds of the system's time.")
 @click.option("--duration", "duration_once", type=float, hidden=True)
 @click.option(
@@ -62,6 +65,7 @@ from aiorts.errors import AiortsError, ComponentError
 def run(
     target: str,
     changes: tuple[str, ...],
+    choices: Choices,
     folders: tuple[Path, ...],
     rate: float | None,
     count: int | None,
@@ -107,10 +111,10 @@ def run(
         try:
             fed = not options.simulate and input_is_given()
             quiet = quiet or sys.stdout is None
-            found = find_target(target, changes, folders, rate, services, quiet=quiet, fed=fed, count=count)
+            found = find_target(target, changes, folders, rate, services, choices, quiet=quiet, fed=fed, count=count)
         except AiortsError as error:
             status = exits.FAILED if isinstance(error, ComponentError) else exits.REFUSED
-            return refuse(log, error, errors_of(target, changes, folders), status)
+            return refuse(log, error, errors_of(target, changes, folders, choices), status)
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
         if found.streams and sys.stdout is not None and sys.stdout.isatty():
@@ -130,7 +134,7 @@ def run(
             catalogue=found.catalogue,
             unfed_advice=found.unfed,
             streams=found.streams,
-            errors=lambda: errors_of(target, changes, folders),
+            errors=lambda: errors_of(target, changes, folders, choices),
         )
         if ends is None:
             return status

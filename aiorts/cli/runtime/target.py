@@ -36,10 +36,21 @@ from aiorts.kernel.extensions.uninstalled import named_in_project
 from aiorts.kernel.service import plan_service
 from aiorts.late import dataclass
 from aiorts.model.options import doubts
-from aiorts.system import ClockEntry, Finding, StandardOutput, SystemFile, build, construct, load, prepare
+from aiorts.system import (
+    AS_WRITTEN,
+    Choices,
+    ClockEntry,
+    Finding,
+    StandardOutput,
+    SystemFile,
+    build,
+    construct,
+    load,
+    prepare,
+)
 from aiorts.system.checks.whole import NOTHING_RUNS
-from aiorts.system.file.places import Key
 from aiorts.system.file.setting import Setting, setting_alone
+from aiorts.system.text.places import Key
 
 Settings: TypeAlias = Mapping[str, Mapping[str, Any]]
 """What services are to go by, by the service's name and the setting's."""
@@ -74,6 +85,7 @@ def find_target(
     folders: Sequence[Path],
     rate: float | None,
     services: Settings,
+    choices: Choices = AS_WRITTEN,
     *,
     quiet: bool = True,
     fed: bool = False,
@@ -87,6 +99,7 @@ def find_target(
         rate: Hz, for a component alone.
         quiet: whether the samples of a component alone are left alone, in place of written to standard output.
         services: what options say, by service.
+        choices: variables of a system file, and ports in the place of others.
         fed: whether a component alone reads standard input.
         count: samples of a component alone after which the run ends: those printed, else those read.
 
@@ -103,7 +116,9 @@ def find_target(
             raise click.UsageError("--rate is for a component alone; a system file has rate under [contexts.NAME]")
         if count is not None:
             raise click.UsageError("--count is for a component alone; a system file ends with its sources, or by --for")
-        return _system(text, changes, folders, services)
+        return _system(text, changes, folders, services, choices)
+    if choices != AS_WRITTEN:
+        raise click.UsageError("--var and --remap are for a system file, not for a component alone")
     catalogue = catalogue_of(folders)
     catalogue.make_default()
     if ":" not in text and text not in catalogue.extensions("components"):
@@ -152,11 +167,11 @@ def _no_such(text: str, catalogue: Catalogue) -> str:
     return f"no system file and no installed component; {hint}"
 
 
-def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings) -> Target:
+def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings, choices: Choices) -> Target:
     try:
-        system = load(text, changes)
+        system = load(text, changes, choices)
     except SystemFileError as error:
-        if f"{text}: --set " in str(error):
+        if str(error).startswith(f"{text}: --"):
             raise ConfigurationError(str(error)).like(error) from None
         raise
     catalogue = catalogue_of((*folders, *system.plugin_paths))
@@ -176,17 +191,19 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services
     )
 
 
-def errors_of(text: str, changes: Sequence[str], folders: Sequence[Path]) -> tuple[Finding, ...]:
+def errors_of(
+    text: str, changes: Sequence[str], folders: Sequence[Path], choices: Choices = AS_WRITTEN
+) -> tuple[Finding, ...]:
     """All that is wrong with what `text` names, if that is a system file that can be read."""
     if not is_file(text) or text.endswith(".py"):
         return ()
     from aiorts.system import check  # late: only a file that cannot run is looked at in this way
 
     with contextlib.redirect_stdout(sys.stderr):  # what its components print when they are made once more
-        found = check(text, changes, catalogue_of(folders).folders)
+        found = check(text, changes, catalogue_of(folders).folders, choices)
     wrong = [one for one in found if one.severity == "error"]
-    # What `--set` says is no mistake of the file.
-    return tuple(replace(one, code=ConfigurationError.code) if one.where.startswith("--set") else one for one in wrong)
+    # What the command line says is no mistake of the file.
+    return tuple(replace(one, code=ConfigurationError.code) if one.where.startswith("--") else one for one in wrong)
 
 
 def _doubts(system: SystemFile) -> Iterator[tuple[Key, str]]:

@@ -85,7 +85,7 @@ class _Writer:
             yield from ("", "[plugins]", self._pair("plugins", "path", (".", *map(self._relative, places))))
 
     def _component(self, one: ComponentEntry) -> Iterator[str]:
-        yield f"type = {basic_string(self._type(one.name, one.type))}"
+        yield f"type = {basic_string(literal(self._type(one.name, one.type)))}"
         for param, value in one.params.items():
             yield self._pair(one.name, f"params.{_key(param)}", value)
         if one.active:
@@ -152,13 +152,24 @@ class _Writer:
 
     def _value(self, where: str, value: Any) -> str:
         if isinstance(value, Path):
-            return basic_string(self._relative(value))
+            return basic_string(literal(self._relative(value)))
         if isinstance(value, Mapping):
             return self._inline(where, value)
         if isinstance(value, tuple):
             return f"[{', '.join(self._value(where, item) for item in value)}]"
-        return value_text(where, value)
+        return value_text(where, literal(value))
 
 
 def _key(name: str) -> str:
-    return name if _BARE.fullmatch(name) else basic_string(name)
+    return name if _BARE.fullmatch(name) else basic_string(literal(name))
+
+
+def literal(value: Any) -> Any:
+    """The value as it is to be written: a `${` in a text of a system file would be a variable, `$${` is none."""
+    if isinstance(value, str):
+        return value.replace("${", "$${")
+    if isinstance(value, tuple | list):
+        return [literal(item) for item in value]
+    if isinstance(value, Mapping):
+        return {literal(key): literal(item) for key, item in value.items()}
+    return value

@@ -18,40 +18,52 @@ from aiorts.system.checks.connection_checks import feature_findings, joint_findi
 from aiorts.system.checks.draft import Draft, drafts_of
 from aiorts.system.checks.findings import Finding, Said, in_order
 from aiorts.system.checks.whole import whole_findings
+from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.file.families import parts, with_parts
 from aiorts.system.file.parse import Mistake, read, spelled
-from aiorts.system.file.places import Key, Place, places_of
 from aiorts.system.file.survey import Survey, survey
-from aiorts.system.file.toml import NotToml, read_text
 from aiorts.system.file.values import SystemFile
+from aiorts.system.text.origins import Origins, Source
+from aiorts.system.text.places import Key, Place
+from aiorts.system.text.toml import NotToml, read_text
 
 _NUMBERED = re.compile(r"(in|out)put(\d+)")
 
 
-def check(path: str | Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()) -> tuple[Finding, ...]:
+def check(
+    path: str | Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = (), choices: Choices = AS_WRITTEN
+) -> tuple[Finding, ...]:
     """The findings about the system file at `path`, in the order of its lines; empty when there are none.
 
     Args:
         overrides: parameters as "component.param=value", which win over those of the file.
         plugins: folders with plugins, besides those that the file names and the packages that are installed.
+        choices: variables, and ports in the place of others.
     """
     where = Path(path)
     try:
         text = read_text(where)
     except SystemFileError as error:
         return (_unread(error, where),)
-    return check_text(text, where, overrides, plugins)
+    return check_text(text, where, overrides, plugins, choices)
 
 
 def check_text(
-    text: str, path: Path, overrides: Iterable[str] = (), plugins: Iterable[Path] = ()
+    text: str,
+    path: Path,
+    overrides: Iterable[str] = (),
+    plugins: Iterable[Path] = (),
+    choices: Choices = AS_WRITTEN,
 ) -> tuple[Finding, ...]:
     """`check` of a text, such as an editor has; `path` is where it would be saved."""
     try:
-        system, mistakes = read(text, path, overrides)
+        system, mistakes = read(text, path, overrides, choices)
     except SystemFileError as error:
         return (_unread(error, path),)
-    said = [Said("error", SystemFileError.code, one.key, one.what, one.of_key, one.where) for one in mistakes]
+    said = [
+        Said("error", SystemFileError.code, one.key, one.what, one.of_key, one.where, one.spot(system.origins))
+        for one in mistakes
+    ]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
     said += [
         Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
@@ -72,7 +84,7 @@ def check_text(
     vague = {part for name, one in composed.drafts.items() if one.error for part in parts(system.composites, name)}
     known = {name: one for name, one in drafts.items() if name not in vague}
     said += whole_findings(found, known, whole=not mistakes and found.services.keys() >= system.services.keys())
-    return in_order(_found(path, system.text, one) for one in said)
+    return in_order((_found(system.origins, one) for one in said), system.files)
 
 
 def _marred(mistakes: Iterable[Mistake], table: str) -> set[str]:
@@ -103,9 +115,9 @@ def of_draft(system: SystemFile, name: str, error: AiortsError) -> Said:
     message = str(error).removeprefix(f"{name}: ")
     what, text, offset = _typed(error)
     for key in _keys(entry, what, message):
-        place = places_of(system.text).inside(key, text, offset) if text else None
-        if place is not None or not text:
-            return Said("error", error.code, key, message, place=place)
+        spot = system.origins.inside(key, text, offset) if text else None
+        if spot is not None or not text:
+            return Said("error", error.code, key, message, spot=spot)
     return Said("error", error.code, ("components", name, "type"), message, where=f"components.{name}")
 
 
@@ -135,17 +147,15 @@ def _keys(entry: ComponentEntry, what: str, message: str) -> Iterable[Key]:
         yield (*base, "options")
 
 
-def _found(path: Path, text: str, said: Said) -> Finding:
+def _found(origins: Origins, said: Said) -> Finding:
     cause, _, remedy = said.text.replace("\n", " ").rpartition("; ")
     if not cause:
         cause, remedy = remedy, ""
-    where = said.where or spelled(places_of(text).known(said.key) if text else said.key)
-    if where.startswith("--set") or not text:
-        place, quote = Place(0, 0), ""
-    else:
-        places = places_of(text)
-        place = said.place or (places.key(said.key) if said.of_key else places.value(said.key))
-        quote = places.line(place.line)
+    where = said.where or spelled(origins.known(said.key))
+    path, place, quote = origins.main.path, Place(0, 0), ""
+    if not where.startswith("--") and origins.main.text:
+        spot = said.spot or origins.spot(said.key, of_key=said.of_key)
+        path, place, quote = spot.source.path, spot.place, spot.quote
     return Finding(
         said.severity,
         said.code,
@@ -163,8 +173,8 @@ def _found(path: Path, text: str, said: Said) -> Finding:
 
 def _unread(error: SystemFileError, path: Path) -> Finding:
     if not isinstance(error, NotToml):
-        return _found(path, "", Said("error", error.code, (), str(error).removeprefix(f"{path}: ")))
+        return _found(Origins(Source(path, "")), Said("error", error.code, (), str(error).removeprefix(f"{path}: ")))
     quote = error.text.split("\n", error.line)[error.line - 1].rstrip("\r") if error.text else ""
     cause, _, remedy = error.reason.rpartition("; ")
     cause, remedy = (cause, remedy) if cause else (remedy, "")
-    return Finding("error", error.code, path, error.line, error.column, 1, "", cause, remedy, quote)
+    return Finding("error", error.code, error.path, error.line, error.column, 1, "", cause, remedy, quote)

@@ -15,8 +15,8 @@ from aiorts.model.wanted.entries import CompositeEntry
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
 from aiorts.system.file.families import inner_first
-from aiorts.system.file.places import Key
 from aiorts.system.file.values import SystemFile
+from aiorts.system.text.places import Key
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,8 @@ from aiorts.services import ServicePort, fault_of
 from aiorts.system.checks.adapt import adaptation
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
-from aiorts.system.file.places import Key
 from aiorts.system.file.survey import Survey
+from aiorts.system.text.places import Key
 from aiorts.types import has_tm
 
 

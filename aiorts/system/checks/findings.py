@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.late import dataclass
-from aiorts.system.file.places import Key, Place
+from aiorts.system.text.origins import Spot
+from aiorts.system.text.places import Key
 
 _MEANT: Final = re.compile(r"did you mean (?:'([^']+)'|([^\s'?;]+))\?")
 _MISSING: Final = re.compile(r"expected (schema = \d+) in the first line")
@@ -80,11 +81,14 @@ class Said:
     text: str
     of_key: bool = False
     where: str = ""
-    place: Place | None = None
+    spot: Spot | None = None
     suggestion: str = ""
 
 
-def in_order(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """As they stand in the file; in one place the worse first, and each once."""
+def in_order(findings: Iterable[Finding], files: Sequence[Path]) -> tuple[Finding, ...]:
+    """As they stand in the files; in one place the worse first, and each once."""
     unique = dict.fromkeys(findings)
-    return tuple(sorted(unique, key=lambda one: (one.line, one.column, SEVERITIES.index(one.severity))))
+    order = {path: number for number, path in enumerate(files)}
+    return tuple(
+        sorted(unique, key=lambda one: (order.get(one.path, 0), one.line, one.column, SEVERITIES.index(one.severity)))
+    )

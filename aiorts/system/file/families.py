@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from aiorts.model.wanted.entries import CompositeEntry, ContextEntry
 from aiorts.supervision import ADDED
-from aiorts.system.file.places import Key
 from aiorts.system.file.values import SystemFile
+from aiorts.system.text.places import Key
 
 
 def owners(composites: Mapping[str, CompositeEntry]) -> dict[str, str]:

@@ -24,30 +24,32 @@ from aiorts.kernel.extensions.type_names import extension_of, shown
 from aiorts.model.configuration.parameters import ParameterSpec, validate
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.converter import Converter
-from aiorts.model.wanted.entries import ComponentEntry
+from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
+from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.file.arguments import flag_of, parse_options
 from aiorts.system.file.parse import parse
-from aiorts.system.file.places import Key
 from aiorts.system.file.setting import ACTIVE, Setting
-from aiorts.system.file.toml import read_text
 from aiorts.system.file.values import SystemFile
+from aiorts.system.text.places import Key
+from aiorts.system.text.toml import read_text
 
 _MOST_FILES: Final = 10_000
 Fault: TypeAlias = tuple[Key, str, AiortsError]
 """The key it is about, what it is called where that is no key of the file, and the error."""
 
 
-def load(path: str | Path, overrides: Iterable[str] = ()) -> SystemFile:
-    """The system file at `path`, read and checked; nothing is loaded or created yet.
+def load(path: str | Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN) -> SystemFile:
+    """The system file at `path`, with all that it includes, read and checked; nothing is loaded or created yet.
 
     Args:
         overrides: parameters as "component.param=value", which win over those of the file.
+        choices: variables, and ports in the place of others.
 
     Raises:
         SystemFileError: it cannot be read, is no system file, or refers to something that is not there.
     """
     where = Path(path)
-    return parse(read_text(where), where, overrides)
+    return parse(read_text(where), where, overrides, choices)
 
 
 def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalogue) -> type[Component]:
@@ -57,20 +59,22 @@ def component_type(system: SystemFile, entry: ComponentEntry, catalogue: Catalog
         SystemFileError: its file is not below the system file's folder.
         PluginError: there is no such file, module, class or offer, or it cannot be loaded.
     """
-    extension = extension_of(entry.type, catalogue, system.plugin_paths, partial(_allow, system, entry.type))
+    places = system.folders(("components", entry.name, "type"))
+    extension = extension_of(entry.type, catalogue, places, partial(_allow, system, entry.type))
     check_inside(system, extension)
     return extension.load_class(Component)
 
 
-def converter(system: SystemFile, text: str, catalogue: Catalogue) -> Converter:
+def converter(system: SystemFile, entry: ConnectionEntry, catalogue: Catalogue) -> Converter:
     """The converter that a connection names.
 
     Raises:
         SystemFileError: its file is not below the system file's folder.
         PluginError: there is no such file, module, function or offer, it cannot be loaded, or it is no converter.
     """
-    text = text.strip()
-    extension = converter_extension(text, catalogue, system.plugin_paths, partial(_allow, system, text))
+    text = str(entry.options["convert"]).strip()
+    places = system.folders(("connections", entry.number - 1, "convert"))
+    extension = converter_extension(text, catalogue, places, partial(_allow, system, text))
     check_inside(system, extension)
     return converter_of(text, extension, extension.load())
 
@@ -140,7 +144,7 @@ def parameters(system: SystemFile, entry: ComponentEntry, cls: type[Component]) 
         given[name] = (value, (*key, "params", name), "")
     specs = declarations(cls).parameters
     for name, (value, where, _) in given.items():
-        given[name] = (in_folder(system, specs.get(name), value), where, "")
+        given[name] = (in_folder(system, specs.get(name), value, where), where, "")
     for override in system.overrides:
         if override.component == entry.name and (override.param in specs or override.param != ACTIVE):
             given[override.param] = (override.value, (), f"--set {override.text[:80]}")
@@ -165,12 +169,14 @@ def setting(
         checked: dict[str, Any] = {}
         for parameter, value in values.items():
             try:
-                value = in_folder(system, declared.specs.get(parameter), value)
+                where = (*key, "sets", name, parameter)
+                value = in_folder(system, declared.specs.get(parameter), value, where)
                 checked |= validate(declared.specs, {parameter: value}, owner=entry.name)
             except ConfigurationError as error:
-                faults.append(((*key, "sets", name, parameter), "", error))
+                faults.append((where, "", error))
         sets[name] = checked
-    active, where, said = entry.active, (*key, ACTIVE), ""
+    active, said = entry.active, ""
+    where = (*key, ACTIVE)
     for override in system.overrides:
         if override.component == entry.name and override.param == ACTIVE and ACTIVE not in declared.specs:
             active, where, said = override.value.strip(), (), f"--set {override.text[:80]}"
@@ -190,10 +196,10 @@ def setting(
     return Setting(params, MappingProxyType(sets), active or None), faults
 
 
-def in_folder(system: SystemFile, spec: ParameterSpec | None, value: Any) -> Any:
-    """A value of the file; a relative path is counted from its folder."""
+def in_folder(system: SystemFile, spec: ParameterSpec | None, value: Any, key: Key) -> Any:
+    """A value of the file; a relative path is counted from the folder of the file that has the key."""
     is_path = spec is not None and spec.type is Path and isinstance(value, str) and value
-    return str(system.folder / value) if is_path else value
+    return str(system.folder_of(key) / value) if is_path else value
 
 
 def _allow(system: SystemFile, typed: str, path: Path) -> None:

@@ -1,11 +1,12 @@
 """From the text of a system file to `SystemFile`: every key is known, every name refers to something, or it is refused.
 
-Pure: it opens no file and loads no component. It goes on after a mistake, so that all of them are named at once, each
-with the key it is about; what is wrong is left out of the system that it answers with.
+It loads no component, and opens no file but those that the text includes. It goes on after a mistake, so that all of
+them are named at once, each with the key it is about; what is wrong is left out of the system that it answers with.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections.abc import Iterable, Mapping
@@ -25,11 +26,16 @@ from aiorts.model.names import check_name
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.supervision import StartRule, Supervision, in_order
+from aiorts.system.expansion.choices import AS_WRITTEN, Choices
+from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
+from aiorts.system.expansion.repeating import IF, REPEAT
 from aiorts.system.file.families import misplaced
-from aiorts.system.file.places import Key
-from aiorts.system.file.reading import NOTHING, Mistake, Reading, hint, near_hint, spelled
-from aiorts.system.file.toml import LARGEST, tables
 from aiorts.system.file.values import Override, SystemFile
+from aiorts.system.text.origins import Source
+from aiorts.system.text.places import Key
+from aiorts.system.text.reading import NOTHING, Mistake, Reading, hint, spelled
+from aiorts.system.text.toml import LARGEST, read_text
+from aiorts.system.text.version import SCHEMA, version_fault
 
 __all__ = (
     "CLOCKS",
@@ -44,12 +50,11 @@ __all__ = (
     "spelled",
 )
 
-SCHEMA: Final = 1
 CLOCKS: Final = ("system", "scaled", "simulated")
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
-TOP: Final = ("schema", "plugins", "clock", "components", "composites", "connections", "contexts")
-_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start")
-_COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule")
+TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
+_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start", IF, REPEAT)
+_COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule", IF, REPEAT)
 _SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
 _START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
 ORDERS: Final = ("stated", "dataflow")
@@ -57,36 +62,51 @@ _LOOSE: Final[Mapping[str, Mapping[str, Any]]] = {"backoff": {"backoff_max": 1e3
 """What a value is tried with: the two limits of a delay are compared with each other where both are known."""
 
 
-def parse(text: str, path: Path, overrides: Iterable[str] = ()) -> SystemFile:
+def parse(text: str, path: Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN) -> SystemFile:
     """The system that `text` describes; `path` is where it stands, `overrides` are texts "component.param=value".
+
+    Args:
+        choices: variables, and ports in the place of others.
 
     Raises:
         SystemFileError: says what is wrong first, with line and column, and what may have been meant.
     """
-    system, mistakes = read(text, path, overrides)
+    system, mistakes = read(text, path, overrides, choices)
     if not mistakes:
         return system
-    if not (in_file := [mistake for mistake in mistakes if not mistake.where.startswith("--set")]):
+    if not (in_file := [mistake for mistake in mistakes if not mistake.typed]):
         raise SystemFileError(f"{path}: {mistakes[0].where}: {mistakes[0].what}")
-    text = text.removeprefix("\ufeff")
-    first = min(in_file, key=lambda mistake: (mistake.place(text).line, mistake.place(text).column))
-    place = first.place(text)
-    text = text.replace("\r\n", "\n")
-    start = sum(len(line) + 1 for line in text.split("\n")[: place.line - 1]) + place.column - 1
-    error = SystemFileError(f"{path}:{place.line}:{place.column}: {first.where}: {first.what}")
-    raise error.at(text, start, start + place.width)
+    order = {source.path: number for number, source in enumerate(system.origins.sources())}
+    spots = [(mistake.spot(system.origins), mistake) for mistake in in_file]
+    spot, first = min(spots, key=lambda one: (order[one[0].source.path], one[0].place.line, one[0].place.column))
+    raise spot.mark(SystemFileError(f"{spot}: {first.where}: {first.what}"))
 
 
-def read(text: str, path: Path, overrides: Iterable[str] = ()) -> tuple[SystemFile, tuple[Mistake, ...]]:
-    """The system without what is wrong in it, and all that is wrong.
+def read(
+    text: str, path: Path, overrides: Iterable[str] = (), choices: Choices = AS_WRITTEN
+) -> tuple[SystemFile, tuple[Mistake, ...]]:
+    """The system without what is wrong in it, and all that is wrong; files that it includes are opened.
 
     Raises:
         NotToml: it is no TOML: says line, column and reason.
         SystemFileError: it is too large.
     """
-    text = text.removeprefix("\ufeff")
-    reader = _Reader(text, path)
-    return reader.system(tables(text, path), overrides), tuple(reader.mistakes)
+    found = expand(Source(path, text.removeprefix("\ufeff")), choices, os.environ, partial(_below, path.parent))
+    reader = _Reader(found)
+    if found.mistakes:
+        return replace(reader.system({"schema": SCHEMA}, ()), text=found.text), found.mistakes
+    return reader.system(found.top, overrides), tuple(reader.mistakes)
+
+
+def _below(folder: Path, path: Path) -> tuple[Path, str]:
+    """An included file, which lies below the folder of the one that was named, as all does that it names."""
+    try:
+        whole = path.resolve()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise SystemFileError(f"{str(path)!r:.4096}: {error}") from None
+    if not whole.is_relative_to(folder.resolve()):
+        raise SystemFileError(f"{str(path)!r:.4096} is outside the system file's folder; move the file below it")
+    return whole, read_text(path)
 
 
 def parse_override(text: str) -> Override:
@@ -108,10 +128,10 @@ def may_be_a_service(key: str) -> bool:
 class _Reader(Reading):
     """Reads the tables, one method for each kind of entry."""
 
-    def __init__(self, text: str, path: Path) -> None:
+    def __init__(self, found: Expanded) -> None:
         super().__init__()
-        self._text = text
-        self._path = path
+        self._found = found
+        self._path = found.origins.main.path
 
     def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:
         if not self._schema(top):
@@ -142,24 +162,17 @@ class _Reader(Reading):
             clock=self._clock(top),
             composites=composites,
             services=MappingProxyType(services),
-            text=self._text,
+            text=self._found.text,
+            origins=self._found.origins,
         )
 
     # -- the parts -------------------------------------------------------------------------------------------------
 
     def _schema(self, top: dict[str, Any]) -> bool:
-        version = top.get("schema")
-        if version == SCHEMA and type(version) is int:
-            return True
-        if type(version) is int:
-            advice = "update aiorts" if version > SCHEMA else f"write the file for schema {SCHEMA}"
-            self._say(("schema",), f"version {version}, and this aiorts reads schema = {SCHEMA} alone; {advice}")
-        else:
-            got = f"got {version!r:.80}" if "schema" in top else "it is missing"
-            near = near_hint("schema", top) if "schema" not in top else ""
-            self._say(("schema",), f"expected schema = {SCHEMA} in the first line, {got}{near}")
-            return True
-        return False
+        fault, is_other = version_fault(top)
+        if fault:
+            self._say(("schema",), fault)
+        return not is_other
 
     def _component(self, name: str, table: dict[str, Any]) -> ComponentEntry:
         key: Key = ("components", name)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field, fields
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -23,10 +24,10 @@ from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
 from aiorts.system.file.load import check_inside, component_type, context_type, converter, parameters, setting
 from aiorts.system.file.parse import TOP, spelled
-from aiorts.system.file.places import Key
-from aiorts.system.file.reading import hint
 from aiorts.system.file.setting import Setting
 from aiorts.system.file.values import SystemFile
+from aiorts.system.text.places import Key
+from aiorts.system.text.reading import hint
 
 _TEXTS: Final = ("name", "empty", "stamp", "convert")
 """Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
@@ -127,7 +128,7 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
     options = dict(entry.options)
     if not wrong and "convert" in options:
         try:
-            options["convert"] = converter(found.system, options["convert"], found.catalogue)
+            options["convert"] = converter(found.system, entry, found.catalogue)
         except (PluginError, SystemFileError) as error:
             wrong = True
             found.say((*key, "convert"), error)
@@ -178,7 +179,7 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
         found.say((name,), error, of_key=True)
         return
     by_name = {one.name: one for one in fields(kind.settings)}
-    own = _in_folder(found.system, kind.settings, table)
+    own = _in_folder(found.system.folder_of((name,)), kind.settings, table)
     given = {**own, **chosen}
     faults = list(settings_faults(kind.settings, given))
     for key, what, of_key in faults:
@@ -189,10 +190,10 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
         found.services[name] = ServicePlan(kind, settings_of(kind.settings, given), said)
 
 
-def _in_folder(system: SystemFile, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:
+def _in_folder(folder: Path, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:
     """A service's table; a relative path in it is counted from the folder of the file."""
     paths = path_settings(settings)
     return {
-        key: str(system.folder / value) if key in paths and isinstance(value, str) and value else value
+        key: str(folder / value) if key in paths and isinstance(value, str) and value else value
         for key, value in table.items()
     }

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from aiorts.late import dataclass
 from aiorts.model.wanted.entries import Wanted
-from aiorts.system.file.places import Place, places_of
+from aiorts.system.text.origins import Origins, Source
+from aiorts.system.text.places import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,21 +35,32 @@ class SystemFile(Wanted):
     path: Path = Path()
     overrides: tuple[Override, ...] = ()
     text: str = field(default="", repr=False, compare=False)
-    """What was read; "" for a system that was not made of a text."""
-
-    def place(self, *key: str | int, of_key: bool = False) -> Place:
-        """Where the value of a key stands in the text, or the key itself: `place("contexts", "loop", "rate")`."""
-        places = places_of(self.text)
-        return places.key(key) if of_key else places.value(key)
+    """The whole system as one text; "" for a system that was not made of a text."""
+    origins: Origins = field(default_factory=lambda: Origins(Source(Path(), "")), repr=False, compare=False)
+    """Where its keys stand."""
 
     def at(self, *key: str | int, of_key: bool = False) -> str:
-        """The same as a message has it: "system.toml:7:3"."""
-        if not self.text:
-            return str(self.path)
-        place = self.place(*key, of_key=of_key)
-        return f"{self.path}:{place.line}:{place.column}"
+        """Where the value of a key stands, or the key itself, as a message has it: "system.toml:7:3"."""
+        return str(self.origins.spot(key, of_key=of_key)) if self.text else str(self.path)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that it was read from: its own first, then those that it includes."""
+        return tuple(source.path for source in self.origins.sources()) if self.text else (self.path,)
 
     @property
     def folder(self) -> Path:
         """Where the system file lies; relative paths in it are counted from here."""
         return self.path.parent
+
+    def folder_of(self, key: Key) -> Path:
+        """Where the file lies that has this key."""
+        return self.origins.of(key).source.path.parent if self.text else self.folder
+
+    def folders(self, key: Key) -> tuple[Path, ...]:
+        """The folders with plugins, those below the file that has this key first."""
+        own = self.folder_of(key)
+        if own == self.folder:
+            return self.plugin_paths
+        own = own.resolve()
+        return tuple(sorted(self.plugin_paths, key=lambda folder: not folder.is_relative_to(own)))

@@ -8,6 +8,7 @@ from typing import Any, Final
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.options import DEFAULT_LENGTH, LONGEST_TIME, MAX_LENGTH, SHORTEST_GAP, SHORTEST_TIME
 from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+from aiorts.system.schemas.template_schema import PART
 
 _TEXT: Final = {"type": "string", "pattern": r"^\s*[+-]?[0-9._]+([eE][+-]?[0-9]+)?\s*$"}
 _YES: Final = {
@@ -130,6 +131,7 @@ def connection_schema(name: str) -> dict[str, Any]:
                 "anyOf": [port, {"type": "array", "items": port, "minItems": 1}],
                 "description": "COMPONENT.PORT of the in-port, or a list of several.",
             },
+            **PART,
             **OPTIONS,
             **{key: {"description": "Of OpenRTM's files: kept and reported, without effect."} for key in _KEPT},
             **{key: {"description": "OpenRTM's name of an option above."} for key in _ALIASES},

@@ -34,6 +34,7 @@ from aiorts.system.schemas.table_schemas import (
     start_schema,
     supervision_schema,
 )
+from aiorts.system.schemas.template_schema import PART, include_schema, templated, variables_schema
 
 T = typing.TypeVar("T")
 
@@ -48,16 +49,17 @@ _JSON: Final = {bool: "boolean", int: "integer", float: "number", str: "string",
 _ARGUMENT: Final = re.compile(r"^ +(\w+(?:, \w+)*): (.*)")
 
 
-def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
+def schema(catalogue: Catalogue | None = None, *, templates: bool = True) -> dict[str, Any]:
     """The schema as plain data, for `json.dumps`.
 
     Args:
         catalogue: which component types and contexts there are; the default one by default.
+        templates: whether texts such as "${name}" may stand for values, as in a file before it is expanded.
     """
     catalogue = Catalogue.default() if catalogue is None else catalogue
     components = _classes(catalogue, "components", lambda one: one.load_class(Component))
     contexts = _classes(catalogue, "contexts", lambda one: one.load_class(Context))
-    return {
+    made: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "aiorts system file",
         "description": "Components, the connections between their ports, and the contexts that run them.",
@@ -66,6 +68,8 @@ def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
         "additionalProperties": False,
         "properties": {
             "schema": {"type": "integer", "const": SCHEMA, "description": "The version of this format."},
+            "include": include_schema(rf"^{_NAME}\.{_NAME}$"),
+            "variables": variables_schema(),
             "plugins": _plugins(),
             "clock": _clock(),
             "components": _named("component", "[components.NAME]: one component of the system."),
@@ -87,6 +91,7 @@ def schema(catalogue: Catalogue | None = None) -> dict[str, Any]:
             "context": {"oneOf": [_context(*one) for one in contexts]},
         },
     }
+    return templated(made) if templates else made
 
 
 def _named(kind: str, text: str) -> dict[str, Any]:
@@ -179,6 +184,7 @@ def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | 
             "active": active_schema(),
             "supervision": {"$ref": "#/$defs/supervision"},
             "start": {"$ref": "#/$defs/start"},
+            **PART,
         },
     }
 
@@ -299,6 +305,7 @@ def _context(kind: str, cls: type[Context] | None) -> dict[str, Any]:
                 "it sends to. A context with a rate has had its first cycle by then, at t0: a member's first "
                 "on_execute is at t0 + 1/rate.",
             },
+            **PART,
         },
     }
     if cls is None:

@@ -8,6 +8,7 @@ from aiorts.composites import ErrorPolicy
 from aiorts.model.lifecycle import HOOKS
 from aiorts.supervision import ACTIONS, StartRule, Supervision
 from aiorts.system.file.parse import ORDERS
+from aiorts.system.schemas.template_schema import PART
 
 _SECONDS: Final = {"type": "number", "exclusiveMinimum": 0}
 _FROM_ZERO: Final = {"type": "number", "minimum": 0}
@@ -123,6 +124,7 @@ def composite_schema() -> dict[str, Any]:
                 "default": False,
                 "description": "Inside another composite: run in a context of its own.",
             },
+            **PART,
         },
     )
     return {**made, "required": ["members"]}

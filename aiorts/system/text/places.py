@@ -198,7 +198,7 @@ def _name(written: str) -> str:
     return written[1:-1] if written[:1] in ("'", '"') else written
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def places_of(text: str) -> Places:
     """The places in a text, which are read once."""
     return Places(text)

@@ -9,7 +9,8 @@ from typing import Any, Final
 from aiorts.errors import InvalidNameError
 from aiorts.late import dataclass
 from aiorts.model.names import check_name
-from aiorts.system.file.places import Key, Place, places_of
+from aiorts.system.text.origins import Origin, Origins, Spot
+from aiorts.system.text.places import Key
 
 _WORDS: Final[dict[type, str]] = {
     str: "text",
@@ -32,11 +33,17 @@ class Mistake:
     where: str
     what: str
     of_key: bool = False
+    origin: Origin | None = None
+    """Where the key stands, if it is no key of the whole system."""
 
-    def place(self, text: str) -> Place:
-        """Where it stands in the text."""
-        places = places_of(text)
-        return places.key(self.key) if self.of_key else places.value(self.key)
+    def spot(self, origins: Origins) -> Spot:
+        """Where it stands."""
+        return (origins.of(self.key) if self.origin is None else self.origin).spot(of_key=self.of_key)
+
+    @property
+    def typed(self) -> bool:
+        """Whether it is one of the command line, and in no file."""
+        return self.where.startswith("--")
 
 
 class Reading:

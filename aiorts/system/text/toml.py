@@ -15,8 +15,8 @@ from typing import Any, Final
 
 from aiorts.errors import SystemFileError
 from aiorts.model.configuration.toml_lines import TOO_LARGE, excess, huge_number
-from aiorts.system.file.places import places_of
-from aiorts.system.file.reading import spelled
+from aiorts.system.text.places import places_of
+from aiorts.system.text.reading import spelled
 
 LARGEST: Final = 1024 * 1024
 """Bytes of a system file."""
@@ -28,7 +28,7 @@ class NotToml(SystemFileError):
     """The text is no TOML, or none that a system file may have. Attributes: `line`, `column` (from 1) and `reason`."""
 
     def __init__(self, path: Path, text: str, line: int, column: int, reason: str) -> None:
-        self.line, self.column, self.reason, self.text = line, column, reason, text
+        self.path, self.line, self.column, self.reason, self.text = path, line, column, reason, text
         super().__init__(f"{path}:{line}:{column}: {reason}")
         if text:
             text = text.replace("\r\n", "\n")  # as tomllib counts

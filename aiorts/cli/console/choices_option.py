@@ -1,0 +1,29 @@
+"""`--var` and `--remap`: what a command line says of a system file before the file is read as a system."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from aiorts.system import Choices
+
+
+def choices_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Give a command both options; it gets them as one argument, `choices`."""
+
+    @click.option("--var", "variables", multiple=True, metavar="NAME=VALUE", help="Set a variable of the system file.")
+    @click.option(
+        "--remap",
+        "remaps",
+        multiple=True,
+        metavar="A.OUT=B.OUT",
+        help="Put another port in the place of one, in all connections of the system file.",
+    )
+    @functools.wraps(command)
+    def chosen(*args: Any, variables: tuple[str, ...], remaps: tuple[str, ...], **given: Any) -> int:
+        return command(*args, **given, choices=Choices(variables, remaps))
+
+    return chosen

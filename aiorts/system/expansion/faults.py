@@ -1,0 +1,60 @@
+"""What stops an expansion, and how much there may be of everything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts.errors import SystemFileError
+from aiorts.system.text.origins import Origin, Source
+from aiorts.system.text.toml import LARGEST
+
+_DEEPEST: Final = 32
+"""Levels of lists and tables in one value; a file may have as many."""
+
+
+class Fault(SystemFileError):
+    """Something that is wrong, and the key of a file that it is about."""
+
+    def __init__(self, origin: Origin, what: str, *, of_key: bool = False) -> None:
+        super().__init__(what)
+        self.origin, self.what, self.of_key = origin, what, of_key
+
+
+class Excess(Fault):
+    """Too much of something: nothing else is looked at."""
+
+
+class Typed(Fault):
+    """A fault of the command line, in no file."""
+
+    def __init__(self, where: str, what: str) -> None:
+        super().__init__(Origin(Source(Path(), ""), ()), what)
+        self.where = where
+
+
+class Budget:
+    """How much may still be made; every character of a text and every value is counted."""
+
+    def __init__(self) -> None:
+        self._left = LARGEST
+
+    def spend(self, count: int, origin: Origin) -> None:
+        """Take `count` away; an Excess at `origin` when there is no more."""
+        self._left -= count
+        if self._left < 0:
+            what = f"the whole system, with all that is included and repeated, has more than {LARGEST} characters"
+            raise Excess(origin, f"{what}; repeat or include less", of_key=True)
+
+
+def weight(value: Any, origin: Origin, depth: int = 0) -> int:
+    """How much a value counts: not more than the characters by which a file says it."""
+    if isinstance(value, str):
+        return len(value) + 1
+    if isinstance(value, list | dict):
+        if depth >= _DEEPEST:
+            raise Fault(origin, f"nested deeper than {_DEEPEST} levels; variables hold lists that hold lists")
+        items = value.values() if isinstance(value, dict) else value
+        inner = sum(weight(item, origin, depth + 1) for item in items)
+        return inner + 1 + (sum(len(key) for key in value) if isinstance(value, dict) else 0)
+    return 1

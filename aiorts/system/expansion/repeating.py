@@ -1,0 +1,68 @@
+"""`if` and `repeat`: whether a part is there, and how often, with its number in the place of `{i}`.
+
+Numbers count from 0. `{i+1}` and `{i-1}` are the next and the one before; `{{i}}` is a `{i}` that means nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final
+
+from aiorts.system.expansion.faults import Fault
+from aiorts.system.expansion.variables import Scope
+from aiorts.system.text.origins import Origin
+from aiorts.system.text.places import Key
+
+IF, REPEAT = "if", "repeat"
+MOST: Final = 10_000
+"""Copies of one part."""
+_NUMBER: Final = re.compile(r"\{(\{i(?:[+-]\d{1,6})?\})\}|\{i([+-]\d{1,6})?\}")
+
+
+def copies(table: dict[str, Any], scope: Scope, origin: Origin) -> range | None:
+    """The numbers of the copies; None for a part that is there once."""
+    if REPEAT not in table:
+        return None
+    at = origin.below(REPEAT)
+    count = scope.filled(table[REPEAT], at)
+    if isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= MOST:
+        raise Fault(at, f"expected how often, a whole number 0..{MOST}, got {count!r:.80}")
+    return range(count)
+
+
+def is_there(table: dict[str, Any], scope: Scope, origin: Origin) -> bool:
+    """Whether its condition holds."""
+    return IF not in table or scope.holds(table[IF], origin.below(IF))
+
+
+def has_number(text: str) -> bool:
+    """Whether it differs from copy to copy."""
+    return any(found[1] is None for found in _NUMBER.finditer(text))
+
+
+def numbered(value: Any, number: int, moved: dict[Key, Key], path: Key = (), old: Key = ()) -> Any:
+    """The value for one copy; keys with another name are put into `moved`. A text `{i}` alone becomes the number."""
+    if isinstance(value, str):
+        if "{i" not in value:
+            return value
+        return number if value == "{i}" else _written(value, number)
+    if isinstance(value, list):
+        return [numbered(one, number, moved, (*path, at), (*old, at)) for at, one in enumerate(value)]
+    if not isinstance(value, dict):
+        return value
+    made = {}
+    for key, one in value.items():
+        name = _written(key, number) if "{i" in key else key
+        if name != key:
+            moved[(*path, name)] = (*old, key)
+        made[name] = numbered(one, number, moved, (*path, name), (*old, key))
+    return made
+
+
+def name_of(text: str, number: int) -> str:
+    """The name of one copy."""
+    return _written(text, number)
+
+
+def _written(text: str, number: int) -> str:
+    return _NUMBER.sub(lambda found: found[1] or str(number + int(found[2] or 0)), text)

@@ -1,0 +1,34 @@
+"""The tables of a system as one text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from aiorts.model.configuration.toml_values import basic_string, value_text
+from aiorts.model.wanted.system_text import literal
+from aiorts.system.expansion.entries import NAMED
+
+
+def document_text(top: Mapping[str, Any]) -> str:
+    """TOML that says the same, and in which nothing is left to be expanded."""
+    return "\n".join(_lines(top)) + "\n"
+
+
+def _lines(top: Mapping[str, Any]) -> Iterator[str]:
+    for word, value in top.items():
+        if not isinstance(value, dict) and word != "connections":
+            yield _pair(word, value)
+    for word, value in top.items():
+        if word in NAMED and isinstance(value, dict):
+            for name, table in value.items():
+                yield from ("", f"[{word}.{basic_string(name)}]", *(_pair(key, one) for key, one in table.items()))
+        elif word == "connections":
+            for table in value:
+                yield from ("", "[[connections]]", *(_pair(key, one) for key, one in table.items()))
+        elif isinstance(value, dict):
+            yield from ("", f"[{basic_string(word)}]", *(_pair(key, one) for key, one in value.items()))
+
+
+def _pair(key: str, value: Any) -> str:
+    return f"{basic_string(key)} = {value_text(key, literal(value))}"

@@ -1,0 +1,23 @@
+"""The version of the format of system files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from aiorts.system.text.reading import near_hint
+
+SCHEMA: Final = 1
+
+
+def version_fault(top: Mapping[str, Any]) -> tuple[str, bool]:
+    """What is wrong with the version of a file, "" for nothing; and whether nothing can be said of its other keys."""
+    version = top.get("schema")
+    if type(version) is not int:
+        got = f"got {version!r:.80}" if "schema" in top else "it is missing"
+        near = near_hint("schema", top) if "schema" not in top else ""
+        return f"expected schema = {SCHEMA} in the first line, {got}{near}", False
+    if version == SCHEMA:
+        return "", False
+    advice = "update aiorts" if version > SCHEMA else f"write the file for schema {SCHEMA}"
+    return f"version {version}, and this aiorts reads schema = {SCHEMA} alone; {advice}", True
