@@ -202,6 +202,7 @@ class _Measurement:
             counts.overruns,
             *self._by_machine.get(context.name, (0, 0)),
             context.rate,
+            counts.policy == "skip" and not context.exclusive,
             tuple(member.component.name for member in context.runner.members),
         )
 

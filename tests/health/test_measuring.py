@@ -76,7 +76,7 @@ async def test_a_window_has_what_came_in_it() -> None:
         window = await system.health.window(2.0)
         assert window.length_ns == 2_000_000_000
         assert seen(window) == (system.connector.statistics.written - start.written, 0) == (200, 0)
-        assert window.contexts["fast"] == ContextCounts(200, rate=100.0, members=("writer",))
+        assert window.contexts["fast"] == ContextCounts(200, rate=100.0, paced=True, members=("writer",))
         assert (dict(window.errors), window.idle, window.stalled) == ({}, frozenset(), 0.0)
 
 

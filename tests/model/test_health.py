@@ -167,6 +167,9 @@ def test_where_the_machine_took_more_than_before_as_much_more_is_no_fault() -> N
         gone = said(before, window(1, edge(100, lost), stalled=0.45))
         assert (gone == ("drops", NAMES[0])) is found
         assert said(before, window(1, edge(100, lost), stalled=0.1)) == ("drops", NAMES[0])
+        paced = window(1, edge(100, lost), contexts=loop(100, paced=True, members=("a",)), stalled=0.45)
+        assert said(before, paced) == ("drops", NAMES[0])
+        assert said(before, replace(paced, edges=edge(100, 3))) is None
 
 
 def test_a_rate_that_was_lowered_is_expected_downstream() -> None:

@@ -5,8 +5,8 @@ in-port was fed by, less is expected of all that is downstream; and nothing of a
 
 What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
 it took more of the loop's time than before, backlogs follow, and what is late by them cannot be told from what is late
-by itself: that part of the ticks may overrun, and of the samples be dropped, besides; how far rates fall then says
-nothing.
+by itself: that part of the ticks may overrun besides, and of the samples be dropped, or a tenth of it where the writer
+leaves out ticks that it missed; how far rates fall then says nothing.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ PERCENT: Final = 1
 """and so many of 100 ticks, or samples written, beside them."""
 SLOWEST: Final = 80
 """So many percent of the rate before are healthy."""
+PACED: Final = 0.1
+"""Of a writer that leaves out what it missed; it is late all the same, and may come before its reader."""
 BUSY: Final = 0.1
 """Where the machine took more of the loop's time than this beside what it took before, rates decide nothing."""
 
@@ -69,7 +71,9 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
             return Unhealthy("overruns", name, text)
     for name, one in after.edges.items():
         had = before.edges.get(name, _NO_SAMPLES)
-        if _too_many(one.dropped, one.written, had.dropped, *lengths, taken):
+        if _too_many(one.dropped, one.written, had.dropped, *lengths, 0.0) and (
+            not taken or _too_many(one.dropped, one.written, had.dropped, *lengths, taken * _backlog(one, after))
+        ):
             lost = f"{one.dropped} of {one.written} samples were dropped in {seconds:g} s"
             return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
     return _slower(before, after, *lengths) if taken <= BUSY else None
@@ -84,6 +88,13 @@ def _too_many(lost: int, of: int, lost_before: int, now_ns: int, then_ns: int, t
         return False
     beside = (PERCENT + 100 * taken if taken else PERCENT) * of
     return 100 * lost * then_ns > 100 * MORE * lost_before * now_ns + beside * then_ns
+
+
+def _backlog(edge: EdgeCounts, window: Window) -> float:
+    """The part of its samples of the time that the machine took that may come at once, when the loop runs again."""
+    writer = _component(edge.source)
+    contexts = [one for one in window.contexts.values() if writer in one.members]
+    return PACED if contexts and all(one.paced for one in contexts) else 1.0
 
 
 def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:

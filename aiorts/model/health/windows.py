@@ -40,6 +40,8 @@ class ContextCounts(NamedTuple):
     """Ticks that were left out by those."""
     rate: float | None = None
     """Hz; None for a context without a rate."""
+    paced: bool = False
+    """Whether the loop runs it and ticks that are missed are left out: no backlog of samples follows when it stalls."""
     members: tuple[str, ...] = ()
 
 
@@ -77,5 +79,6 @@ def context_since(start: ContextCounts | None, end: ContextCounts) -> ContextCou
         end.by_machine - start.by_machine,
         end.left_out - start.left_out,
         end.rate,
+        end.paced,
         end.members,
     )
