@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from aiorts.model.blame import GcPauses
     from aiorts.model.configuration.sets import Difference
     from aiorts.model.connect_options import ConnectOptions
+    from aiorts.model.wanted.applied import Applied
+    from aiorts.model.wanted.entries import Wanted
     from aiorts.observe import Changes, ConnectorEvent, Introspection, Listening, Monitor, SystemProfile
     from aiorts.reload import Reloaded
     from aiorts.services import Made, Service, ServiceConnector
@@ -452,6 +454,31 @@ class Kernel(Microkernel):
         from aiorts.planning import Planning
 
         return await self.service(Planning).save(path, overwrite=overwrite)
+
+    async def apply(self, wanted: Wanted, *, dry_run: bool = False, window: float = 0.0) -> Applied:
+        """Make another system of the one that runs: all of it, or nothing.
+
+        What is new is made and connected first, then all that changes is switched over between two cycles, then what is
+        not wanted any more goes. What is equal is not touched. Options of a connector are changed in place, samples
+        that wait in it stay, in order. A step that fails is taken back with all before it. A caller that is cancelled
+        ends nothing: it is done, or taken back.
+
+        Args:
+            wanted: as `aiorts.system.wanted` reads it from a system file.
+            dry_run: return the plan, and change nothing.
+            window: seconds of the kernel's clock for which the system after it is compared with the one before; 0 does
+                not compare.
+
+        Raises:
+            BusyError: another plan is being applied, or its window has not ended.
+            StateError: something differs that no running system can change, or a component's hook calls this.
+            PluginError, ConfigurationError: a component or context that is wanted cannot be made; nothing was changed.
+            ApplyError: a step failed; `not_undone` names what could not be taken back.
+        """
+        self.check_open("apply")
+        from aiorts.planning import Planning
+
+        return await self.service(Planning).apply(wanted, dry_run=dry_run, window=window)
 
     # -- configuration files ----------------------------------------------------------------------------------------
 

@@ -205,6 +205,17 @@ class ClosedError(AiortsError, RuntimeError):
     code = "E-CLOSED"
 
 
+class ApplyError(AiortsError, RuntimeError):
+    """A plan failed, and what of it was done has been taken back.
+
+    Attributes:
+        not_undone: what could not be taken back, and why; empty when all is as it was.
+    """
+
+    code = "E-APPLY"
+    not_undone: tuple[str, ...] = ()
+
+
 class BusyError(AiortsError, RuntimeError):
     """Two tasks use what only one can use at a time."""
 

@@ -59,6 +59,11 @@ class Component(Configurable):
     """
 
     max_instance: ClassVar[int | None] = None
+    parks: ClassVar[bool] = True
+    """Whether it is kept whole while a plan that takes it out may still be taken back.
+
+    False: it holds a device that its replacement needs, and is finalized first.
+    """
     alone: ClassVar[Mapping[str, object]] = MappingProxyType({})
     """The context that it runs in alone, by `aiorts run` or as a filter, as the table of a system file: {"rate": 50.0}.
 
@@ -388,6 +393,7 @@ _OURS = frozenset(name for name in (*vars(Component), *vars(Configurable)) if no
     *OVERRIDABLE,
     "alone",
     "max_instance",
+    "parks",
     "on_reload",
 }
 """What a component cannot redefine: the kernel and every tool rely on it."""

@@ -108,6 +108,43 @@ class Connections:
             self._report_idle(options, (connector.out, connector.in_, profile), what_stays(profile))
             self._kernel.bus.publish(ConnectorChanged(profile, before))
 
+    def replace_options(self, connector: Connector, options: Mapping[str, Any]) -> None:
+        """Have these options in force instead of all it has: what waits and what is unread goes over, in order.
+
+        Raises:
+            WiringError: as `make`; nothing was changed.
+            StateError: a real-time thread is at it.
+        """
+        self.check_mine(connector)
+        if not transport_of(connector).listenable:
+            raise StateError(f"{connector.name}: a real-time thread is at it; disconnect and connect anew")
+        before, options = connector.profile, with_openrtm(options)
+        profile = wiring.renewed_profile(connector, options)
+        if not profile.length:
+            check_connection(connector.out, connector.in_)
+        wiring.renew(self._kernel, connector, profile)
+        self.losses.stop(connector)
+        if connector.in_.length is None and not says_what_is_lost(options) and loses_unasked(profile):
+            self.losses.listen(connector)
+        self.unconverted.end(connector)
+        self.gaps.end(connector)
+        self.gaps.add(connector)
+        self._kernel.bus.publish(ConnectorChanged(profile, before))
+
+    def park(self, connector: Connector) -> None:
+        """Take a connector out of force with all that is unread in it, until `unpark` or `end`."""
+        self.check_mine(connector)
+        wiring.park(connector)
+        self.losses.end(connector)
+        self.gaps.end(connector)
+        self._forget(connector)
+
+    def unpark(self, connector: Connector) -> None:
+        """Put a parked connector in force again, under its name, which is free."""
+        wiring.unpark(connector)
+        self.connectors[connector.name] = connector
+        self._notify_made(connector)
+
     def measure(self, connector: Connector, count: int) -> None:
         """Time the last `count` sends and reads of a connector from now on, or none with 0: its option `measure`.
 
@@ -268,13 +305,16 @@ class Connections:
             return
         if isinstance(connector, Connector):
             wiring.unwire(connector)
-            if connector.in_.is_tap or connector.out.is_tap:
+            if connector.in_.is_tap or connector.out.is_tap or connector.parked:
                 return
             self.losses.end(connector)
             self.gaps.end(connector)
             self.unconverted.end(connector)
         else:
             connector.ports[0].connecting.end(connector)
+        self._forget(connector)
+
+    def _forget(self, connector: Any) -> None:
         self._those(connector).pop(connector.name, None)
         self._numbering.free(connector.name)
         self._kernel.bus.publish(Disconnected(connector.profile))

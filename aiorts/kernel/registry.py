@@ -75,6 +75,8 @@ class Registry:
         """Held by the one whose turn it is."""
         self.taken_back: set[Component] = set()
         """Instances whose code was taken back, and that stay in their place until a hook of theirs returns."""
+        self.parked: set[Component] = set()
+        """Those that are out of their places, and may come back."""
         self.composing = asyncio.Lock()
         """Held while a composite changes: one at a time."""
 
@@ -157,12 +159,20 @@ class Registry:
         finally:
             del self._arriving[component]
             arrived.set_result(None)
+        self._announce(component)
+        return component
+
+    def _announce(self, component: Component) -> None:
+        bus = self._kernel.bus
         for name, port in component.ports.items():
             profile = port.profile if port.name == name else replace(port.profile, name=name)
-            kernel.bus.publish(PortAdded(component.name, profile))
-        kernel.bus.publish(ComponentAdded(component.name))
-        notify(kernel.services, "component_added", component)
-        return component
+            bus.publish(PortAdded(component.name, profile))
+        bus.publish(ComponentAdded(component.name))
+        notify(self._kernel.services, "component_added", component)
+
+    def _announce_end(self, component: Component) -> None:
+        self._kernel.bus.publish(ComponentRemoved(component.name))
+        notify(self._kernel.services, "component_removed", component)
 
     def is_arriving(self, component: Component) -> bool:
         """Whether its `on_initialize` runs: it may yet fail, and then it was never there."""
@@ -225,6 +235,34 @@ class Registry:
             raise StateError(f"{component.name}: is being removed; no context can take it")
         if self.components.get(component.name) is not component:
             raise StateError(f"{component.name}: another instance has its place; take kernel.components[...]")
+
+    # -- out of its place and back -----------------------------------------------------------------------------------
+
+    def park(self, component: Component) -> None:
+        """Take a component out, which is in no context, and keep it whole until `unpark` or `end_parked`; no hook runs.
+
+        Its connectors are parked, or ended, already. No group is parked: its members are.
+        """
+        del self.components[component.name]
+        self._cells.pop(component.name, None)
+        self._leave_out(component)
+        self.parked.add(component)
+        self._announce_end(component)
+
+    def unpark(self, component: Component) -> None:
+        """Put a parked component back; nothing of it has changed. StateError, InvalidNameError: its place is taken."""
+        self._check_free(component)
+        self.parked.discard(component)
+        self.components[component.name] = component
+        self._cells[component.name] = cell(component)
+        self._count(type(component), 1)
+        self._announce(component)
+
+    async def end_parked(self, component: Component) -> None:
+        """The end of a parked component: its `on_finalize`, and what it started is ended."""
+        if component in self.parked:
+            self.parked.discard(component)
+            await self._finalize(component, StopBudget(self._kernel.loop))
 
     def stranger(self, component: object, name: str, where: str) -> str:
         """What is said of one that is not of this kernel, or whose place another instance has."""
@@ -340,11 +378,12 @@ class Registry:
                 kernel.pass_on_interrupt(error)
         await self.end_tasks(self.tasks.get(component, ()), budget)
         guarded(f"{component.name}: could not look for what is left of it", report_leaks, component)
+        there = self._is_there(component)
         self._forget(component)
         if (log := cell(component).log) is not None:
             log.flush()
-        kernel.bus.publish(ComponentRemoved(component.name))
-        notify(kernel.services, "component_removed", component)
+        if there:
+            self._announce_end(component)
 
     def _report_unfinished(self, component: Component, error: BaseException) -> None:
         chain(error, cell(component).last_error)
@@ -354,7 +393,9 @@ class Registry:
 
     def _forget(self, component: Component) -> None:
         self._disconnect(component)
-        if self.components.pop(component.name, None) is not None:
+        if self._is_there(component):
+            del self.components[component.name]
+            self._cells.pop(component.name, None)
             self._leave_out(component)
         cell(component).alive = False
         for kind in kinds_of(component):
@@ -363,7 +404,9 @@ class Registry:
             wake_waiter(port)
         for task in tuple(self.tasks.get(component, ())):
             task.cancel()
-        self._cells.pop(component.name, None)
+
+    def _is_there(self, component: Component) -> bool:
+        return self.components.get(component.name) is component
 
     def _leave_out(self, component: Component) -> None:
         if (group := as_group(component)) is not None:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from aiorts.planning.canon import Canon, service_connection, table, whole
     from aiorts.planning.planning import Planning
     from aiorts.planning.reading import wanted_of
+    from aiorts.planning.setting import ACTIVE, Setting, setting_alone
 
 _late(
     globals(),
@@ -19,5 +20,6 @@ _late(
         "aiorts.planning.canon": "Canon service_connection table whole",
         "aiorts.planning.planning": "Planning",
         "aiorts.planning.reading": "wanted_of",
+        "aiorts.planning.setting": "ACTIVE Setting setting_alone",
     },
 )

@@ -161,6 +161,18 @@ def _origin(cls: type[Component]) -> Origin:
     return Origin(_key(cls)[0], name, path, readings_of(cls))
 
 
+def code_of(cls: type[Component]) -> FreshCode:
+    """The code of a class as it is, for a component that is to become an instance of it.
+
+    Raises:
+        DeclarationError: its `on_reload` cannot be called with the old instance.
+    """
+    declarations(cls).hook_kinds |= further_kinds(cls, Component, {"on_reload": ("self", "old")})
+    module, name = _key(cls)
+    path = file_of(cls) or Path(cls.__module__)
+    return FreshCode(Origin(module, name, path, readings_of(cls)), sys.modules[cls.__module__], cls, readings_of(cls))
+
+
 def _key(cls: type) -> tuple[str, str]:
     """Module and name of a class, of one that has not proved itself, too: the module of that has a name of its own."""
     return _READ_ANEW[cls][1] if cls in _READ_ANEW else cls.__module__, cls.__qualname__

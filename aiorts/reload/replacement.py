@@ -12,7 +12,7 @@ import asyncio
 import inspect
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, DeclarationError, PluginError, StateError, WiringError
 from aiorts.kernel.commit import commit
@@ -41,7 +41,7 @@ from aiorts.reload.reload_events import ComponentReloaded, Dropped
 from aiorts.services import ServiceEnd, ServiceHeritage
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from aiorts.kernel.component import Component
     from aiorts.kernel.execution.context import Context
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from aiorts.model.configuration.sets import ConfigurationState
     from aiorts.reload.fresh_code import FreshCode
 
+Edit: TypeAlias = "Callable[[ConfigurationState], ConfigurationState]"
 _ON_LOOP: Final = ("on_initialize", "on_finalize")
 _WORDS: Final = ("unit", "shape", "doc", "max_connectors", "stamp")
 """What of a declaration can be changed on a live port."""
@@ -63,10 +64,12 @@ _MISSING: Final[Any] = object()
 class Replacement:
     """The new instance, the old one, and each in the other's place."""
 
-    def __init__(self, kernel: Microkernel, old: Component, code: FreshCode) -> None:
+    def __init__(self, kernel: Microkernel, old: Component, code: FreshCode, edit: Edit | None = None) -> None:
         self.kernel = kernel
         self.old = old
         self.code = code
+        self._edit = edit
+        """Makes its configuration of the declared one; None: it takes over the old one's."""
         self.made: Component | None = None
         """The new instance, as far as it was made."""
         self.lost: dict[str, str] = {}
@@ -94,7 +97,8 @@ class Replacement:
         """What was known of the old one, and of the new one, before it was put in place."""
         self._limits: Any = _MISSING
         """What limits the old one's hooks, while something else does."""
-        self._gone: list[Port[Any]] = []
+        self.gone: list[Port[Any]] = []
+        """Ports that the new one does not have."""
         self._fresh: list[Port[Any]] = []
         self._ports: dict[str, Port[Any]] = {}
         self._said: dict[Port[Any], dict[str, Any]] = {}
@@ -149,6 +153,8 @@ class Replacement:
         self._seen = seen = cell(old).configuration
 
         def edit(state: ConfigurationState) -> ConfigurationState:
+            if self._edit is not None:
+                return self._edit(state)
             declared = declarations(type(old)).parameters
             handed, self.lost = handed_over(seen, state, declared, self._is_free, old.name)
             return handed
@@ -247,7 +253,7 @@ class Replacement:
         self._states = {member: (member.state, member.failure) for member in place.members}
         self._ports = dict(place.ports)
         ports = self._ports_wanted()
-        self._gone = [port for name, port in self._ports.items() if ports.get(name) is not port]
+        self.gone = [port for name, port in self._ports.items() if ports.get(name) is not port]
         self._fresh = [port for name, port in ports.items() if self._ports.get(name) is not port]
         for port in self._fresh:
             move_to(port, place)
@@ -259,12 +265,12 @@ class Replacement:
         place.trial = tuple(member for member in place.members if member.state is LifecycleState.ACTIVE)
         self.switched = True
         self._put(new, old, ports, self._words)
-        _change_ports(new, self._gone, self._fresh)
+        _change_ports(new, self.gone, self._fresh)
         self._put_in_force = place.configuration
         self.began = {member.context: member.context.ticks for member in place.members}
         self.began_ns = kernel.clock.monotonic_ns()
         outer = place.group
-        if outer is not None and (self._gone or self._fresh):
+        if outer is not None and (self.gone or self._fresh):
             outer.check_ports()
 
     def undo(self) -> None:
@@ -282,7 +288,9 @@ class Replacement:
         configured = place.configuration
         self._give_back()
         exchange_cells(old, new)
-        place.standing, other.standing = self._standing
+        # What it failed for is forgotten; of the composite it may have become a member meanwhile, or of another one.
+        (error, limits, *_), other.standing = self._standing
+        place.standing = error, limits, place.group, place.previous_placements
         vars(old).clear()
         vars(old).update(self._old_vars)
         for port in self._fresh:
@@ -292,7 +300,7 @@ class Replacement:
         self._put(old, new, self._ports, self._said)
         for member in members:
             self._restore(member)
-        _change_ports(old, self._fresh, self._gone)
+        _change_ports(old, self._fresh, self.gone)
         for member in members:
             member.open_ports()
         for port in self._ports.values():
@@ -409,14 +417,14 @@ class Replacement:
         if self._is_gone():
             self._end_gone()
             return None
-        dropped = [self._end_port(port) for port in self._gone]
+        dropped = [self._end_port(port) for port in self.gone]
         dropped += [self._end_interface(end) for end in self.services.gone()]
         dropped += [Dropped("parameter", name, why) for name, why in self.lost.items()]
         dropped += [Dropped("task", name, "the old code had started it") for name in self.tasks]
         for port in self._fresh:
             kernel.bus.publish(PortAdded(new.name, port.profile))
         outer = cell(new).group
-        if outer is not None and (self._gone or self._fresh):
+        if outer is not None and (self.gone or self._fresh):
             outer.ports_changed()
         before, now = cell(old).configuration.specs, cell(new).configuration.specs
         kept = [name for name, port in new.ports.items() if self._ports.get(name) is port]
@@ -446,7 +454,7 @@ class Replacement:
 
     def _end_gone(self) -> None:
         """It was removed meanwhile: what its code had no name for goes, too."""
-        for port in self._gone:
+        for port in self.gone:
             self._end_port(port)
         for end in self.services.gone():
             self._end_interface(end)

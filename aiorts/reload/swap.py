@@ -112,6 +112,22 @@ class Swap:
             if timer is not None:
                 timer.cancel()
 
+    def regroup(self) -> None:
+        """Have each be taken back where it runs now, if all are in their places: contexts may be others by now."""
+        if not all(group.came.done() and group.came.result() is None for group in self.groups):
+            return
+        groups: dict[Context | None, Group] = {}
+        for group in self.groups:
+            for replacement in group.replacements:
+                members = cell(replacement.new).members
+                context = members[0].context if members else None
+                if context not in groups:
+                    groups[context] = Group(context, self._kernel)
+                    groups[context].came.set_result(None)
+                    groups[context].begun, groups[context].passed_on = True, group.passed_on
+                groups[context].replacements.append(replacement)
+        self.groups = list(groups.values())
+
     async def _may_enter(self, replacement: Replacement) -> bool:
         """Wait for the end of a call that the old one serves."""
         lock = cell(replacement.old).entry_lock

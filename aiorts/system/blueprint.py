@@ -25,13 +25,12 @@ from aiorts.kernel.service import ServicePlan
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
-from aiorts.planning import Planning
+from aiorts.planning import Planning, Setting
 from aiorts.supervision import in_order
 from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
 from aiorts.system.file.families import inner_first, readers_first, root, unstartable
 from aiorts.system.file.parse import spelled
-from aiorts.system.file.setting import Setting
 from aiorts.system.file.survey import Fault, Survey, survey
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key

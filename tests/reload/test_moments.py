@@ -22,7 +22,7 @@ from aiorts.errors import (
 from aiorts.events import ComponentReloaded
 from aiorts.kernel.configuring import put_parameters
 from aiorts.kernel.execution.cell import cell
-from aiorts.system.file.setting import Setting
+from aiorts.planning import Setting
 from aiorts.testing import simulated
 
 if TYPE_CHECKING:

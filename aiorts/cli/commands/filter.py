@@ -38,8 +38,8 @@ from aiorts.errors import AbsentError, AiortsError, ComponentError, Configuratio
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.type_modules import import_types
 from aiorts.kernel.service import plan_service
+from aiorts.planning import ACTIVE, Setting, setting_alone
 from aiorts.system import FrameInput, LiveInput, StandardInput, construct, option_params
-from aiorts.system.file.setting import ACTIVE, Setting, setting_alone
 from aiorts.types import type_name
 
 if TYPE_CHECKING:

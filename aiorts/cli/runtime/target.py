@@ -36,6 +36,7 @@ from aiorts.kernel.extensions.uninstalled import named_in_project
 from aiorts.kernel.service import plan_service
 from aiorts.late import dataclass
 from aiorts.model.options import doubts
+from aiorts.planning import Setting, setting_alone
 from aiorts.system import (
     AS_WRITTEN,
     Choices,
@@ -49,7 +50,6 @@ from aiorts.system import (
     prepare,
 )
 from aiorts.system.checks.whole import NOTHING_RUNS
-from aiorts.system.file.setting import Setting, setting_alone
 from aiorts.system.text.places import Key
 
 Settings: TypeAlias = Mapping[str, Mapping[str, Any]]

@@ -160,6 +160,8 @@ class Cell(PortHost):
     """While it is made to take another one's place: what makes its ports."""
     successor: Any = None
     """The instance that has its place now, while that is not final: requests to this one go to that."""
+    held_open: bool = False
+    """Whether its in-ports take samples wherever it is: it is on its way to another place, and nothing is dropped."""
     changes_queued: int = 0
     """Changes of its parameters that wait for the end of a cycle."""
 

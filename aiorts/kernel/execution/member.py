@@ -288,6 +288,8 @@ def is_open(component: ComponentSide) -> bool:
     Once its kernel closes the second does not count: nobody would read, and writers with full = block would wait.
     """
     here = cell(component)
+    if here.held_open:
+        return True
     if not here.members:
         return here.kernel is None or not here.kernel.closed
     return any(m.state is _ACTIVE or (m.state is _ERROR and m in here.trial) for m in here.members)

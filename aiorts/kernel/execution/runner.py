@@ -295,7 +295,7 @@ class Runner:
             else:
                 context._members.remove(member)
             context._updating -= member.updates
-        here.retired = not here.members
+        here.retired = not here.members and not here.held_open
         for port in member.component.ports.values():
             context._port_removed(member, port)
         context._set_ports_open(member)

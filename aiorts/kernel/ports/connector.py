@@ -27,9 +27,10 @@ class Connector:
         profile: the options in force, frozen.
         out: the out-port.
         in_: the in-port.
+        parked: whether it is out of force for a time: nothing is written to it, what is unread stays.
     """
 
-    __slots__ = ("_transport", "in_", "out", "profile")
+    __slots__ = ("_transport", "in_", "out", "parked", "profile")
 
     _transport: Transport
 
@@ -37,6 +38,7 @@ class Connector:
         self.profile = profile
         self.out = out
         self.in_ = in_
+        self.parked = False
 
     @property
     def name(self) -> str:

@@ -45,7 +45,7 @@ class InPort(Port[T]):
     def connectors(self) -> tuple[Connector, ...]:
         """The live connectors of this port, in order of connection; those of services are none of the system's."""
         found = self._connectors
-        while found and found[-1].out.is_tap:
+        while found and (found[-1].out.is_tap or found[-1].parked):
             found = found[:-1]
         return found
 

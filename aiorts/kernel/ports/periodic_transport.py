@@ -8,7 +8,7 @@ no room at the reader stays where it is.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any
@@ -73,6 +73,23 @@ class PeriodicTransport(Transport):
                 self.timer = None
                 self.set_timer()
 
+    def carry_on(self, old: Transport) -> None:
+        if isinstance(old, PeriodicTransport):
+            self.backlog, self.first = old.backlog, old.first
+            old.backlog = deque()
+        super().carry_on(old)
+        if self.backlog:
+            self.timer_requested = True
+            self.set_timer()
+
+    def leave_off(self) -> Iterable[Any]:
+        if self.timer is not None:
+            self.timer.cancel()
+            self.timer = None
+        yield from super().leave_off()
+        yield from self.backlog
+        self.backlog.clear()
+
     def begin_periods(self, profile: ConnectorProfile) -> None:
         """Count periods from now on."""
         assert profile.push_rate is not None  # noqa: S101 - options were checked
@@ -112,7 +129,7 @@ class PeriodicTransport(Transport):
             self.lay_by(sample)
             asked, self.timer_requested = self.timer_requested, True
         if self.timer is None and not asked:
-            self.on_loop(methodcaller("set_timer"))
+            self.on_loop(_set_timer)
         return True
 
     def lay_by(self, sample: Any) -> None:
@@ -202,3 +219,9 @@ class PeriodicTransport(Transport):
         if self.timer is not None:
             self.timer.cancel()
             self.timer = None
+
+
+def _set_timer(transport: Any) -> None:
+    """On the loop, a moment after it was asked for: the connector may have got other options."""
+    if isinstance(transport, PeriodicTransport):
+        transport.set_timer()

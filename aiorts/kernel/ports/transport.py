@@ -45,6 +45,19 @@ _REFUSE = Verdict.REFUSE
 _REPLACE_OLDEST = Verdict.REPLACE_OLDEST
 _WAIT = Verdict.WAIT
 _DISPLACED: Final = {FullPolicy.OVERWRITE: "overwritten", FullPolicy.REJECT: "rejected"}
+_CARRIED_ON: Final = (
+    "arrived_at",
+    "dead",
+    "dropped",
+    "last",
+    "listeners",
+    "losses",
+    "missed",
+    "offered",
+    "queue",
+    "written",
+)
+"""What a connector keeps when it gets other options."""
 _NO_DROPS: Final[Mapping[str, int]] = MappingProxyType({})
 
 
@@ -180,13 +193,26 @@ class Transport:
         with self.guard():
             self.settle()
             self.count_displaced()
-            if self.waiting and profile.full is not _BLOCK:
-                self.length = len(self.queue) + len(self.waiting)
-                self.admit_waiting()
+            if profile.full is not _BLOCK:
+                self.admit_all()
             self.connector.profile = profile
             self.length = profile.length
             self.admit_waiting()
         self.connector.out._refresh()
+
+    def carry_on(self, old: Transport) -> None:
+        """Go on where a transport with other options was, which carries nothing any more; the caller holds the lock."""
+        for name in _CARRIED_ON:
+            setattr(self, name, getattr(old, name))
+        if old.times is not None and self.times is not None and old.times.ages.maxlen == self.times.ages.maxlen:
+            self.times = old.times
+        for sample in old.leave_off():
+            self.queue.append(sample)
+            self.receiver.arrived(self, False)
+
+    def leave_off(self) -> Iterable[Any]:
+        """Stop what would be done later on, and return what has not reached the reader's queue; the caller locks."""
+        return ()
 
     # -- the ledger ------------------------------------------------------------------------------------------------
 
@@ -492,6 +518,13 @@ class Transport:
         if not waiting:
             self.connector.in_._fast = receiver.direct
         receiver.room_made()
+
+    def admit_all(self) -> None:
+        """Let in all who wait, whether there is room or not; the caller holds the lock."""
+        if self.waiting:
+            length, self.length = self.length, len(self.queue) + len(self.waiting)
+            self.admit_waiting()
+            self.length = length
 
     def _admit_each(self, waiting: deque[Waiting]) -> None:
         """Move in who waits, as far as there is room; those that the push policy leaves out need none."""

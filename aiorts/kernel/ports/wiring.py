@@ -109,7 +109,8 @@ def wire(kernel: KernelSide, out: OutPort[Any], in_: InPort[Any], profile: Conne
 def unwire(connector: Connector) -> None:
     """Take the connector out of force: what is queued in it is dropped, writers that wait go on."""
     out, in_ = connector.out, connector.in_
-    out._connectors = _without(out._connectors, connector)
+    if not connector.parked:
+        out._connectors = _without(out._connectors, connector)
     receiver = in_._receiver
     several = receiver.tokens is not None
     with receiver.guard():
@@ -124,6 +125,73 @@ def unwire(connector: Connector) -> None:
         receiver.refresh()
     _refresh_writers(out, receiver, several)
     receiver.connector_ended()
+
+
+def park(connector: Connector) -> None:
+    """Have nothing more written to a connector; what is unread in it can be read, and who waits for room is let in."""
+    out, in_, transport = connector.out, connector.in_, connector._transport
+    with transport.guard():
+        transport.admit_all()
+        connector.parked = True
+        out._connectors = _without(out._connectors, connector)
+        in_._connectors = (*_without(in_._connectors, connector), connector)
+        in_._receiver.refresh()
+    out._refresh()
+
+
+def unpark(connector: Connector) -> None:
+    """Put a parked connector in force again."""
+    out, in_ = connector.out, connector.in_
+    with connector._transport.guard():
+        in_._connectors = _after(in_.connectors, connector, _without(in_._connectors, connector))
+        connector.parked = False
+        in_._receiver.refresh()
+    out._connectors = _after(out.connectors, connector, out._connectors)
+    out._refresh()
+
+
+def renewed_profile(connector: Connector, options: Mapping[str, Any]) -> ConnectorProfile:
+    """The options that a connector is to have instead of its own, checked as for a new one.
+
+    Raises:
+        WiringError: says what does not go together and why.
+    """
+    out, in_ = connector.out, connector.in_
+    where = f"{out.path} -> {in_.path}"
+    length = () if in_.length is None else (in_.length,)
+    profile, _ = connector_profile(where, options, connector.name, (out.path, in_.path), *length)
+    profile = replace(_between(out, in_, profile), name=connector.name)
+    _check_pair(out, in_, profile)
+    _check_stamp(profile, [(out, in_)])
+    check_features(out, in_, profile)
+    return profile
+
+
+def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -> None:
+    """Have other options in force, whatever they are: what waits and what is unread goes over, in order.
+
+    No real-time thread is at the connector.
+    """
+    out, in_, old = connector.out, connector.in_, connector._transport
+    kind = type(old).kind
+    with old.guard():
+        if kind is not PLAIN:
+            old.replace(PLAIN, in_._receiver)
+            old = connector._transport
+        old.settle()
+        old.share(False, out._sent)
+        old.count_displaced()
+        receiver = in_._receiver
+        receiver.read_stamps += (profile.stamp is Stamp.READ) - (connector.profile.stamp is Stamp.READ)
+        connector.profile = profile
+        receiver = fit_receiver(in_)
+        new = connector._transport = PLAIN.of(profile)(connector, receiver, kernel)
+        receiver.exchange(old, new)
+        new.carry_on(old)
+        if kind is not PLAIN:
+            new.replace(kind, receiver)
+        receiver.refresh_all()
+    out._refresh()
 
 
 def measure(connector: Connector, count: int) -> None:
@@ -146,6 +214,11 @@ def _refresh_writers(out: OutPort[Any], receiver: Receiver, several: bool) -> No
     out._refresh()
     if several is (receiver.tokens is None):
         receiver.refresh_writers()
+
+
+def _after(shown: tuple[Connector, ...], one: Connector, those: tuple[Connector, ...]) -> tuple[Connector, ...]:
+    """One more behind those that are shown, before those that are not."""
+    return (*shown, one, *those[len(shown) :])
 
 
 def _without(those: tuple[T, ...], one: T) -> tuple[T, ...]:

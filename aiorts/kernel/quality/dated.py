@@ -50,6 +50,15 @@ class Dated(FeaturedTransport):
         """When the sample was written that comes into the reader's queue now."""
         return self.moments.now_ns()
 
+    def carry_on(self, old: Transport) -> None:
+        moments = old.moments if isinstance(old, Dated) else None
+        if moments is not None:
+            times_of(moments.queue, old.queue)
+        super().carry_on(old)
+        if moments is not None:
+            self.extra[_KEY] = moments
+            moments.queue.extend(repeat(moments.now_ns(), len(self.queue) - len(moments.queue)))
+
     def push_in(self, sample: Any, *, displaced: bool = False) -> None:
         times_of(self.moments.queue, self.queue).append(self.written_ns())
         super().push_in(sample, displaced=displaced)

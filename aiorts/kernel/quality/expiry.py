@@ -7,8 +7,8 @@ look that finds nothing costs one look at the clock. Only while a writer waits f
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
 from functools import partial
-from operator import methodcaller
 from threading import get_ident
 from typing import TYPE_CHECKING, Any, Final
 
@@ -106,9 +106,15 @@ class Expiring(Dated):
         super().end_all(reason)
         self._tend_soon()
 
+    def leave_off(self) -> Iterable[Any]:
+        if self.life.timer is not None:
+            self.life.timer.cancel()
+            self.life.timer = None
+        return super().leave_off()
+
     def _tend_soon(self) -> None:
         if bool(self.waiting) is (self.life.timer is None):
-            self.on_loop(methodcaller("tend"))
+            self.on_loop(_tend)
 
     def tend(self) -> None:
         """Have a timer exactly while a writer waits for room; on the loop."""
@@ -146,3 +152,9 @@ def _look_again(transport: Any) -> None:
     transport.life.timer = None
     transport.settle()
     transport.tend()
+
+
+def _tend(transport: Any) -> None:
+    """On the loop, a moment after it was asked for: the connector may have got other options."""
+    if isinstance(transport, Expiring):
+        transport.tend()

@@ -15,7 +15,7 @@ from typing import Any
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
 from aiorts.kernel.ports.port import OFF
-from aiorts.kernel.ports.transport import Waiting
+from aiorts.kernel.ports.transport import Transport, Waiting
 from aiorts.kernel.ports.waiting import Looking
 from aiorts.late import dataclass
 
@@ -99,6 +99,18 @@ class Rendezvous(FeaturedTransport):
         if not waiting:
             self.connector.in_._fast = self.receiver.direct
         self.receiver.room_made()
+
+    def admit_all(self) -> None:
+        """Let the writers go on; their samples stay unread."""
+        for entry in self.waiting or ():
+            if not entry.done:
+                self.written += 1
+                self.resolve(entry)
+        self.receiver.room_made()
+
+    def carry_on(self, old: Transport) -> None:
+        super().carry_on(old)
+        self.waiting = deque(_Offered(self.connector, sample, None, done=True) for sample in self.queue)
 
     def discard_all(self, reason: str) -> None:
         """What still waits is counted where its writer is let go on."""

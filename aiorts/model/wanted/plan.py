@@ -7,15 +7,15 @@ touched by no step. The order of components, connections and contexts means noth
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from aiorts.late import dataclass
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import CHANGEABLE
-from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
+from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (
     Activate,
     Change,
@@ -37,6 +37,7 @@ from aiorts.model.wanted.steps import (
 )
 
 _ABSENT: Final = object()
+E = TypeVar("E", ContextEntry, CompositeEntry)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +62,45 @@ class Plan:
         return {"steps": [step.to_plain() for step in self.steps], "refused": list(self.refused)}
 
 
-def plan(now: Wanted, wanted: Wanted) -> Plan:
-    """The steps that make the wanted system of the one that there is; both in the one form (see `Wanted`)."""
-    return _Planner(now, wanted).plan()
+def plan(
+    now: Wanted, wanted: Wanted, *, limited: Collection[str] = frozenset(), exclusive: Collection[str] = frozenset()
+) -> Plan:
+    """The steps that make the wanted system of the one that there is; both in the one form (see `Wanted`).
+
+    Args:
+        limited: paths of ports that take a limited number of connectors: one goes there before another comes.
+        exclusive: names of components that hold what their replacement needs: they go before anything is made.
+    """
+    first = {
+        name
+        for name in exclusive
+        if name in now.components
+        and (name not in wanted.components or wanted.components[name].type != now.components[name].type)
+    }
+    if not first:
+        return _Planner(now, wanted, limited).plan()
+    between = without(now, first)
+    parts = _Planner(now, between, limited).plan(), _Planner(between, wanted, limited).plan()
+    return Plan(
+        tuple(step for part in parts for step in part.steps), tuple(text for part in parts for text in part.refused)
+    )
+
+
+def without(system: Wanted, names: Collection[str]) -> Wanted:
+    """The system without these components, and without what hangs on them."""
+    return replace(
+        system,
+        components=MappingProxyType({name: one for name, one in system.components.items() if name not in names}),
+        connections=tuple(
+            one for one in system.connections if not any(path.partition(".")[0] in names for path in one.ports)
+        ),
+        contexts=MappingProxyType({name: _less(one, names) for name, one in system.contexts.items()}),
+        composites=MappingProxyType({name: _less(one, names) for name, one in system.composites.items()}),
+    )
+
+
+def _less(entry: E, names: Collection[str]) -> E:
+    return replace(entry, members=tuple(name for name in entry.members if name not in names))
 
 
 def connections_by_name(wanted: Wanted) -> dict[str, ConnectionEntry]:
@@ -79,7 +116,8 @@ def connections_by_name(wanted: Wanted) -> dict[str, ConnectionEntry]:
 class _Planner:
     """Compares two systems."""
 
-    def __init__(self, now: Wanted, wanted: Wanted) -> None:
+    def __init__(self, now: Wanted, wanted: Wanted, limited: Collection[str]) -> None:
+        self._limited = limited
         self._now = now
         self._wanted = wanted
         self._before = connections_by_name(now)
@@ -101,7 +139,7 @@ class _Planner:
         started = [one for name, one in wanted.contexts.items() if name not in now.contexts]
         stopped = [one for name, one in now.contexts.items() if name not in wanted.contexts]
         connecting, changing, ending = self._connections()
-        clearing = [one for one in ending if one.name in self._after or self._is_touched(one.connection)]
+        clearing = [one for one in ending if one.name in self._after or self._goes_first(one.connection)]
         waiting = [one for one in connecting if self._is_touched(one.connection)]
         steps: list[Step] = [
             *clearing,
@@ -169,6 +207,9 @@ class _Planner:
 
     def _is_touched(self, connection: ConnectionEntry) -> bool:
         return any(path.partition(".")[0] in self._touched for path in connection.ports)
+
+    def _goes_first(self, connection: ConnectionEntry) -> bool:
+        return self._is_touched(connection) or any(path in self._limited for path in connection.ports)
 
     # -- contexts --------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.loop.origins import located
 from aiorts.kernel.ports import Port
 from aiorts.late import dataclass
-from aiorts.system.file.setting import Setting
+from aiorts.planning import Setting
 from aiorts.system.file.survey import Survey
 
 

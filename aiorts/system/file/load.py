@@ -25,10 +25,10 @@ from aiorts.model.configuration.parameters import ParameterSpec, validate
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.converter import Converter
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
+from aiorts.planning import ACTIVE, Setting
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.file.arguments import flag_of, parse_options
 from aiorts.system.file.parse import parse
-from aiorts.system.file.setting import ACTIVE, Setting
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 from aiorts.system.text.toml import read_text

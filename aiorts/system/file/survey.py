@@ -22,9 +22,9 @@ from aiorts.late import dataclass
 from aiorts.model.options import connector_profile
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
+from aiorts.planning import Setting
 from aiorts.system.file.load import check_inside, component_type, context_type, converter, parameters, setting
 from aiorts.system.file.parse import TOP, spelled
-from aiorts.system.file.setting import Setting
 from aiorts.system.file.values import SystemFile
 from aiorts.system.text.places import Key
 from aiorts.system.text.reading import hint

@@ -14,7 +14,7 @@ from aiorts.late import dataclass
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 
 if TYPE_CHECKING:
-    from aiorts.assembly import Kernel
+    from aiorts.kernel.microkernel import Microkernel
 
 ACTIVE: Final = "active"
 """`--set COMPONENT.active=NAME` chooses a set, where the component has no parameter of that name."""
@@ -41,7 +41,7 @@ class Setting:
         """The state that this makes of another."""
         return state.merged({DEFAULT: self.params, **self.sets}, self.active, owner)
 
-    async def create(self, kernel: Kernel, cls: type[Component], name: str = "") -> Component:
+    async def create(self, kernel: Microkernel, cls: type[Component], name: str = "") -> Component:
         """A component of this class in this kernel, its sets in force before its first hook."""
         if self.sets or self.active is not None:
             return await kernel.add(self.make(cls, name))

@@ -1,0 +1,35 @@
+"""What has become of a plan."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aiorts.late import dataclass
+from aiorts.model.wanted.plan import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What has become of a plan that was carried out, or would have been.
+
+    Attributes:
+        plan: the steps, in order.
+        done: whether the system is the wanted one now; False for a dry run, and when it was rolled back.
+        rolled_back: the figure that the system was rolled back for, and of which edge, component or context; "" when it
+            was kept.
+        notes: what could not be as the plan, or its reverse, says.
+    """
+
+    plan: Plan
+    done: bool = True
+    rolled_back: str = ""
+    notes: tuple[str, ...] = ()
+
+    def to_plain(self) -> dict[str, Any]:
+        """The same as JSON has it."""
+        return {
+            **self.plan.to_plain(),
+            "done": self.done,
+            "rolled_back": self.rolled_back,
+            "notes": list(self.notes),
+        }

@@ -1,0 +1,420 @@
+"""Carries out a plan in a kernel: all of it, or nothing.
+
+One function for each class of step (`_Application`). A step that fails is taken back with those before it, by their
+reverse steps in reverse order. What a step takes out is parked and not ended: the reverse step puts the same object
+back. Only when all is over what is parked is ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import StateError, WiringError, format_error
+from aiorts.kernel.between_cycles import between_cycles
+from aiorts.kernel.commit import commit
+from aiorts.kernel.component import Component
+from aiorts.kernel.declarations import declarations
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.member import is_open
+from aiorts.kernel.extensions.arguments import settings_of
+from aiorts.kernel.extensions.loading import load_aside
+from aiorts.kernel.extensions.type_names import extension_of
+from aiorts.kernel.ports import InPort
+from aiorts.kernel.ports.in_port import set_open
+from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.options import CHANGEABLE, connector_profile
+from aiorts.model.wanted.restart_policy import Supervision
+from aiorts.model.wanted.steps import (
+    Activate,
+    Change,
+    Configure,
+    Connect,
+    Create,
+    Disconnect,
+    Move,
+    Reload,
+    Remove,
+    Renew,
+    RenewContext,
+    Retime,
+    StartContext,
+    Step,
+    StopContext,
+    Supervise,
+)
+from aiorts.planning.setting import Setting
+from aiorts.planning.switching import switch, tops
+from aiorts.reload import Trial, check_replaceable, code_of
+from aiorts.supervision import Supervising
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
+    from aiorts.model.wanted.plan import Plan
+
+_ACTIVE: Final = LifecycleState.ACTIVE
+_PATIENCE: Final = 5.0
+"""Seconds of the kernel's clock until a component that gets another type is in its place."""
+
+
+class Application:
+    """One plan that is carried out, and what is needed to take it back."""
+
+    def __init__(self, kernel: Microkernel, now: Wanted, wanted: Wanted, plan: Plan) -> None:
+        self._kernel = kernel
+        self._now = now
+        self._wanted = wanted
+        self.plan = plan
+        self._types: dict[str, type[Component]] = {}
+        self._begun: list[Step] = []
+        self.goes_back = False
+        """Whether what was done is being taken back."""
+        self._parked: dict[str, Component] = {}
+        self._connectors: dict[str, Connector] = {}
+        """Those that are parked, by name."""
+        self._trials: dict[str, Trial] = {}
+        """Those that are instances of another type now, by name."""
+        self._held: set[Component] = set()
+        self._were_active: set[tuple[str, str]] = set()
+        """Context and component, of those that were active before."""
+        self._table: Final[Mapping[type[Step], Callable[[Any], Awaitable[None]]]] = {
+            Create: self._create,
+            Remove: self._remove,
+            Configure: self._configure,
+            Reload: self._reload,
+            Supervise: self._supervise,
+            Connect: self._connect,
+            Disconnect: self._disconnect,
+            Change: self._change,
+            Renew: self._renew,
+            StartContext: self._start,
+            StopContext: self._stop,
+            Retime: self._retime,
+            RenewContext: self._renew_context,
+            Activate: self._activate,
+            Move: self._move,
+        }
+
+    # -- forth and back --------------------------------------------------------------------------------------------
+
+    async def load(self) -> None:
+        """Load all types, and look at what can be looked at, before anything is changed.
+
+        Raises:
+            PluginError, ConfigurationError, StateError: says what cannot be made.
+        """
+        kernel = self._kernel
+        for component in kernel.components.values():
+            entry = self._now.components.get(component.name)
+            if entry is not None:
+                self._types.setdefault(entry.type, type(component))
+        for step in self.plan.steps:
+            if isinstance(step, Create | Reload):
+                entry = step.component if isinstance(step, Create) else step.after
+                if entry.type not in self._types:
+                    offered = extension_of(entry.type, kernel.plugins)
+                    self._types[entry.type] = await load_aside(offered, kernel.clock, Component)
+                _setting(entry).merged(declarations(self._types[entry.type]).configuration, entry.name)
+            elif isinstance(step, StartContext | RenewContext):
+                self._context(step.context if isinstance(step, StartContext) else step.after)
+
+    async def forth(self) -> None:
+        """Carry out all steps.
+
+        Raises:
+            BaseException: what a step raised; nothing is taken back yet.
+        """
+        self._were_active = {
+            (context.name, one.name)
+            for context in self._kernel.contexts.values()
+            for one in context.members
+            if context.state(one) is _ACTIVE
+        }
+        for step in self.plan.steps:
+            self._kernel.check_open("apply")
+            self._begun.append(step)
+            await self.carry_out(step)
+        rules = [
+            one.start for name, one in self._wanted.components.items() if one.start and name not in self._now.components
+        ]
+        if rules:
+            await self._kernel.service(Supervising).start_in_order(rules)
+
+    async def carry_out(self, step: Step) -> None:
+        """Carry out one step; what fails is raised, and some of it may be done."""
+        await self._table[type(step)](step)
+
+    @property
+    def failed_step(self) -> str:
+        """The text of the step that was begun last."""
+        return self._begun[-1].text if self._begun else "apply"
+
+    async def back(self) -> list[str]:
+        """Take back what was begun, the last step first; what could not be taken back, and why."""
+        self.goes_back = True
+        failed = []
+        for step in reversed(self._begun):
+            back = step.reverse()
+            try:
+                await self.carry_out(back)
+            except Exception as error:  # noqa: BLE001 - the rest is taken back all the same, and this is said
+                failed.append(f"{back.text}: {format_error(error)}")
+        self._begun = []
+        return failed
+
+    def release(self) -> None:
+        """All are in their places: ports are open or closed as always."""
+        held, self._held = self._held, set()
+        for component in held:
+            cell(component).held_open = False
+            if component in self._kernel.registry.parked:
+                continue
+            cell(component).retired = False
+            takes = is_open(component)
+            for port in component.ports.values():
+                if isinstance(port, InPort):
+                    set_open(port, takes)
+
+    async def settle(self) -> None:
+        """It is final: what is parked ends."""
+        kernel = self._kernel
+        connectors, self._connectors = self._connectors, {}
+        kernel.connections.end_each(tuple(connectors.values()))
+        trials, self._trials = self._trials, {}
+        for trial in trials.values():
+            await trial.settle()
+        parked, self._parked = self._parked, {}
+        for component in reversed(tuple(parked.values())):
+            await kernel.registry.end_parked(component)
+
+    # -- components ------------------------------------------------------------------------------------------------
+
+    async def _create(self, step: Create) -> None:
+        kernel, entry = self._kernel, step.component
+        if entry.name in kernel.components:
+            return
+        setting, cls = _setting(entry), self._types[entry.type]
+        component = self._parked.pop(entry.name, None)
+        if component is not None:
+            kernel.registry.unpark(component)
+        else:
+            component = await setting.create(kernel, cls, entry.name)
+        self._supervise_as(component, entry)
+
+    async def _remove(self, step: Remove) -> None:
+        kernel, name = self._kernel, step.component.name
+        component = kernel.components.get(name)
+        if component is None:
+            return
+        if self.goes_back or not type(component).parks:
+            await kernel.remove(component)
+        else:
+            kernel.registry.park(component)
+            self._parked[name] = component
+
+    async def _configure(self, step: Configure) -> None:
+        component = self._kernel.components[step.after.name]
+        edit = partial(_as_wanted, _setting(step.after), component)
+        await between_cycles(self._kernel, component, partial(commit, component, edit))
+
+    async def _reload(self, step: Reload) -> None:
+        kernel, entry = self._kernel, step.after
+        old = kernel.components[entry.name]
+        trial = self._trials.pop(entry.name, None)
+        if trial is not None:
+            await trial.take_back(StateError("the plan was taken back"))
+        elif not self.goes_back:
+            trial = Trial(kernel, _PATIENCE)
+            try:
+                check_replaceable(old)
+                await trial.prepare(
+                    old, code_of(self._types[entry.type]), partial(_as_declared, _setting(entry), entry.name)
+                )
+                await trial.switch()
+                if lost := trial.left_out():
+                    raise WiringError(f"{entry.name}: {entry.type} has no port for {', '.join(lost)}")
+            except BaseException as error:
+                await trial.take_back(error)
+                raise
+            trial.end_watch()
+            self._trials[entry.name] = trial
+        self._supervise_as(kernel.components[entry.name], entry)
+
+    async def _supervise(self, step: Supervise) -> None:
+        self._supervise_as(self._kernel.components[step.after.name], step.after)
+
+    def _supervise_as(self, component: Component, entry: ComponentEntry) -> None:
+        supervising = self._kernel.service(Supervising)
+        if entry.start is None:
+            supervising.rules.pop(entry.name, None)
+        else:
+            supervising.rules[entry.name] = entry.start
+        policy, there = entry.supervision, supervising.supervised.get(entry.name)
+        if policy is not None or there is not None:
+            make = partial(_setting(entry).make, self._types[entry.type])
+            supervising.supervise(component, policy or Supervision(), make)
+
+    # -- connectors ------------------------------------------------------------------------------------------------
+
+    async def _connect(self, step: Connect) -> None:
+        kernel, name = self._kernel, step.name
+        parked = self._connectors.pop(name, None)
+        if parked is not None:
+            kernel.connections.unpark(parked)
+        elif name not in kernel.connectors and name not in kernel.service_connectors:
+            one, two = step.connection.ports
+            await kernel.connect(one, two, **step.connection.options)
+
+    async def _disconnect(self, step: Disconnect) -> None:
+        connections, name = self._kernel.connections, step.name
+        connector = connections.connectors.get(name)
+        if connector is None:
+            other = connections.service_connectors.get(name)
+            if other is not None:
+                connections.end(other)
+        elif self.goes_back:
+            connections.end(connector)
+        else:
+            connections.park(connector)
+            self._connectors[name] = connector
+
+    async def _change(self, step: Change) -> None:
+        connector = self._kernel.connectors[step.name]
+        profile = _profile(connector, step.after)
+        words = {
+            word: getattr(profile, word)
+            for word in CHANGEABLE
+            if getattr(profile, word) != getattr(connector.profile, word)
+        }
+        if words:
+            self._kernel.connections.change(connector, words)
+
+    async def _renew(self, step: Renew) -> None:
+        options = dict(step.after.options)
+        if isinstance(options.get("convert"), str):
+            from aiorts.kernel.extensions.converters import load_converter
+
+            options["convert"] = await load_converter(options["convert"], self._kernel.plugins, self._kernel.clock)
+        if (connector := self._kernel.connectors.get(step.name)) is not None:
+            self._kernel.connections.replace_options(connector, _own(options))
+        else:
+            connections = self._kernel.connections
+            connections.end(connections.service_connectors[step.name])
+            await self._kernel.connect(*step.after.ports, **options)
+
+    # -- contexts --------------------------------------------------------------------------------------------------
+
+    def _context(self, entry: ContextEntry) -> Context:
+        kind = self._kernel.plugins.find("contexts", entry.kind).load_class(Context)
+        return settings_of(kind, {"name": entry.name, **entry.options})
+
+    async def _start(self, step: StartContext) -> None:
+        if step.context.name not in self._kernel.contexts:
+            await self._kernel.start(self._context(step.context))
+
+    async def _stop(self, step: StopContext) -> None:
+        context = self._kernel.contexts.get(step.context.name)
+        if context is not None:
+            await context.stop()
+
+    async def _retime(self, step: Retime) -> None:
+        context: Any = self._kernel.contexts[step.after.name]
+        await context.set_rate(step.after.options["rate"])
+
+    async def _renew_context(self, step: RenewContext) -> None:
+        kernel, name = self._kernel, step.after.name
+        there = kernel.contexts.get(name)
+        members = [kernel.components[one] for one in step.before.members] if there is None else tops(there)
+        active = self._active_in(there)
+        self._hold(members)
+        made = self._context(step.after)
+        if there is not None:
+            await there.stop()
+        await kernel.start(made, *members)
+        again = [one for one in made.members if (name, one.name) in (active or self._were_active)]
+        if again:
+            await made.activate(*again)
+
+    async def _activate(self, step: Activate) -> None:
+        context = self._kernel.contexts[step.context]
+        if step.after:
+            await context.activate(*(one for one in context.members if context.state(one) is LifecycleState.INACTIVE))
+        else:
+            await context.deactivate(*(one for one in context.members if context.state(one) is _ACTIVE))
+
+    async def _move(self, step: Move) -> None:
+        kernel = self._kernel
+        names = dict.fromkeys(
+            name for places in (step.before, step.after) for line in places.contexts.values() for name in line
+        )
+        for places in (step.before, step.after):
+            for composite in places.composites.values():
+                names.update(dict.fromkeys(() if composite is None else (composite.name, *composite.members)))
+        self._hold([kernel.components[name] for name in names if name in kernel.components])
+        await switch(kernel, step.after, self._activates)
+
+    def _activates(self, context: str, component: Component) -> bool:
+        """Whether who comes into a context is to be active there."""
+        leaves = [one.name for one in _leaves(component)]
+        known = [name for name in leaves if name in self._now.components]
+        if self.goes_back and known:
+            return any((context, name) in self._were_active for name in known)
+        entry = (self._now if self.goes_back else self._wanted).contexts.get(context)
+        starts = self._wanted.components.get(component.name)
+        return entry is not None and entry.activate and (starts is None or starts.start is None)
+
+    def _active_in(self, context: Context | None) -> set[tuple[str, str]]:
+        if context is None:
+            return set()
+        return {(context.name, one.name) for one in context.members if context.state(one) is _ACTIVE}
+
+    def _hold(self, components: list[Component]) -> None:
+        """Have open in-ports stay open, wherever their component is meanwhile: what is unread stays unread."""
+        for component in components:
+            for one in _leaves(component):
+                if one not in self._held and is_open(one):
+                    cell(one).held_open = True
+                    self._held.add(one)
+
+
+def _leaves(component: Component) -> list[Component]:
+    group = cell(component).stands_for
+    return [component] if group is None else [leaf for part in group.parts for leaf in _leaves(part)]  # type: ignore[arg-type]
+
+
+def _setting(entry: ComponentEntry) -> Setting:
+    return Setting(MappingProxyType(dict(entry.params)), entry.sets, entry.active or None)
+
+
+def _as_wanted(setting: Setting, component: Component, state: ConfigurationState) -> ConfigurationState:
+    """What the entry says; parameters that were added at run time stay."""
+    declared = declarations(type(component)).configuration
+    base = declared
+    for name, spec in state.specs.items():
+        if name not in declared.specs:
+            base = base.with_parameter(spec, component.name)
+    added = {name: state.sets[DEFAULT][name] for name in state.specs if name not in declared.specs}
+    active = setting.active or declared.active
+    return base.merged({DEFAULT: {**added, **setting.params}, **setting.sets}, active, component.name)
+
+
+def _as_declared(setting: Setting, name: str, declared: ConfigurationState) -> ConfigurationState:
+    return setting.merged(declared, name)
+
+
+def _own(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a connector that is there, which keeps its name."""
+    return {word: value for word, value in options.items() if word not in ("name", "allow_duplicate")}
+
+
+def _profile(connector: Connector, entry: ConnectionEntry) -> Any:
+    usual = connector.in_.length
+    length = () if usual is None else (usual,)
+    profile, _ = connector_profile("", _own({**entry.options, "convert": None}), connector.name, entry.ports, *length)
+    return profile

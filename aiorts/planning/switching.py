@@ -1,0 +1,190 @@
+"""Changes who runs where: the members of contexts and composites, each context's between the same two cycles.
+
+It goes by what there is, not by what a step says there was: done twice it does nothing the second time, and half of it
+is taken back by the reverse step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from aiorts.composites import Composite, group_of, parts_of
+from aiorts.errors import ComponentError, format_error
+from aiorts.kernel.execution.cell import cell, flattened
+from aiorts.model.lifecycle import LifecycleState
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.execution.context import Context
+    from aiorts.kernel.execution.cycle import Done, Steps
+    from aiorts.kernel.execution.member import Member
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.model.wanted.entries import CompositeEntry
+    from aiorts.model.wanted.steps import Places
+
+
+def tops(context: Context) -> list[Component]:
+    """The members of a context in order, a composite in the place of those that run with it."""
+    found: dict[Component, None] = {}
+    for component in context.members:
+        group = cell(component).group
+        root = None if group is None else group.root.component  # type: ignore[attr-defined]
+        found[root if root is not None and context in root.contexts else component] = None  # type: ignore[index]
+    return list(found)
+
+
+async def switch(kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool]) -> None:
+    """Have the places be as these say.
+
+    Args:
+        activates: whether a component that comes into a context of this name is to be active there.
+
+    Raises:
+        AiortsError: what a component, a context or a composite refuses, or a hook raised; some of it may be done.
+    """
+    composites = kernel.components
+    anew = [name for name, one in after.composites.items() if _is_made_anew(composites.get(name), one)]
+    for context_name, members in after.contexts.items():
+        context = kernel.contexts.get(context_name)
+        if context is not None:
+            gone = [one for one in tops(context) if isinstance(one, Composite) and _goes(one, members, anew)]
+            if gone:
+                await context.remove(*gone)
+    for name in _outer_first(kernel, anew):
+        _forget_placements(composites[name])
+        await kernel.remove(composites[name])
+    for name, entry in _inner_first(after.composites):
+        composite = composites.get(name)
+        if not isinstance(composite, Composite):
+            await kernel.add(Composite(entry.name, *entry.members, **entry.options))
+        else:
+            _forget_placements(composite)
+            await _change(composite, entry)
+        _forget_placements(composites[name])
+    for context_name, members in after.contexts.items():
+        context = kernel.contexts.get(context_name)
+        if context is not None:
+            await _fill(context, [composites[name] for name in members], activates)
+
+
+def _forget_placements(component: Component) -> None:
+    """Who leaves a composite goes where the plan says, and not back to where it was before."""
+    for part in parts_of(component):
+        cell(part).previous_placements = ()
+
+
+def _goes(composite: Composite, members: Sequence[str], anew: Sequence[str]) -> bool:
+    return composite.name not in members or composite.name in anew
+
+
+def _is_made_anew(there: Component | None, entry: CompositeEntry | None) -> bool:
+    """Whether a composite that there is goes, at least for a moment."""
+    if not isinstance(there, Composite):
+        return False
+    if entry is None:
+        return True
+    errors, own = entry.options.get("errors", "stop"), entry.own_schedule
+    return str(there.errors) != str(errors) or there.own_schedule != own
+
+
+def _outer_first(kernel: Microkernel, names: Iterable[str]) -> list[str]:
+    def depth(name: str) -> int:
+        group, found = cell(kernel.components[name]).group, 0
+        while group is not None:
+            group, found = group.outer, found + 1  # type: ignore[attr-defined]
+        return found
+
+    return sorted(names, key=depth)
+
+
+def _inner_first(entries: Mapping[str, CompositeEntry | None]) -> list[tuple[str, CompositeEntry]]:
+    """Each after those that are its members."""
+    left = {name: one for name, one in entries.items() if one is not None}
+    found: list[tuple[str, CompositeEntry]] = []
+    while left:
+        for name, one in tuple(left.items()):
+            if not any(member in left for member in one.members):
+                found.append((name, left.pop(name)))
+    return found
+
+
+async def _change(composite: Composite, entry: CompositeEntry) -> None:
+    group = group_of(composite)
+    shown = {} if group is None else {rule.pattern: rule.name for rule in group.exports}
+    exported = entry.options.get("exported", {})
+    await composite.change(
+        members=entry.members,
+        exported=None if exported == shown else exported,
+        order=entry.options.get("order", "stated"),
+        groups=entry.options.get("groups", ()),
+    )
+
+
+async def _fill(context: Context, wanted: list[Component], activates: Callable[[str, Any], bool]) -> None:
+    """Have these run there, in this order; single components come and go in one moment."""
+    whole = [one for one in wanted if isinstance(one, Composite) and context not in one.contexts]
+    if whole:
+        await context.add(*whole)
+    there = tops(context)
+    single = [one for one in wanted if one not in there]
+    leaving = [one for one in there if one not in wanted]
+    line: Any = flattened(wanted)
+    if single or leaving or tuple(context.members) != line:
+        for one in single:
+            context.runner.check_may_join(one)
+        switch = _Switch(context, [context.runner.new_member(one) for one in single], leaving, line, activates)
+        await context.runner.ask([(f"switch {context.name}", switch.steps)], 5.0)
+    for composite in whole:
+        _forget_placements(composite)
+        if activates(context.name, composite):
+            await composite.activate()
+
+
+class _Switch:
+    """Members that come and go between two cycles of a context."""
+
+    def __init__(
+        self,
+        context: Context,
+        joining: Sequence[Member],
+        leaving: Sequence[Component],
+        line: Sequence[Component],
+        activates: Callable[[str, Any], bool],
+    ) -> None:
+        self._context = context
+        self._joining = joining
+        self._leaving = leaving
+        self._line = line
+        self._activates = activates
+
+    def steps(self, done: Done) -> Steps:
+        """The steps, as one action; who cannot start is taken out again, and nobody leaves."""
+        context, life = self._context, self._context.runner.life
+        joined: list[Member] = []
+        for member in self._joining:
+            joined.append(member)
+            yield from life.add(member)
+            if member.failure is not None:
+                for other in reversed(joined):
+                    yield from life.remove(other)
+                done(_failed(member, "on_startup", member.failure))
+                return
+        for component in reversed(self._leaving):
+            for member in tuple(cell(component).members):
+                if member.context is context:
+                    yield from life.remove(member)
+        context.runner.arrange(self._line)
+        failed: ComponentError | None = None
+        for member in joined:
+            if self._activates(context.name, member.component) and member.state is LifecycleState.INACTIVE:
+                error = yield from life.activate(member)
+                if error is not None and failed is None:
+                    failed = _failed(member, "on_activated", error)
+        done(failed)
+
+
+def _failed(member: Any, hook: str, error: BaseException) -> ComponentError:
+    failed = ComponentError(f"{member.component.name}: {hook} in {member.context.name} failed: {format_error(error)}")
+    failed.__cause__ = error
+    return failed
