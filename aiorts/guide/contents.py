@@ -28,6 +28,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
                 "observe",
                 "control",
                 "save-system",
+                "change-system",
                 "measure-live",
                 "samples-live",
                 "live-log",

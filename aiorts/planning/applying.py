@@ -151,6 +151,13 @@ class Application:
         await self._table[type(step)](step)
 
     @property
+    def new(self) -> list[str]:
+        """The components that are made or replaced."""
+        steps = self.plan.steps
+        made = [one.component.name for one in steps if isinstance(one, Create)]
+        return made + [one.after.name for one in steps if isinstance(one, Reload)]
+
+    @property
     def failed_step(self) -> str:
         """The text of the step that was begun last."""
         return self._begun[-1].text if self._begun else "apply"

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aiorts.errors import ApplyError, BusyError, StateError, format_error
+from aiorts.errors import ApplyError, BusyError, ClosedError, ConfigurationError, StateError, format_error
+from aiorts.health import Health
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.kernel.service import KernelService
+from aiorts.model.health.verdict import verdict
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.plan import Plan, plan
 from aiorts.model.wanted.system_text import Saved, system_text
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.model.health.verdict import Unhealthy
+    from aiorts.model.health.windows import Window
     from aiorts.model.wanted.entries import ClockEntry, Wanted
     from aiorts.planning.applying import Application
 
@@ -28,6 +33,8 @@ class Planning(KernelService):
         super().__init__(kernel)
         self.clock: ClockEntry | None = None
         """What the system file said of the clock, whatever the command line said; None where there was no file."""
+        self.health = Health(kernel)
+        """What the windows of `apply` are measured by."""
         self._applying: asyncio.Task[Applied] | None = None
 
     def text(self, folder: Path) -> Saved:
@@ -66,6 +73,8 @@ class Planning(KernelService):
         from aiorts.planning.reading import wanted_of
 
         kernel = self.kernel
+        if isinstance(window, bool) or not isinstance(window, int | float) or not 0 <= window < math.inf:
+            raise ConfigurationError(f"apply: window = {window!r}: expected seconds, 0 or more")
         if self._applying is not None:
             raise BusyError(f"{kernel.name}: another plan is applied, or its window has not ended; wait for that")
         if owner_of(current_task()) is not None or any(one.runner.inside() for one in kernel.contexts.values()):
@@ -80,7 +89,7 @@ class Planning(KernelService):
             raise StateError("\n".join(planned.refused))
         if planned.empty:
             return Applied(planned)
-        task = kernel_task(kernel.loop, self._apply(Application(kernel, now, wanted, planned)), "aiorts apply")
+        task = kernel_task(kernel.loop, self._apply(Application(kernel, now, wanted, planned), window), "aiorts apply")
         self._applying = task
         renewing = kernel.registry.renewing
         renewing.add(task)
@@ -98,17 +107,28 @@ class Planning(KernelService):
         if not task.cancelled():
             task.exception()  # its caller may have been cancelled
 
-    async def _apply(self, application: Application) -> Applied:
+    async def _apply(self, application: Application, window: float) -> Applied:
         async with self.kernel.registry.renewal:
             await application.load()
+            before = await self.health.before(window) if window else None
             try:
                 await application.forth()
             except BaseException as error:
                 await self._take_back(application, error)
                 raise
             application.release()
+            worse = None if before is None else await self._worse(before, window, application.new)
+            left = () if worse is None else tuple(await application.back())
+            application.release()
             await application.settle()
-            return Applied(application.plan)
+            return Applied(application.plan, worse is None, str(worse or ""), left)
+
+    async def _worse(self, before: Window, window: float, new: Collection[str]) -> Unhealthy | None:
+        """What the system does worse than before; None when the kernel closes meanwhile: it stays as it is."""
+        try:
+            return verdict(before, await self.health.window(window), new)
+        except ClosedError:
+            return None
 
     async def _take_back(self, application: Application, error: BaseException) -> None:
         """ApplyError: says what failed, and what of it could not be taken back."""

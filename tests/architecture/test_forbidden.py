@@ -43,6 +43,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # plugin, a component file, an observer, a timer's callback); there it is reported and contained. A new line here needs
 # a reason.
 BROAD_EXCEPT = {
+    # What a plan did is taken back step by step: what one of these fails with is said, and the next follows.
+    "aiorts/planning/applying.py:back",
     # What somebody else's exception says of itself may raise in its turn.
     "aiorts/errors.py:format_error",
     "aiorts/model/values.py:shown",

@@ -221,7 +221,17 @@ PUBLIC = {
     *("add_param", "add_port", "alone", "check_configuration", "clock", "configuration", "configurations", "configure"),
     *("context", "contexts", "finish", "has_finished", "kernel", "last_error", "log", "max_instance", "name"),
     *("on_aborting", "on_activated", "on_deactivated", "on_error", "on_execute", "on_finalize", "on_initialize"),
-    *("on_rate_changed", "on_reload", "on_reset", "on_shutdown", "on_startup", "on_state_update", "params", "ports"),
+    *(
+        "on_rate_changed",
+        "on_reload",
+        "on_reset",
+        "on_shutdown",
+        "on_startup",
+        "on_state_update",
+        "params",
+        "parks",
+        "ports",
+    ),
     *("ports_for", "profile", "remove_param", "remove_port", "sleep", "state", "states"),
 }
 

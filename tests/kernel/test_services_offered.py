@@ -133,7 +133,7 @@ async def test_a_table_of_a_system_file_attaches_it(tmp_path: Path, catalogue: C
         await build(kernel, prepare(system, catalogue))
         assert kernel.profile().services["fence"]["low"] == 0.25
     assert schema(catalogue)["properties"]["fence"]["properties"]["way"] == {
-        "enum": ["up", "down"],
+        "anyOf": [{"enum": ["up", "down"]}, {"$ref": "#/$defs/template"}],
         "default": "up",
         "description": "which",
     }
@@ -147,7 +147,7 @@ async def test_a_table_of_a_system_file_attaches_it(tmp_path: Path, catalogue: C
         ("[fence]\nlow = true\n", (3, 7), "expected a number, got True"),
         ("[fence]\nhigh = 101\n", (3, 8), "expected at most 100 m, got 101"),
         ("[fence]\nlow = 3\nhigh = 2\n", (2, 2), "low = 3 is above high = 2"),
-        ("fence = 3\n", (2, 1), "unknown key 'fence'; there are schema, plugins, clock"),
+        ("fence = 3\n", (2, 1), "unknown key 'fence'; there are schema, include, variables, plugins, clock"),
     ],
 )
 def test_a_mistake_in_its_table_has_its_place(

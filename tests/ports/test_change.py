@@ -70,7 +70,7 @@ async def ended(tasks: list[asyncio.Task[bool]]) -> list[bool]:
 def test_a_connector_has_these_public_names_and_no_other() -> None:
     """A name that users complete is kept for good."""
     names = {name for name in dir(Connector) if not name.startswith("_")}
-    assert names == {"name", "profile", "statistics", "timing", "closed", "out", "in_", "close", "change"}
+    assert names == {"name", "profile", "statistics", "timing", "closed", "out", "in_", "close", "change", "parked"}
 
 
 # -- length ------------------------------------------------------------------------------------------------------------
