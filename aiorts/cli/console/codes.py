@@ -39,6 +39,11 @@ CODES: Final[dict[str, Code]] = {
         "The same system runs twice, or two kernels have a component of the same name.",
         "Write one of the names that the message lists: kernel/component.",
     ),
+    "E-APPLY": Code(
+        "A plan for a running system failed, and what of it was done was taken back.",
+        "A component that is wanted fails in a hook, or two ports that are to be connected do not fit.",
+        "Repair what the message names and apply it again; `aiorts check` finds most of it before.",
+    ),
     "E-AWAIT": Code(
         "A coroutine was made and never awaited: it did nothing.",
         "A hook without async calls write or read, or await was forgotten.",
