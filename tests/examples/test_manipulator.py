@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from aiorts import Kernel, LifecycleState
 from aiorts.kernel.extensions.files import load_file
-from aiorts.system import build, load
+from aiorts.model.wanted.plan import plan
+from aiorts.system import Choices, build, load, wanted
 from aiorts.testing import Rig, simulate
 from run_parts import here
 
@@ -98,6 +99,24 @@ def test_the_two_system_files_give_the_controller_the_same_description() -> None
     assert sim.connections == real.connections
     assert sim.composites == real.composites
     assert [sim.components[name] for name in FOUR] == [real.components[name] for name in FOUR]
+
+
+def test_one_file_for_robot_and_simulator_is_either_system() -> None:
+    robot = EXAMPLE / "robot.toml"
+    assert plan(wanted(load(EXAMPLE / "sim.toml")), wanted(load(robot))).steps == ()
+    real, hardware = wanted(load(EXAMPLE / "real.toml")), wanted(load(robot, (), Choices(("sim=false",))))
+    assert hardware.components == real.components
+    assert hardware.connections == real.connections
+    assert hardware.clock == real.clock
+    assert hardware.contexts["ticks"].members == real.contexts["loop"].members
+
+
+def test_one_file_for_robot_and_simulator_runs_as_either() -> None:
+    assert simulated(file="robot.toml") == simulated(file="sim.toml")
+    real = here(EXAMPLE, "run", "robot.toml", "--var", "sim=false")
+    lines = real.stdout.splitlines()
+    assert (real.returncode, real.stderr) == (0, "")
+    assert lines[1].startswith("damped ")
 
 
 def test_the_four_are_one_composite_that_runs_in_one_context() -> None:

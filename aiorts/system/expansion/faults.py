@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 from aiorts.errors import SystemFileError
 from aiorts.system.text.origins import Origin, Source
+from aiorts.system.text.reading import Mistake, spelled
 from aiorts.system.text.toml import LARGEST
 
 _DEEPEST: Final = 32
 """Levels of lists and tables in one value; a file may have as many."""
+_MOST: Final = 200
+"""Mistakes that are named: who has more mends these first."""
 
 
 class Fault(SystemFileError):
@@ -58,3 +63,31 @@ def weight(value: Any, origin: Origin, depth: int = 0) -> int:
         inner = sum(weight(item, origin, depth + 1) for item in items)
         return inner + 1 + (sum(len(key) for key in value) if isinstance(value, dict) else 0)
     return 1
+
+
+class Mistakes:
+    """What is wrong; it is gone on after each, so that all of them are named at once."""
+
+    def __init__(self) -> None:
+        self.found: list[Mistake] = []
+
+    @contextmanager
+    def kept(self, kind: type[Fault] = Fault) -> Iterator[None]:
+        """Keep what is wrong and go on after it; where there is too much of something, it ends."""
+        try:
+            yield
+        except Fault as fault:
+            if isinstance(fault, Excess) and kind is not Excess:
+                raise
+            self.say(fault)
+
+    def say(self, fault: Fault) -> None:
+        if isinstance(fault, Typed):
+            self.typed(fault.where, fault.what)
+        elif len(self.found) < _MOST:
+            key = fault.origin.key
+            self.found.append(Mistake(key, spelled(key) or "file", fault.what, fault.of_key, fault.origin))
+
+    def typed(self, where: str, what: str) -> None:
+        """Keep what is wrong on the command line."""
+        self.found.append(Mistake((), where, what))

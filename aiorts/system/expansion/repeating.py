@@ -40,22 +40,25 @@ def has_number(text: str) -> bool:
     return any(found[1] is None for found in _NUMBER.finditer(text))
 
 
-def numbered(value: Any, number: int, moved: dict[Key, Key], path: Key = (), old: Key = ()) -> Any:
+def numbered(value: Any, number: int, origin: Origin, moved: dict[Key, Origin], path: Key = ()) -> Any:
     """The value for one copy; keys with another name are put into `moved`. A text `{i}` alone becomes the number."""
     if isinstance(value, str):
         if "{i" not in value:
             return value
         return number if value == "{i}" else _written(value, number)
     if isinstance(value, list):
-        return [numbered(one, number, moved, (*path, at), (*old, at)) for at, one in enumerate(value)]
+        return [numbered(one, number, origin.below(at), moved, (*path, at)) for at, one in enumerate(value)]
     if not isinstance(value, dict):
         return value
-    made = {}
+    made: dict[str, Any] = {}
     for key, one in value.items():
+        below = origin.below(key)
         name = _written(key, number) if "{i" in key else key
+        if name in made:
+            raise Fault(below, f"there is a key {name[:80]!r} already", of_key=True)
         if name != key:
-            moved[(*path, name)] = (*old, key)
-        made[name] = numbered(one, number, moved, (*path, name), (*old, key))
+            moved[(*path, name)] = below
+        made[name] = numbered(one, number, below, moved, (*path, name))
     return made
 
 

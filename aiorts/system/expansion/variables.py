@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
 from typing import Any, Final, TypeAlias
 
 from aiorts.model.configuration.toml_lines import excess, huge_number
@@ -29,6 +30,8 @@ _TRUTH: Final[Mapping[str, bool]] = {
     **dict.fromkeys(("false", "no", "off", "0"), False),
 }
 _LONGEST_NUMBER: Final = 300
+_MOST_NAMES: Final = 1000
+"""Among which a near one is looked for."""
 _KINDS: Final[tuple[tuple[Any, str], ...]] = (
     (bool, "true or false"),
     ((int, float), "a number"),
@@ -96,11 +99,12 @@ class Scope:
             return value
         made: dict[str, Any] = {}
         for key, one in value.items():
-            below = origin.below(key)
+            known = moved.pop((*path, key), None)
+            below = origin.below(key) if known is None else known
             name = self.text(key, below, of_key=True)
             if name in made:
                 raise Fault(below, f"there is a key {name[:80]!r} already", of_key=True)
-            if name != key:
+            if name != key or known is not None:
                 moved[(*path, name)] = below
             made[name] = self._filled(one, below, (*path, name), moved)
         return made
@@ -108,9 +112,10 @@ class Scope:
     def _value(self, name: str, origin: Origin, *, of_key: bool = False) -> Any:
         if name in self.values:
             return self.values[name]
-        known = hint(name, self.values) if self.values else "there are none; write [variables] with its default"
-        what = f"unknown variable {name[:80]!r}; {known}"
-        raise Fault(origin, f"{what}; $${{ is a ${{ that means nothing" if not self.values else what, of_key=of_key)
+        known = "there are none; write [variables] with its default; $${ is a ${ that means nothing"
+        if self.values:
+            known = hint(name, islice(self.values, _MOST_NAMES))
+        raise Fault(origin, f"unknown variable {name[:80]!r}; {known}", of_key=of_key)
 
     def _written(self, name: str, closed: str, origin: Origin, *, of_key: bool) -> str:
         """A value in the middle of a text."""
@@ -164,6 +169,8 @@ def handed(name: str, value: Any, origin: Origin) -> Given:
         kinds, word = _kind(default, origin)
         if isinstance(value, kinds) and isinstance(value, bool) is isinstance(default, bool):
             return value
+        if isinstance(default, str) and isinstance(value, int | float) and not isinstance(value, bool):
+            return str(value)  # the number of a repeated part, in a text
         raise Fault(origin, f"expected {word} for {name}, got {value!r:.80}")
 
     return agreed

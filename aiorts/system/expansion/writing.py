@@ -22,13 +22,17 @@ def _lines(top: Mapping[str, Any]) -> Iterator[str]:
     for word, value in top.items():
         if word in NAMED and isinstance(value, dict):
             for name, table in value.items():
-                yield from ("", f"[{word}.{basic_string(name)}]", *(_pair(key, one) for key, one in table.items()))
+                yield from ("", f"[{word}.{_key(name)}]", *(_pair(key, one) for key, one in table.items()))
         elif word == "connections":
             for table in value:
                 yield from ("", "[[connections]]", *(_pair(key, one) for key, one in table.items()))
         elif isinstance(value, dict):
-            yield from ("", f"[{basic_string(word)}]", *(_pair(key, one) for key, one in value.items()))
+            yield from ("", f"[{_key(word)}]", *(_pair(key, one) for key, one in value.items()))
 
 
 def _pair(key: str, value: Any) -> str:
-    return f"{basic_string(key)} = {value_text(key, literal(value))}"
+    return f"{_key(key)} = {value_text(key, literal(value))}"
+
+
+def _key(name: str) -> str:
+    return basic_string(literal(name))
