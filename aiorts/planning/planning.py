@@ -5,18 +5,20 @@ from __future__ import annotations
 import asyncio
 import math
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Collection, Generator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+from aiorts.clock import SimulatedClock
 from aiorts.errors import ApplyError, BusyError, ClosedError, ConfigurationError, StateError, format_error
 from aiorts.health import Health
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.kernel.service import KernelService
 from aiorts.model.health.verdict import verdict
 from aiorts.model.wanted.applied import Applied
-from aiorts.model.wanted.plan import Plan, plan
+from aiorts.model.wanted.plan import Plan, planning
 from aiorts.model.wanted.system_text import Saved, system_text
+from aiorts.planning.turns import finished, in_turns
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -24,6 +26,9 @@ if TYPE_CHECKING:
     from aiorts.model.health.windows import Window
     from aiorts.model.wanted.entries import ClockEntry, Wanted
     from aiorts.planning.applying import Application
+
+_TRIES: Final = 3
+"""How often a system that changes while it is read is read with turns of the loop in between."""
 
 
 class Planning(KernelService):
@@ -43,13 +48,18 @@ class Planning(KernelService):
         Raises:
             SystemFileError: names all that no system file can say.
         """
-        return self._read(folder)()
+        from aiorts.planning.reading import wanted_of
+
+        notes: list[str] = []
+        return _saved(wanted_of(self.kernel, notes), folder, notes)
 
     async def text_aside(self, folder: Path) -> Saved:
-        """The same; the text is written in a thread, so that the loop is held for the reading alone."""
+        """The same; the loop has its turns while it is read, and the text is written in a thread."""
         from anyio import to_thread
 
-        return await to_thread.run_sync(self._read(folder))
+        notes: list[str] = []
+        wanted = await self._wanted(notes)
+        return await to_thread.run_sync(_saved, wanted, folder, notes)
 
     async def save(self, path: str | os.PathLike[str], *, overwrite: bool) -> tuple[str, ...]:
         """See `Kernel.save`."""
@@ -65,13 +75,10 @@ class Planning(KernelService):
         """What would be done to make this system of the one that runs; see `Kernel.apply`."""
         from aiorts.planning.reading import wanted_of
 
-        return self._planned(wanted_of(self.kernel), wanted)
+        return finished(self._planning(wanted_of(self.kernel), wanted))
 
     async def apply(self, wanted: Wanted, *, dry_run: bool, window: float) -> Applied:
         """See `Kernel.apply`."""
-        from aiorts.planning.applying import Application
-        from aiorts.planning.reading import wanted_of
-
         kernel = self.kernel
         if isinstance(window, bool) or not isinstance(window, int | float) or not 0 <= window < math.inf:
             raise ConfigurationError(f"apply: window = {window!r}: expected seconds, 0 or more")
@@ -81,15 +88,9 @@ class Planning(KernelService):
             raise StateError(
                 "apply: called by a hook, or a task, of a component, which it would wait for; call it from outside"
             )
-        now = wanted_of(kernel)
-        planned = self._planned(now, wanted)
         if dry_run:
-            return Applied(planned, done=False)
-        if planned.refused:
-            raise StateError("\n".join(planned.refused))
-        if planned.empty:
-            return Applied(planned)
-        task = kernel_task(kernel.loop, self._apply(Application(kernel, now, wanted, planned), window), "aiorts apply")
+            return Applied(await self._plan(await self._wanted([]), wanted), done=False)
+        task = kernel_task(kernel.loop, self._apply(wanted, window), "aiorts apply")
         self._applying = task
         renewing = kernel.registry.renewing
         renewing.add(task)
@@ -97,18 +98,28 @@ class Planning(KernelService):
         task.add_done_callback(self._ended)
         return await asyncio.shield(task)
 
-    def _planned(self, now: Wanted, wanted: Wanted) -> Plan:
+    def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         components = self.kernel.components.values()
         limited = {port.path for one in components for port in one.ports.values() if port.max_connectors is not None}
-        return plan(now, wanted, limited=limited, exclusive={one.name for one in components if not type(one).parks})
+        yield
+        return (yield from planning(now, wanted, limited, {one.name for one in components if not type(one).parks}))
 
     def _ended(self, task: asyncio.Task[Applied]) -> None:
         self._applying = None
         if not task.cancelled():
             task.exception()  # its caller may have been cancelled
 
-    async def _apply(self, application: Application, window: float) -> Applied:
+    async def _apply(self, wanted: Wanted, window: float) -> Applied:
+        from aiorts.planning.applying import Application
+
         async with self.kernel.registry.renewal:
+            now = await self._wanted([])
+            planned = await self._plan(now, wanted)
+            if planned.refused:
+                raise StateError("\n".join(planned.refused))
+            if planned.empty:
+                return Applied(planned)
+            application = Application(self.kernel, now, wanted, planned)
             await application.load()
             before = await self.health.before(window) if window else None
             try:
@@ -143,13 +154,31 @@ class Planning(KernelService):
         refused.not_undone = left
         raise refused from error
 
-    def _read(self, folder: Path) -> Callable[[], Saved]:
-        """The system of this moment, as a function that writes it."""
-        from aiorts.planning.reading import wanted_of
+    async def _wanted(self, notes: list[str]) -> Wanted:
+        """The system of one moment; where nothing of it changes meanwhile, the loop has its turns."""
+        from aiorts.planning.reading import reading, wanted_of
 
-        notes: list[str] = []
-        wanted = wanted_of(self.kernel, notes)
-        return lambda: Saved(system_text(wanted, Path(os.path.realpath(folder)), notes), tuple(notes))
+        bus = self.kernel.bus
+        for _ in range(_TRIES if self._takes_turns else 0):
+            before, notes[:] = bus.sequence, []
+            found = await in_turns(reading(self.kernel, notes))
+            if bus.sequence == before:
+                return found
+        notes[:] = []
+        return wanted_of(self.kernel, notes)
+
+    async def _plan(self, now: Wanted, wanted: Wanted) -> Plan:
+        steps = self._planning(now, wanted)
+        return await in_turns(steps) if self._takes_turns else finished(steps)
+
+    @property
+    def _takes_turns(self) -> bool:
+        """On a simulated clock nobody waits for the loop, and a run is the same each time."""
+        return not isinstance(self.kernel.clock, SimulatedClock)
+
+
+def _saved(wanted: Wanted, folder: Path, notes: list[str]) -> Saved:
+    return Saved(system_text(wanted, Path(os.path.realpath(folder)), notes), tuple(notes))
 
 
 def _folder_of(path: str | os.PathLike[str]) -> Path:

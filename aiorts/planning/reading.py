@@ -6,7 +6,7 @@ Only what was chosen is in it: what is as a class declares it, or as an option i
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -24,6 +24,7 @@ from aiorts.model.wanted.entries import (
 )
 from aiorts.planning.canon import Canon, service_connection, table, whole
 from aiorts.planning.planning import Planning
+from aiorts.planning.turns import finished
 from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:
@@ -45,7 +46,12 @@ def wanted_of(kernel: Microkernel, notes: list[str] | None = None) -> Wanted:
     Raises:
         SystemFileError: names each component, converter and context of which a system file cannot be made.
     """
-    return _Reader(kernel, [] if notes is None else notes).wanted()
+    return finished(reading(kernel, [] if notes is None else notes))
+
+
+def reading(kernel: Microkernel, notes: list[str]) -> Generator[None, None, Wanted]:
+    """The same a little at a time: what it returns is of no one moment where the system changes in between."""
+    return _Reader(kernel, notes).wanted()
 
 
 class _Reader:
@@ -58,17 +64,33 @@ class _Reader:
         self._supervised = {} if supervising is None else supervising.supervised
         self._rules = _NO_RULES if supervising is None else supervising.rules
 
-    def wanted(self) -> Wanted:
+    def wanted(self) -> Generator[None, None, Wanted]:
+        """Reads it, one thing at each step."""
         kernel = self._kernel
-        there = [one for one in kernel.components.values() if not kernel.registry.is_arriving(one)]
-        composites = [one for one in there if isinstance(one, Composite)]
-        components = {one.name: self._component(one) for one in there if not isinstance(one, Composite)}
+        composites: list[Composite] = []
+        components: dict[str, ComponentEntry] = {}
+        for one in tuple(kernel.components.values()):
+            if isinstance(one, Composite):
+                composites.append(one)
+            elif not kernel.registry.is_arriving(one):
+                components[one.name] = self._component(one)
+                yield
+        connections: list[ConnectionEntry] = []
+        for entry in self._connections():
+            connections.append(entry)
+            yield
+        contexts: dict[str, ContextEntry] = {}
+        for name, context in tuple(kernel.contexts.items()):
+            contexts[name] = self._context(context)
+            yield
         made = Wanted(
             components=MappingProxyType(components),
-            connections=tuple(self._connections()),
-            contexts=MappingProxyType({name: self._context(one) for name, one in kernel.contexts.items()}),
+            connections=tuple(connections),
+            contexts=MappingProxyType(contexts),
             clock=self._clock(),
-            composites=MappingProxyType({one.name: self._composite(one) for one in composites}),
+            composites=MappingProxyType(
+                {one.name: self._composite(one) for one in composites if not kernel.registry.is_arriving(one)}
+            ),
             services=MappingProxyType(dict(self._services())),
             plugin_paths=tuple(whole(folder) for folder in kernel.plugins.folders),
         )
@@ -133,11 +155,11 @@ class _Reader:
 
     def _connections(self) -> Iterator[ConnectionEntry]:
         number = 0
-        for connector in self._kernel.connectors.values():
+        for connector in tuple(self._kernel.connectors.values()):
             number += 1
             ports = (connector.out.path, connector.in_.path)
             yield self._canon.connection(ports, connector.profile, connector.in_.length, number)
-        for service in self._kernel.service_connectors.values():
+        for service in tuple(self._kernel.service_connectors.values()):
             number += 1
             one = service.profile
             ports = (one.ports[0], one.ports[1])

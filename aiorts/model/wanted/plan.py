@@ -7,7 +7,7 @@ touched by no step. The order of components, connections and contexts means noth
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
@@ -71,6 +71,19 @@ def plan(
         limited: paths of ports that take a limited number of connectors: one goes there before another comes.
         exclusive: names of components that hold what their replacement needs: they go before anything is made.
     """
+    steps = planning(now, wanted, limited, exclusive)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            found: Plan = end.value
+            return found
+
+
+def planning(
+    now: Wanted, wanted: Wanted, limited: Collection[str], exclusive: Collection[str]
+) -> Generator[None, None, Plan]:
+    """The same, a little at a time."""
     first = {
         name
         for name in exclusive
@@ -78,12 +91,12 @@ def plan(
         and (name not in wanted.components or wanted.components[name].type != now.components[name].type)
     }
     if not first:
-        return _Planner(now, wanted, limited).plan()
+        return (yield from _Planner(now, wanted, limited).plan())
     between = without(now, first)
-    parts = _Planner(now, between, limited).plan(), _Planner(between, wanted, limited).plan()
-    return Plan(
-        tuple(step for part in parts for step in part.steps), tuple(text for part in parts for text in part.refused)
-    )
+    yield
+    one = yield from _Planner(now, between, limited).plan()
+    other = yield from _Planner(between, wanted, limited).plan()
+    return Plan(one.steps + other.steps, one.refused + other.refused)
 
 
 def without(system: Wanted, names: Collection[str]) -> Wanted:
@@ -120,16 +133,22 @@ class _Planner:
         self._limited = limited
         self._now = now
         self._wanted = wanted
-        self._before = connections_by_name(now)
-        self._after = connections_by_name(wanted)
-        self._touched = {
-            name
-            for name, one in wanted.components.items()
-            if name in now.components and _shape(now.components[name]) != _shape(one)
-        }
+        self._before: Mapping[str, ConnectionEntry] = {}
+        self._after: Mapping[str, ConnectionEntry] = {}
+        self._touched: set[str] = set()
         """Components that may have other ports afterwards."""
 
-    def plan(self) -> Plan:
+    def plan(self) -> Generator[None, None, Plan]:
+        """The steps."""
+        self._before = connections_by_name(self._now)
+        yield
+        self._after = connections_by_name(self._wanted)
+        yield
+        there = self._now.components
+        for name, one in self._wanted.components.items():
+            if name in there and _shape(there[name]) != _shape(one):
+                self._touched.add(name)
+        yield
         refused = tuple(self._refused())
         if refused:
             return Plan((), refused)
@@ -138,7 +157,9 @@ class _Planner:
         gone = [one for name, one in now.components.items() if name not in wanted.components]
         started = [one for name, one in wanted.contexts.items() if name not in now.contexts]
         stopped = [one for name, one in now.contexts.items() if name not in wanted.contexts]
+        yield
         connecting, changing, ending = self._connections()
+        yield
         clearing = [one for one in ending if one.name in self._after or self._goes_first(one.connection)]
         waiting = [one for one in connecting if self._is_touched(one.connection)]
         steps: list[Step] = [
