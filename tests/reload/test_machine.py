@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
-import sys
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +11,7 @@ import pytest
 from aiorts import Component, InPort, Kernel, PeriodicContext
 from aiorts.errors import ComponentError
 from campaign import CAMPAIGN, cases, time_limit
+from machine_parts import spinning
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.anyio, pytest.mark.campaign, pytest.mark.timeout(time_limit(600))]
 WINDOW = 1.0 if CAMPAIGN else 0.5
-SPIN = "import time\nend = time.monotonic() + 60\nwhile time.monotonic() < end: pass"
 WORKER = """
 import time
 
@@ -50,26 +48,6 @@ class Sink(Component):
         for _ in range(3):
             if self.into.is_new:
                 self.into.read_nowait()
-
-
-@asynccontextmanager
-async def spinning() -> AsyncIterator[None]:
-    """Two processes that never wait, each for a minute at the most."""
-    made: list[subprocess.Popen[bytes]] = []
-
-    def start() -> None:
-        made.extend(subprocess.Popen([sys.executable, "-c", SPIN]) for _ in range(2))
-
-    def end() -> None:
-        for process in made:
-            process.kill()
-            process.wait(30.0)
-
-    try:
-        await asyncio.to_thread(start)
-        yield
-    finally:
-        await asyncio.to_thread(end)
 
 
 @asynccontextmanager
@@ -112,7 +90,8 @@ async def test_code_that_more_than_doubles_the_drops_of_an_edge_is_taken_back_al
             await stack.enter_async_context(spinning())
             await kernel.sleep(0.2)
         old = kernel.components["worker"]
-        file.replace("range(1)", "range(2)")
+        # Far more than twice as many: a machine that is busier meanwhile lets fewer be written, and so be dropped.
+        file.replace("range(1)", "range(4)")
         for _ in range(cases(20)):
             with pytest.raises(ComponentError, match=r"worker\.out-sink\.into: \d+ of \d+ samples were dropped in"):
                 await kernel.reload("Worker", window=WINDOW)
