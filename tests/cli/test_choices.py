@@ -110,3 +110,10 @@ def test_annotations_and_documents_name_the_included_file(folder: Path) -> None:
         in here(folder, "check", "system.toml", "--format", "github").stdout
     )
     assert '"file": "sinks.toml", "line": 3, "column": 8' in here(folder, "check", "system.toml", "--json").stdout
+
+
+def test_a_profile_is_made_of_the_system_with_its_variables(folder: Path) -> None:
+    done = here(folder, "export", "system.toml", "--var", "count=5")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert 'rts:name="count" rts:data="5"' in done.stdout
+    assert done.stdout.count("<rts:Components ") == 3

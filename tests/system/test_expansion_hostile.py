@@ -58,6 +58,12 @@ def doubling(count: int, form: str) -> str:
             + "".join(f'[components.a{n}]\ntype = "a"\nparams.p = "${{v}}"\n' for n in range(1000)),
             "has more than 1048576",
         ),
+        (
+            'schema = 1\n[components."a{i}"]\nrepeat = 3000\ntype = "a"\n'
+            + "".join(f'[contexts.c{n}]\nmembers = ["a{{i}}"]\n' for n in range(5000)),
+            "has more than 1048576",
+        ),
+        ("schema = 1\ninclude = [" + ",".join(f'"a{n}.toml"' for n in range(20_000)) + "]\n", "cannot be read"),
         ("schema = 1\n" + "".join(f'[components.a{n}]\ntype = "${{v}}"\n' for n in range(20_000)), "unknown variable"),
         (
             "schema = 1\n[variables]\n"

@@ -251,3 +251,29 @@ def test_a_misspelt_key_of_a_part_is_told_so(write: Callable[..., Path], word: s
 def test_what_is_wrong_in_a_part_that_is_left_out_is_said_too(write: Callable[..., Path]) -> None:
     message = refused(write(SIM.replace('if = "not ${sim}"\ntype', 'if = "not ${sim}"\nparams.data = "${dat}"\ntype')))
     assert message.startswith("system.toml:9:15: components.camera.params.data: unknown variable 'dat'")
+
+
+def test_what_is_wrong_with_each_of_the_repeated_is_said_once(write: Callable[..., Path]) -> None:
+    found = check(write(PAIR.replace('rate_limit = "{i+1}"', "rate_limit = 11")))
+    (finding,) = [one for one in found if one.severity == "error"]
+    assert finding.where == "components.source0.params.rate_limit"
+    assert finding.cause.endswith("(and of 2 more that are repeated)")
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ('["middle{i}.output"]', ["{port}"] * 3),
+        ('"middle{i}.output"', ["{port}"] * 3),
+        ('{ "middle{i}.output" = "out{i}" }', ["out0", "out1", "out2"]),
+        ('{ "middle*.output" = "{component}" }', ["{component}"]),
+    ],
+)
+def test_a_composite_shows_ports_of_each_of_the_repeated(
+    write: Callable[..., Path], given: str, names: list[str]
+) -> None:
+    text = PAIR.replace('"middle{i}", "sink"]', '"sink"]')
+    text += f'[composites.all]\nmembers = ["middle{{i}}"]\nexported = {given}\n'
+    exported = load(write(text)).composites["all"].options["exported"]
+    assert list(exported.values()) == names
+    assert len(names) == 1 or list(exported) == ["middle0.output", "middle1.output", "middle2.output"]

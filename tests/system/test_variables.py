@@ -105,7 +105,7 @@ def test_a_variable_of_an_included_file_is_handed_on_by_the_including_one(write:
         (with_params('{ data = "a${n}" }', "n = [1]"), "6:19: components.one.params.data: n is a list, which stands"),
         (with_params("{}", "a = { b = 1 }"), "3:5: variables.a: expected text, a number, true, false or a list, got"),
         (with_params("{}", '"a b" = 1'), "3:1: variables.a b: variable name 'a b': allowed are letters"),
-        (with_params("{}", 'a = "${b}"\nb = 1'), "3:5: variables.a: unknown variable 'b'; there are none"),
+        (with_params("{}", 'a = "${b}"\nb = 1'), "3:5: variables.a: b stands below it, and a default uses variables"),
         (with_params("{}", 'env = "HOME"'), "3:7: variables.env: env lists the variables that the environment may set"),
         (with_params("{}", "env = [3]"), "3:8: variables.env[1]: expected the name of a variable, got 3"),
         ("schema = 1\nvariables = 3\n", "2:13: variables: expected a table of defaults by name, got 3"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,7 @@ from aiorts.cli.runtime.target import is_file
 from aiorts.errors import AiortsError
 from aiorts.kernel.extensions.arguments import OPTION_TYPES, option_flag, options_of
 from aiorts.kernel.service import load_service
-from aiorts.system import load
+from aiorts.system import Choices, load
 
 _KEY: Final = "aiorts.service options"
 """Where a context of click keeps the options by service, once somebody asked for them."""
@@ -130,15 +130,20 @@ def _flags(option: click.Parameter) -> tuple[str, ...]:
 
 def _folders(args: Sequence[str]) -> list[Path]:
     """Where a command line says that plugins are: after --plugins, and beside a system file."""
-    folders = [Path(after) for word, after in pairwise(args) if word == "--plugins"]
-    folders += [Path(word.removeprefix("--plugins=")) for word in args if word.startswith("--plugins=")]
+    folders = [Path(word) for word in _after("--plugins", args)]
     for word in args:
         if is_file(word):
             try:
-                folders += load(word).plugin_paths
+                folders += load(word, (), Choices(tuple(_after("--var", args)))).plugin_paths
             except AiortsError:
                 continue  # the run says what is wrong with it
     return folders
+
+
+def _after(option: str, args: Sequence[str]) -> Iterator[str]:
+    """The values of an option, whichever way they are written."""
+    yield from (after for word, after in pairwise(args) if word == option)
+    yield from (word.removeprefix(f"{option}=") for word in args if word.startswith(f"{option}="))
 
 
 def _option(service: str, field: dataclasses.Field[Any], kind: Any) -> click.Option:

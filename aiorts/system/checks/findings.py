@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +15,7 @@ from aiorts.system.text.places import Key
 
 _MEANT: Final = re.compile(r"did you mean (?:'([^']+)'|([^\s'?;]+))\?")
 _MISSING: Final = re.compile(r"expected (schema = \d+) in the first line")
+_NUMBER: Final = re.compile(r"\d+")
 SEVERITIES: Final = ("error", "warning", "note")
 
 
@@ -85,9 +87,26 @@ class Said:
     suggestion: str = ""
 
 
+def _once(findings: Iterable[Finding]) -> list[Finding]:
+    """Of what is said of each copy of a repeated part in one place, the first, with the number of the others."""
+    alike: dict[tuple[object, ...], list[Finding]] = {}
+    for one in dict.fromkeys(findings):
+        said = _NUMBER.sub("#", one.where), _NUMBER.sub("#", one.cause)
+        key = (one.path, one.line, one.column, one.code, *said) if one.line else (one,)
+        alike.setdefault(key, []).append(one)
+    found: list[Finding] = []
+    for first, *others in alike.values():
+        if len({one.where for one in (first, *others)}) <= len(others):
+            found += [first, *others]  # one thing, of which several are said
+        else:
+            more = f" (and of {len(others)} more that are repeated)" if others else ""
+            found.append(replace(first, cause=f"{first.cause}{more}"))
+    return found
+
+
 def in_order(findings: Iterable[Finding], files: Sequence[Path]) -> tuple[Finding, ...]:
-    """As they stand in the files; in one place the worse first, and each once."""
-    unique = dict.fromkeys(findings)
+    """As they stand in the files; in one place the worse first, and each once, also where a part is repeated."""
+    unique = _once(findings)
     order = {path: number for number, path in enumerate(files)}
     return tuple(
         sorted(unique, key=lambda one: (order.get(one.path, 0), one.line, one.column, SEVERITIES.index(one.severity)))

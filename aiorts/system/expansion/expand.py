@@ -102,7 +102,7 @@ class _Expansion:
             self._check_given(top)
             if self.mistakes.found:
                 return document
-            for fault in resolve(document):
+            for fault in resolve(document, self._budget):
                 self.mistakes.say(fault)
             self._remap(document)
             for fault in refuse_absent(document):

@@ -80,6 +80,8 @@ class Mistakes:
             if isinstance(fault, Excess) and kind is not Excess:
                 raise
             self.say(fault)
+            if len(self.found) >= _MOST and kind is not Excess:
+                raise Excess(fault.origin, "") from None
 
     def say(self, fault: Fault) -> None:
         if isinstance(fault, Typed):

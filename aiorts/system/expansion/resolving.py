@@ -6,42 +6,19 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from aiorts.system.expansion.entries import COMPONENTS, Document, Entry, groups
-from aiorts.system.expansion.faults import Fault
-from aiorts.system.expansion.repeating import has_number
+from aiorts.system.expansion.faults import Budget, Fault
+from aiorts.system.expansion.repeating import has_number, name_of
 from aiorts.system.text.origins import Origin
 from aiorts.system.text.places import Key
 
 
-def resolve(document: Document) -> Iterator[Fault]:
+def resolve(document: Document, budget: Budget) -> Iterator[Fault]:
     """Put names in the place of those that stand for several, and take those away that are absent."""
     there = {name for table, name in document.names if table in COMPONENTS}
-    absent = {name: origin for name, origin in document.absent.items() if name not in there}
-    document.absent = absent
-    families = document.families
-    if not absent and not families:
-        return
-
-    def names(name: str) -> list[str]:
-        return families.get(name, [] if name in absent else [name])
-
-    def condition(text: str) -> list[str]:
-        name, space, state = text.strip().partition(" ")
-        return [f"{one}{space}{state}" for one in names(name)]
-
-    for entry in document.entries:
-        if entry.table == "connections":
-            yield from _ends(entry, families)
-            continue
-        _put(entry, ("members",), names)
-        _put(entry, ("start", "after"), condition)
-        value = entry.value
-        start = value.get("start")
-        if isinstance(start, dict) and isinstance(start.get("after"), str):
-            found = condition(start["after"])
-            value["start"] = {**start, "after": found[0] if len(found) == 1 else found}
-        if "groups" in value:
-            value["groups"] = groups(value["groups"], names)
-        _leave_out_exported(entry, absent)
+    document.absent = {name: origin for name, origin in document.absent.items() if name not in there}
+    if document.absent or document.families:
+        for entry in document.entries:
+            yield from _Names(document, budget, entry).resolved()
 
 
 def refuse_absent(document: Document) -> Iterator[Fault]:
@@ -57,46 +34,82 @@ def refuse_absent(document: Document) -> Iterator[Fault]:
                 yield Fault(entry.at(key), what if len(key) == 1 else f"{what}, or a connection of its own")
 
 
-def _put(entry: Entry, key: Key, names: Callable[[str], list[str]]) -> None:
-    texts = entry.texts(*map(str, key))
-    if texts is None:
-        return
-    items: list[tuple[Any, Origin]] = [
-        (name, origin) for text, origin in texts for name in (names(text) if isinstance(text, str) else [text])
-    ]
-    if len(items) != len(texts) or any(one[0] is not other[0] for one, other in zip(items, texts, strict=True)):
-        entry.put(key, items)
+class _Names:
+    """What the names in one entry stand for."""
 
+    def __init__(self, document: Document, budget: Budget, entry: Entry) -> None:
+        self._families, self._absent = document.families, document.absent
+        self._budget, self._entry = budget, entry
 
-def _ends(entry: Entry, families: dict[str, list[str]]) -> Iterator[Fault]:
-    """Several ports for one of something repeated; only a list of in-ports may have several."""
-    texts = entry.texts("to")
-    if texts is not None:
+    def resolved(self) -> Iterator[Fault]:
+        """Change the entry."""
+        if self._entry.table == "connections":
+            self._put(("to",), self._ports)
+            yield from self._ends()
+            return
+        self._put(("members",), self._names)
+        self._put(("start", "after"), self._conditions)
+        value = self._entry.value
+        start = value.get("start")
+        if isinstance(start, dict) and isinstance(start.get("after"), str):
+            found = self._conditions(start["after"])
+            value["start"] = {**start, "after": found[0] if len(found) == 1 else found}
+        if "groups" in value:
+            value["groups"] = groups(value["groups"], self._names)
+        if "exported" in value:
+            self._exported(value["exported"])
 
-        def ports(text: str) -> list[str]:
-            name, dot, port = text.partition(".")
-            return [f"{one}{dot}{port}" for one in families[name]] if name in families else [text]
+    def _names(self, name: str) -> list[str]:
+        if name not in self._families:
+            return [] if name in self._absent else [name]
+        found = self._families[name]
+        self._budget.spend(sum(map(len, found)) + len(found), self._entry.origin)
+        return found
 
-        _put(entry, ("to",), ports)
-    for key, end in entry.ends():
-        name = end.partition(".")[0]
-        if name in families and has_number(name):
-            what = f"{name} stands for {len(families[name])} components; write repeat in the connection"
-            yield Fault(entry.at(key), what if key == ("from",) else f'{what}, or a list: to = ["{end}"]')
+    def _conditions(self, text: str) -> list[str]:
+        name, space, state = text.strip().partition(" ")
+        return [f"{one}{space}{state}" for one in self._names(name)]
 
+    def _ports(self, text: str) -> list[str]:
+        """Of a connection, where who is left out is refused."""
+        name, dot, port = text.partition(".")
+        return [f"{one}{dot}{port}" for one in self._names(name)] if name in self._families else [text]
 
-def _leave_out_exported(entry: Entry, absent: dict[str, Origin]) -> None:
-    exported = entry.value.get("exported")
-    if isinstance(exported, dict):
-        entry.value["exported"] = {
-            pattern: shown for pattern, shown in exported.items() if pattern.partition(".")[0] not in absent
-        }
-    elif isinstance(exported, list):
-        _put(
-            entry,
-            ("exported",),
-            lambda pattern: [] if pattern.partition(".")[0] in absent else [pattern],
-        )
-    elif isinstance(exported, str):
-        parts = [one.strip() for one in exported.split(",")]
-        entry.value["exported"] = ",".join(one for one in parts if one.partition(".")[0] not in absent)
+    def _patterns(self, text: str) -> list[str]:
+        name, dot, port = text.strip().partition(".")
+        return [f"{one}{dot}{port}" for one in self._names(name)]
+
+    def _put(self, key: Key, names: Callable[[str], list[str]]) -> None:
+        texts = self._entry.texts(*map(str, key))
+        if texts is None:
+            return
+        items: list[tuple[Any, Origin]] = [
+            (name, origin) for text, origin in texts for name in (names(text) if isinstance(text, str) else [text])
+        ]
+        if [item for item, _ in items] != [text for text, _ in texts]:
+            self._entry.put(key, items)
+
+    def _ends(self) -> Iterator[Fault]:
+        """Faults for one port where several are meant; only a list of in-ports may have several."""
+        for key, end in self._entry.ends():
+            name = end.partition(".")[0]
+            if name in self._families and has_number(name):
+                what = f"{name} stands for {len(self._families[name])} components; write repeat in the connection"
+                yield Fault(self._entry.at(key), what if key == ("from",) else f'{what}, or a list: to = ["{end}"]')
+
+    def _exported(self, exported: Any) -> None:
+        """Ports of the repeated by patterns of their own, and by names with their numbers."""
+        if isinstance(exported, list):
+            self._put(("exported",), self._patterns)
+        elif isinstance(exported, str):
+            parts = [one for part in exported.split(",") for one in self._patterns(part)]
+            self._entry.value["exported"] = ",".join(parts)
+        elif isinstance(exported, dict):
+            made = {}
+            for pattern, shown in exported.items():
+                origin = self._entry.at(("exported", pattern))
+                for number, one in enumerate(self._patterns(pattern)):
+                    made[one] = name_of(shown, number) if one != pattern and isinstance(shown, str) else shown
+                    if one != pattern:
+                        self._entry.moved[("exported", one)] = origin
+            self._entry.value["exported"] = made

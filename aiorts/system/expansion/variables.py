@@ -43,6 +43,14 @@ Given: TypeAlias = Callable[[Any], Any]
 """What is given in place of a default: makes the value of the default; a Fault where the two do not agree."""
 
 
+class _Unknown(Fault):
+    """There is no variable of this name."""
+
+    def __init__(self, name: str, origin: Origin, known: str, *, of_key: bool) -> None:
+        super().__init__(origin, f"unknown variable {name[:80]!r}; {known}", of_key=of_key)
+        self.name = name
+
+
 class Scope:
     """The variables of one file, and what they are put into."""
 
@@ -115,7 +123,7 @@ class Scope:
         known = "there are none; write [variables] with its default; $${ is a ${ that means nothing"
         if self.values:
             known = hint(name, islice(self.values, _MOST_NAMES))
-        raise Fault(origin, f"unknown variable {name[:80]!r}; {known}", of_key=of_key)
+        raise _Unknown(name, origin, known, of_key=of_key)
 
     def _written(self, name: str, closed: str, origin: Origin, *, of_key: bool) -> str:
         """A value in the middle of a text."""
@@ -139,14 +147,21 @@ def declared(
     """
     if not isinstance(table, dict):
         raise Fault(origin, f"expected a table of defaults by name, got {table!r:.80}; write [variables]")
-    scope = Scope(found := {}, budget)
+    found: dict[str, Any] = {}
+    scope = Scope(found, budget)
     listed = _listed(table, origin)
     for name, value in table.items():
         if name == ENV:
             continue
         at = origin.below(name)
         _check_name(name, at, of_key=True)
-        default = scope.filled(value, at)
+        try:
+            default = scope.filled(value, at)
+        except _Unknown as fault:
+            if fault.name not in table:
+                raise
+            what = f"{fault.name} stands below it, and a default uses variables above it; write {fault.name} first"
+            raise Fault(fault.origin, what) from None
         _kind(default, at)
         found[name] = _chosen(name, given, listed, environ, default)
     for name, at in listed.items():

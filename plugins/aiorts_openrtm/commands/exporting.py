@@ -12,7 +12,7 @@ import click
 
 from aiorts import declaration_of, exits
 from aiorts.errors import AiortsError
-from aiorts.system import SystemFile, load, prepare
+from aiorts.system import Choices, SystemFile, load, prepare
 from aiorts_openrtm.commands.output import check_free, say, say_json, write
 from aiorts_openrtm.errors import OpenRTMError
 from aiorts_openrtm.markup.element import Element, indented
@@ -43,8 +43,16 @@ _FILE = click.Path(path_type=Path)
     help="Write PROFILE; - is standard output, as by default.",
 )
 @click.option("--force", is_flag=True, help="Overwrite PROFILE.")
+@click.option("--var", "variables", multiple=True, metavar="NAME=VALUE", help="Set a variable of the system file.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document: the text, and the notes.")
-def export(file: Path, form: Literal["rtsprofile", "yaml"], output: str, force: bool, as_json: bool) -> int:
+def export(
+    file: Path,
+    form: Literal["rtsprofile", "yaml"],
+    output: str,
+    force: bool,
+    variables: tuple[str, ...],
+    as_json: bool,
+) -> int:
     """Make a profile of FILE, a system file or a file of OpenRTM, for RTSystemEditor and rtshell.
 
     What is not in a system file (layout, ids, comments, properties of others) comes from the file that it was made of,
@@ -54,7 +62,7 @@ def export(file: Path, form: Literal["rtsprofile", "yaml"], output: str, force: 
     """
     check_free(output, force=force)
     notes: list[Note] = []
-    element = _element(file, notes)
+    element = _element(file, Choices(variables), notes)
     text = _text(element, form, notes)
     if output != "-":
         write(text, output, force=force)
@@ -74,7 +82,7 @@ def _text(element: Element, form: str, notes: list[Note]) -> str:
     return xml_of_element(element) if form == "rtsprofile" else yaml_of_element(element, notes)
 
 
-def _element(file: Path, notes: list[Note]) -> Element:
+def _element(file: Path, choices: Choices, notes: list[Note]) -> Element:
     from aiorts_openrtm.mapping.exporting import exported
     from aiorts_openrtm.mapping.opening import opened
     from aiorts_openrtm.mapping.types import Types
@@ -88,7 +96,7 @@ def _element(file: Path, notes: list[Note]) -> Element:
         notes += found.notes
         root = found.profile.element
         return root if found.kind == "rtsprofile" else _dated(indented(root), found.kind)
-    system = load(file)
+    system = load(file, (), choices)
     origin = _origin(system, notes)
     if origin is None:
         profile = RtsProfile.of(_empty(file.stem))
@@ -111,7 +119,7 @@ def _origin(system: SystemFile, notes: list[Note]) -> Path | None:
         return None
     if not isinstance(stated, str):
         raise OpenRTMError(f"{system.at('openrtm', 'profile')}: openrtm.profile: expected the name of a file")
-    path = system.folder / stated
+    path = system.folder_of(("openrtm",)) / stated
     if path.exists():
         return path
     where = system.at("openrtm", "profile")
