@@ -33,6 +33,7 @@ _COMMANDS: Final = {
     "demo": ("aiorts.cli.demo.command:demo", "See a small system run; save it to begin with."),
     "new": ("aiorts.cli.new.command:new", "Write a plugin with a new component, to begin with."),
     "inspect": ("aiorts.cli.commands.inspection:inspect", "Show a component or a type without running it."),
+    "doc": ("aiorts.cli.commands.doc:doc", "Write a page about a component: Markdown or HTML."),
     "types": ("aiorts.cli.commands.record_types:types", "List the record types that ports can have."),
     "ls": ("aiorts.cli.commands.live.look.ls:ls", "List the kernels that run, their components and ports."),
     "cat": ("aiorts.cli.commands.live.look.cat:cat", "Show a component, port, connector, context or kernel that runs."),

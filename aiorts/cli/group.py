@@ -47,7 +47,7 @@ _SECTIONS: Final = (
             "stop",
         ),
     ),
-    ("What there is", ("inspect", "types", "plugins", "filter")),
+    ("What there is", ("inspect", "doc", "types", "plugins", "filter")),
     ("Shell", ("completion",)),
 )
 """Every other command of aiorts stands below "More"."""

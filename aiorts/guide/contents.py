@@ -34,7 +34,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
                 "live-log",
             ),
             *("foxglove-live", "filters", "notebook"),
-            *("write-plugin", "write-context", "write-codec", "write-service", "write-bench"),
+            *("write-plugin", "describe-components", "write-context", "write-codec", "write-service", "write-bench"),
         ),
     ),
     "reference": (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Final
 
@@ -12,9 +11,9 @@ from aiorts import exits
 from aiorts.cli.commands.live.look.reading import is_live, profiles_of, tell_of
 from aiorts.cli.commands.live.target import complete_systems
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
+from aiorts.cli.commands.written import give
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.finding import below, line_of
-from aiorts.errors import ConfigurationError
 from aiorts.system import AS_WRITTEN, GRAPH_FORMATS, Choices, check, graph, load, running_graph
 
 _ENDINGS: Final = {
@@ -66,14 +65,14 @@ def graph_command(
         if choices != AS_WRITTEN:
             raise click.UsageError(f"--var and --remap are of a system file, and {file} is none")
         earlier, later = profiles_of(file, 2)[1]
-        _give(output, running_graph(later, language, earlier))
+        give(output, running_graph(later, language, earlier))
         return exits.DONE
     system = load(file, changes, choices)
     with quietly():
         catalogue = catalogue_of(system, plugins)
         text = graph(system, language, catalogue)
         wrong = [one for one in check(file, changes, catalogue.folders, choices) if one.severity == "error"]
-    _give(output, text)
+    give(output, text)
     tell_of(file, "graph")
     for one in wrong:
         click.echo("\n".join((line_of(one), *below(one))), err=True)
@@ -86,24 +85,3 @@ def _language_of(output: str | None) -> str:
         there = ", ".join(filter(None, _ENDINGS))
         raise click.UsageError(f"-o {output}: no drawing ends in {ending}; there are {there}; or give --format")
     return _ENDINGS.get(ending, "mermaid")
-
-
-def _give(output: str | None, text: str) -> None:
-    if output is None or output == "-":
-        click.echo(text, nl=False)
-    else:
-        _write(Path(output), text)
-
-
-def _write(path: Path, text: str) -> None:
-    """Write the whole text or nothing: an existing file is replaced when the new one is complete."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        if path.exists() and not path.is_file():
-            path.write_text(text, encoding="utf-8")  # a device, a pipe
-            return
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise ConfigurationError(f"-o {path}: cannot be written: {error.strerror or error}") from None

@@ -253,11 +253,12 @@ def _services(ports: Iterable[dict[str, Any]]) -> str:
     for port in ports:
         for one in port["interfaces"]:
             parts.append(f"  {port['name']}: {one['polarity']} {one['type']}")
-            parts.append(table([_method(method) for method in one["methods"]], indent="    "))
+            parts.append(table([method_text(method) for method in one["methods"]], indent="    "))
     return "\n".join(part for part in parts if part)
 
 
-def _method(method: dict[str, Any]) -> tuple[str, str]:
+def method_text(method: dict[str, Any]) -> tuple[str, str]:
+    """A method as one would write it, and the first line of its docstring."""
     parameters = tuple(ParameterProfile(**one) for one in method["parameters"])
     shown = MethodProfile(**{**method, "parameters": parameters})
     return str(shown), shown.doc.partition("\n")[0]
