@@ -123,8 +123,8 @@ def _blocks(subject: Subject, drawn: Drawn) -> Iterator[Block]:
     chart = getattr(subject.cls, "chart", None)
     if isinstance(chart, Chart):
         yield Head(2, "State machine")
-        rows = [row for state in chart.structure.states for row in _transitions(state, "")]
-        yield Table(("State", "On", "If", "Does", "Goes to"), rows)
+        lines = [row for state in chart.structure.states for row in _transitions(state, "")]
+        yield Table(("State", "On", "If", "Does", "Goes to"), lines)
     if profile["hooks"]:
         yield Head(2, "Hooks")
         yield Text(", ".join(profile["hooks"]))
