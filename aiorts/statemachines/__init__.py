@@ -10,6 +10,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.statemachines.chart_structure import StateStructure
     from aiorts.statemachines.charting import Chart, ChartWarning
     from aiorts.statemachines.coverage import ChartCoverage, chart_coverage
     from aiorts.statemachines.machine import EventPort, StateMachine, StateMachineComponent
@@ -23,6 +24,7 @@ _late(
     {
         "aiorts.statemachines.coverage": "ChartCoverage chart_coverage",
         "aiorts.statemachines.paths": "ChartPath ChartPaths Move chart_paths",
+        "aiorts.statemachines.chart_structure": "StateStructure",
         "aiorts.statemachines.charting": "Chart ChartWarning",
         "aiorts.statemachines.machine": "EventPort StateMachine StateMachineComponent",
         "aiorts.statemachines.machine_events": "MachineAfter MachineBefore MachineChanged MachineEnded",

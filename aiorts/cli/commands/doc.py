@@ -19,7 +19,7 @@ from aiorts.cli.console.report import printed
 from aiorts.cli.console.subjects import Subject, find_subject
 from aiorts.errors import ConfigurationError
 from aiorts.statechart import Chart
-from aiorts.statemachines.chart_structure import StateStructure
+from aiorts.statemachines import StateStructure
 from aiorts.system import graph, load
 
 
