@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import pytest
@@ -59,3 +60,27 @@ async def test_the_first_that_fails_ends_it_with_file_and_line(
         found, said = await commanded(capsys, "batch", str(file))
         assert (found, text in said) == (status, True), said
         assert kernel.components["counter0"].configuration.values["step"] == step
+
+
+async def test_with_keep_going_all_are_carried_out_and_the_first_failure_gives_the_status(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = "conf counter0 step=5\nexit reader9\n\nconf counter0 --nosuch\nconf counter0 step=6\n"
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(lines.encode())))
+    async with controlled() as kernel:
+        status, said = await commanded(capsys, "batch", "-", "--keep-going")
+        assert status == 6
+        for text in ("standard input:2: reader9", "standard input:4: No such option", "2 of 4 commands failed"):
+            assert text in said
+        assert kernel.components["counter0"].configuration.values["step"] == 6.0
+
+
+async def test_with_keep_going_a_line_that_is_no_such_command_ends_it_before_the_first(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.txt"
+    file.write_text("conf counter0 step=5\nrun other.toml\n")
+    async with controlled() as kernel:
+        status, said = await commanded(capsys, "batch", str(file), "--keep-going")
+        assert (status, "robot.txt:2: run: is no command" in said) == (2, True)
+        assert kernel.components["counter0"].configuration.values["step"] == 1.0

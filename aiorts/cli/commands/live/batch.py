@@ -11,6 +11,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.conf import text_of
 from aiorts.cli.commands.live.target import sharing
+from aiorts.cli.console.report import report, report_error
 from aiorts.errors import AiortsError
 
 _HERE: Final = __name__.rpartition(".")[0]
@@ -19,13 +20,15 @@ _HERE: Final = __name__.rpartition(".")[0]
 @click.command(short_help="Carry out commands for what runs, from a file.")
 @click.argument("file", type=click.Path(dir_okay=False, allow_dash=True), metavar="FILE | -")
 @click.option("--dry-run", is_flag=True, help="Only look whether each line is such a command.")
+@click.option("--keep-going", is_flag=True, help="Go on after a line that fails; say at the end how many did.")
 @click.pass_context
-def batch(ctx: click.Context, file: str, dry_run: bool) -> int:
+def batch(ctx: click.Context, file: str, dry_run: bool, keep_going: bool) -> int:
     """Carry out the commands in FILE, or on standard input, a line each as after `aiorts`; # begins a comment.
 
     Commands for what runs are taken: conf, connect, comp, ctx, call ... They share one session with each kernel that
     runs when it begins. The first that fails ends it with its own status, file and line before its message; what was
-    done before stays. Where a line is no such command, none is carried out.
+    done before stays. Where a line is no such command, none is carried out. With --keep-going the others are carried
+    out all the same, and the status is that of the first that failed.
     """
     root: Any = ctx.find_root().command
     place = "standard input" if file == "-" else file
@@ -34,11 +37,28 @@ def batch(ctx: click.Context, file: str, dry_run: bool) -> int:
         _check(ctx, root, f"{place}:{number}", words)
     if dry_run:
         return exits.DONE
+    failed: list[int] = []
     with sharing():
         for number, words in lines:
-            if status := _carry_out(root, f"{place}:{number}", words):
-                return status
-    return exits.DONE
+            try:
+                status = _carry_out(root, f"{place}:{number}", words)
+            except AiortsError as error:
+                if not keep_going:
+                    raise
+                report_error(error, verbose=False)
+                status = exits.of_error(error)
+            except click.ClickException as error:
+                if not keep_going:
+                    raise
+                report("E-USAGE", error.format_message())
+                status = error.exit_code
+            if status:
+                failed.append(status)
+                if not keep_going:
+                    break
+    if keep_going and failed:
+        click.echo(f"{place}: {len(failed)} of {len(lines)} commands failed", err=True)
+    return failed[0] if failed else exits.DONE
 
 
 def _lines(text: str, place: str) -> Iterator[tuple[int, list[str]]]:
