@@ -179,6 +179,7 @@ def renew(kernel: KernelSide, connector: Connector, profile: ConnectorProfile) -
             old.replace(PLAIN, in_._receiver)
             old = connector._transport
         old.settle()
+        old.admit_all()
         old.share(False, out._sent)
         old.count_displaced()
         receiver = in_._receiver
