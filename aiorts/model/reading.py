@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import types
 import typing
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
 from functools import lru_cache
@@ -129,7 +129,7 @@ def _made(hint: Any, made: dict[Any, _Reader]) -> _Reader:
         return _union(hint, {one: _made(one, made) for one in arguments})
     if origin is typing.Literal:
         return _one_of(arguments, arguments)
-    if origin is tuple and arguments[1:] == (...,):
+    if origin is Sequence or (origin is tuple and arguments[1:] == (...,)):
         return _many(_made(arguments[0], made))
     if origin is tuple:
         return _fixed([_made(one, made) for one in arguments])
@@ -320,7 +320,7 @@ def _taken(hint: Any) -> Iterable[type]:
         return {type(word) for word in typing.get_args(hint)}
     if isinstance(hint, type) and issubclass(hint, Enum):
         return {type(one.value) for one in hint}
-    return (list, tuple) if typing.get_origin(hint) is tuple else (dict,)
+    return (list, tuple) if typing.get_origin(hint) in (tuple, Sequence) else (dict,)
 
 
 def _fit(kind: Any, value: Mapping[Any, Any]) -> tuple[int, int]:
@@ -407,4 +407,6 @@ def _name(hint: Any) -> str:
     """How messages call an annotation."""
     if isinstance(hint, type) and typing.get_origin(hint) is None:
         return _WORDS.get(hint) or hint.__name__
-    return {tuple: "a list", Mapping: "an object", dict: "an object"}.get(typing.get_origin(hint)) or str(hint)
+    return {tuple: "a list", Sequence: "a list", Mapping: "an object", dict: "an object"}.get(
+        typing.get_origin(hint)
+    ) or str(hint)

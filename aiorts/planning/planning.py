@@ -77,6 +77,10 @@ class Planning(KernelService):
 
         return finished(self._planning(wanted_of(self.kernel), wanted))
 
+    async def plan_aside(self, wanted: Wanted) -> Plan:
+        """The same; the loop has its turns meanwhile."""
+        return await self._plan(await self._wanted([]), wanted)
+
     async def apply(self, wanted: Wanted, *, dry_run: bool, window: float) -> Applied:
         """See `Kernel.apply`."""
         kernel = self.kernel
@@ -89,7 +93,7 @@ class Planning(KernelService):
                 "apply: called by a hook, or a task, of a component, which it would wait for; call it from outside"
             )
         if dry_run:
-            return Applied(await self._plan(await self._wanted([]), wanted), done=False)
+            return Applied(await self.plan_aside(wanted), done=False)
         task = kernel_task(kernel.loop, self._apply(wanted, window), "aiorts apply")
         self._applying = task
         renewing = kernel.registry.renewing

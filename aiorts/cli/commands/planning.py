@@ -1,53 +1,104 @@
-"""`aiorts plan OLD NEW`: what would have to be done to make one system of another."""
+"""`aiorts plan`: what would have to be done to make one system of another, or of one that runs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
 from aiorts import exits
+from aiorts.cli.commands.live.showing import timeout_option
+from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.output import say, say_json
-from aiorts.errors import SystemFileError
+from aiorts.errors import LimitError, SystemFileError
+from aiorts.model.wanted.carried import carried
 from aiorts.model.wanted.plan import plan
 from aiorts.system import AS_WRITTEN, Choices, Wanted, load, prepare, wanted
 
 _FILE: Final = click.Path(dir_okay=False, path_type=Path)
+_PART: Final = 60_000
+_MOST: Final = 500_000
+"""Characters that a kernel takes at a time, in texts of so many."""
 
 
 @click.command("plan", short_help="Show what makes one system of another.")
-@click.argument("old", metavar="OLD.toml", type=_FILE)
-@click.argument("new", metavar="NEW.toml", type=_FILE)
+@click.argument("old", metavar="[OLD.toml]", type=_FILE)
+@click.argument("new", metavar="NEW.toml", type=_FILE, required=False)
+@click.option("--live", metavar="KERNEL", help="In place of OLD.toml: what runs.", shell_complete=complete_kernels)
 @click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of NEW.")
 @choices_options
 @plugins_option
+@timeout_option(8.0, "With --live wait S seconds")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document: the steps, each with its text.")
 def plan_command(
-    old: Path, new: Path, changes: tuple[str, ...], choices: Choices, plugins: tuple[Path, ...], as_json: bool
+    old: Path,
+    new: Path | None,
+    live: str | None,
+    changes: tuple[str, ...],
+    choices: Choices,
+    plugins: tuple[Path, ...],
+    timeout: float,
+    as_json: bool,
 ) -> int:
-    """List the steps that make the system of NEW of a running one of OLD, in order.
+    """List the steps that make the system of NEW of a running one of OLD, or of KERNEL, in order.
 
     What is new is made and connected first; then what changes is switched over; then the rest is disconnected and
     removed. What is equal in both is touched by no step. Component files and plugins are imported, no hook runs. Exit
     status: 0 when there is no difference, 1 when there is, 2 when it cannot be done while the system runs.
     """
-    with quietly():
-        found = plan(_wanted(old, (), AS_WRITTEN, plugins), _wanted(new, changes, choices, plugins))
+    if (live is None) is (new is None):
+        raise click.UsageError("give two files, or one file and --live KERNEL")
+    if live is not None:
+        return say_planned(planned_live(wanted_of(old, changes, choices, plugins), live, timeout), as_json=as_json)
+    assert new is not None  # noqa: S101 - one of both was given
+    before = wanted_of(old, (), AS_WRITTEN, plugins)
+    return say_planned(plan(before, wanted_of(new, changes, choices, plugins)).to_plain(), as_json=as_json)
+
+
+def planned_live(system: Wanted, live: str, timeout: float) -> Mapping[str, Any]:
+    """The steps that make this system of one that runs, in plain form."""
+    with kernels() as found:
+        done: Mapping[str, Any] = found.kernel(live.rstrip("/")).client.call("plan", timeout, wanted=parts_of(system))
+        return done
+
+
+def say_planned(found: Mapping[str, Any], *, as_json: bool) -> int:
+    """Print steps; the exit status.
+
+    Raises:
+        SystemFileError: it cannot be done while the system runs, and no document is asked for.
+    """
     if as_json:
-        say_json(found.to_plain())
+        say_json(found)
     else:
-        for step in found.steps:
-            say(f"{step.sign} {step.text}")
-    if found.refused:
+        say_steps(found["steps"])
+    if found["refused"]:
         if not as_json:
-            raise SystemFileError("; ".join(found.refused))
+            raise SystemFileError("; ".join(found["refused"]))
         return exits.REFUSED
-    return exits.FAILED if found.steps else exits.DONE
+    return exits.FAILED if found["steps"] else exits.DONE
 
 
-def _wanted(file: Path, changes: tuple[str, ...], choices: Choices, plugins: tuple[Path, ...]) -> Wanted:
-    system = load(file, changes, choices)
-    return wanted(prepare(system, catalogue_of(system, plugins)))
+def say_steps(steps: Iterable[Mapping[str, Any]]) -> None:
+    """Print steps in plain form, each as a line."""
+    for step in steps:
+        say(f"{step['sign']} {step['text']}")
+
+
+def wanted_of(file: Path, changes: tuple[str, ...], choices: Choices, plugins: tuple[Path, ...]) -> Wanted:
+    """The system that a file describes."""
+    with quietly():
+        system = load(file, changes, choices)
+        return wanted(prepare(system, catalogue_of(system, plugins)))
+
+
+def parts_of(system: Wanted) -> tuple[str, ...]:
+    """The system as operations take it. LimitError when it is too large to be sent."""
+    text = carried(system)
+    if len(text) > _MOST:
+        raise LimitError(f"the system is too large to be sent: {len(text)} characters, at most {_MOST}")
+    return tuple(text[at : at + _PART] for at in range(0, len(text), _PART))

@@ -37,7 +37,7 @@ class Step:
 
     def to_plain(self) -> dict[str, Any]:
         """The step as JSON has it."""
-        return {"step": type(self).__name__, "text": self.text, **plain(self)}
+        return {"step": type(self).__name__, "sign": self.sign, "text": self.text, **plain(self)}
 
 
 # -- what comes and goes -----------------------------------------------------------------------------------------------

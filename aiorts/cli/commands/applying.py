@@ -1,0 +1,76 @@
+"""`aiorts apply`: the system of a file is made of one that runs, whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from aiorts import exits
+from aiorts.cli.commands.live.showing import json_option, timeout_option
+from aiorts.cli.commands.live.target import complete_kernels, kernels
+from aiorts.cli.commands.planning import parts_of, planned_live, say_planned, say_steps, wanted_of
+from aiorts.cli.commands.unrun import plugins_option
+from aiorts.cli.console.choices_option import choices_options
+from aiorts.cli.console.output import say, say_json
+from aiorts.system import Choices
+
+
+@click.command(short_help="Make another system of one that runs.")
+@click.argument("file", metavar="SYSTEM.toml", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--live", default="", metavar="KERNEL", help="The kernel, where several run.", shell_complete=complete_kernels
+)
+@click.option(
+    "--window",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    metavar="S",
+    help="Measure S seconds before the change and S after it; it must not do worse.",
+)
+@click.option("--dry-run", is_flag=True, help="Print the steps and change nothing, as aiorts plan --live.")
+@click.option("--set", "changes", multiple=True, metavar="COMPONENT.PARAM=VALUE", help="Set a parameter of the file.")
+@choices_options
+@plugins_option
+@timeout_option(30.0, "Wait S seconds, and twice the window")
+@json_option("One JSON document: the steps, and what became of them.")
+def apply(
+    file: Path,
+    live: str,
+    window: float,
+    dry_run: bool,
+    changes: tuple[str, ...],
+    choices: Choices,
+    plugins: tuple[Path, ...],
+    timeout: float,
+    as_json: bool,
+) -> int:
+    """Make the system of SYSTEM.toml of the one that runs in KERNEL, whole or not at all.
+
+    What is equal in both is not touched. A step that fails is taken back with those before it. With --window all is
+    taken back when the system does worse afterwards: a component in error, overruns or drops more than before, rates
+    lower; the figure is named. Exit status: 0 when the system is that of the file, 1 when it was taken back, 2 when it
+    was refused and nothing was done. With --dry-run it is that of aiorts plan.
+    """
+    system = wanted_of(file, changes, choices, plugins)
+    if dry_run:
+        return say_planned(planned_live(system, live, timeout), as_json=as_json)
+    with kernels(changing=True) as found:
+        client = found.kernel(live.rstrip("/")).client
+        done = client.call("apply", timeout + 2 * window, wanted=parts_of(system), window=window)
+    if as_json:
+        say_json(done)
+    else:
+        say_steps(done["steps"])
+        for note in done["notes"]:
+            say(f"not as it was: {note}")
+        say(_outcome(done["steps"], done["rolled_back"], window))
+    return exits.DONE if done["done"] else exits.FAILED
+
+
+def _outcome(steps: list[object], rolled_back: str, window: float) -> str:
+    if rolled_back:
+        return f"taken back: {rolled_back}"
+    if not steps:
+        return "no difference"
+    return f"kept after {window:g} s" if window else "done"
