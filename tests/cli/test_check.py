@@ -102,6 +102,7 @@ def test_json_is_one_object_for_each_file(write: Callable[..., str], capsys: Out
         "cause": "unknown option 'lenght'",
         "remedy": "did you mean 'length'?",
         "suggestion": "length",
+        "copies": 0,
     }
     assert (second["findings"][0]["line"], third["findings"][0]["line"]) == (1, 0)
 

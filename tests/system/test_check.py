@@ -128,6 +128,7 @@ def test_the_broken_roomba_says_what_is_wrong_where(tmp_path: Path) -> None:
     assert "did you mean 'turn_rate'" in errors[4].remedy
 
 
+@pytest.mark.row(78)
 @pytest.mark.fault("F03")
 def test_eighteen_of_twenty_typing_mistakes_get_the_right_hint(write: Write) -> None:
     typos = [

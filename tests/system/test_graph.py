@@ -24,6 +24,7 @@ EXAMPLES = sorted((ROOT / "examples").rglob("system.toml"))
 SVG = "{http://www.w3.org/2000/svg}"
 
 
+@pytest.mark.row(113)
 def test_mermaid_has_contexts_components_ports_and_connectors(tmp_path: Path, write: Callable[..., Path]) -> None:
     text = CHAIN.replace("length = 4", 'subscription = "new"\npush = "skip"').replace("100.0", "12.5")
     assert graph(load(write(text))) == (
@@ -40,6 +41,7 @@ def test_mermaid_has_contexts_components_ports_and_connectors(tmp_path: Path, wr
     )
 
 
+@pytest.mark.row(113)
 def test_dot_joins_port_with_port(write: Callable[..., Path]) -> None:
     text = graph(load(write(CHAIN.replace("length = 4", 'subscription = "periodic"\npush_rate = 5'))), "dot")
     assert '    c0 [label="{source\\nSource|{<o0> out: TimedLong}}"];\n' in text

@@ -257,7 +257,8 @@ def test_what_is_wrong_with_each_of_the_repeated_is_said_once(write: Callable[..
     found = check(write(PAIR.replace('rate_limit = "{i+1}"', "rate_limit = 11")))
     (finding,) = [one for one in found if one.severity == "error"]
     assert finding.where == "components.source0.params.rate_limit"
-    assert finding.cause.endswith("(and of 2 more that are repeated)")
+    assert finding.copies == 2
+    assert "(and of 2 more that are repeated)" in finding.message
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,7 @@ def test_it_is_a_schema() -> None:
     json.dumps(SCHEMA, allow_nan=False)
 
 
+@pytest.mark.row(78)
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_the_system_file_of_every_example_validates(path: Path) -> None:
     own = schema(Catalogue(load(path).plugin_paths))
@@ -69,6 +70,7 @@ def test_the_good_one_of_which_the_broken_ones_are_made_validates() -> None:
     assert faults(GOOD) == []
 
 
+@pytest.mark.row(78)
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -145,6 +147,7 @@ members = []
 """
 
 
+@pytest.mark.row(78)
 def test_templates_validate_wherever_a_value_does() -> None:
     assert faults(TEMPLATES) == []
 

@@ -149,3 +149,9 @@ def test_what_is_no_variable_is_written_with_two_dollars_and_saved_so(write: Cal
 def test_a_value_is_put_in_once(write: Callable[..., Path]) -> None:
     path = write(with_params('{ data = "${a}" }', 'a = ""\nb = "x"'))
     assert params(load(path, (), Choices(("a=${b}",)))) == {"data": "${b}"}
+
+
+def test_a_variable_that_no_text_has_is_told_of(write: Callable[..., Path]) -> None:
+    found = [one for one in check(write(WHOLE.replace('"${rate}"', "5.0"))) if one.code == "N-VARIABLE"]
+    assert [(one.severity, one.line, one.where) for one in found] == [("note", 4, "variables.rate")]
+    assert [one for one in check(write(WHOLE)) if one.code == "N-VARIABLE"] == []

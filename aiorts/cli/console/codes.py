@@ -304,6 +304,11 @@ CODES: Final[dict[str, Code]] = {
         "Its on_initialize adds ports, and no hook runs while a file is checked.",
         "Add them in a method make_ports that on_initialize calls.",
     ),
+    "N-VARIABLE": Code(
+        "A variable of a system file is in no text of it.",
+        "It is misspelt here or where it is meant, or no longer needed.",
+        'Write "${name}" where it is meant, or remove it.',
+    ),
     "W-BLOCK": Code(
         "A writer may wait forever, for a reader that runs only after it or waits for it.",
         "full = block without a time-out, and a buffer shorter than what one cycle writes; or length = 0 both ways.",

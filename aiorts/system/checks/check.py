@@ -64,6 +64,10 @@ def check_text(
         Said("error", SystemFileError.code, one.key, one.what, one.of_key, one.where, one.spot(system.origins))
         for one in mistakes
     ]
+    said += [
+        Said("note", "N-VARIABLE", one.key, one.what, one.of_key, one.where, one.spot(system.origins))
+        for one in system.notes
+    ]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
     said += [
         Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)

@@ -41,6 +41,8 @@ class Finding:
     """The line of the file."""
     suggestion: str = ""
     """Text for the file that would mend it."""
+    copies: int = 0
+    """Further copies of a repeated part of which the same is to be said."""
 
     @property
     def place(self) -> str:
@@ -63,14 +65,15 @@ class Finding:
     @property
     def message(self) -> str:
         """Cause and remedy in one line."""
-        return f"{self.cause}; {self.remedy}" if self.remedy else self.cause
+        cause = f"{self.cause} (and of {self.copies} more that are repeated)" if self.copies else self.cause
+        return f"{cause}; {self.remedy}" if self.remedy else cause
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it."""
         words = ("line", "column", "width", "where", "cause", "remedy")
         head = {"severity": self.severity, "code": self.code, "file": str(self.path)}
         found = {word: getattr(self, word) for word in words}
-        return head | found | {"suggestion": self.suggestion or self.mended}
+        return head | found | {"suggestion": self.suggestion or self.mended, "copies": self.copies}
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +102,7 @@ def _once(findings: Iterable[Finding]) -> list[Finding]:
         if len({one.where for one in (first, *others)}) <= len(others):
             found += [first, *others]  # one thing, of which several are said
         else:
-            more = f" (and of {len(others)} more that are repeated)" if others else ""
-            found.append(replace(first, cause=f"{first.cause}{more}"))
+            found.append(replace(first, copies=len(others)))
     return found
 
 

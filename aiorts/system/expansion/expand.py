@@ -7,7 +7,7 @@ nothing of all this is handed on as it is.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -25,7 +25,7 @@ from aiorts.system.expansion.resolving import refuse_absent, resolve
 from aiorts.system.expansion.variables import Given, Scope, declared, handed, names_of, typed
 from aiorts.system.expansion.writing import document_text
 from aiorts.system.text.origins import Origin, Origins, Source
-from aiorts.system.text.reading import Mistake, hint
+from aiorts.system.text.reading import Mistake, hint, spelled
 from aiorts.system.text.toml import LARGEST, NotToml, tables
 from aiorts.system.text.version import version_fault
 
@@ -49,6 +49,8 @@ class Expanded:
     origins: Origins
     mistakes: tuple[Mistake, ...] = ()
     """Where there are any, the tables are empty."""
+    notes: tuple[Mistake, ...] = ()
+    """What is not wrong, but good to know."""
 
 
 def expand(main: Source, choices: Choices, environ: Mapping[str, str], read: Reader) -> Expanded:
@@ -67,7 +69,7 @@ def expand(main: Source, choices: Choices, environ: Mapping[str, str], read: Rea
     if expansion.mistakes.found:
         return Expanded({}, main.text, Origins(main, others=others), tuple(expansion.mistakes.found))
     whole, moved = joined(document, top, main)
-    return Expanded(whole, document_text(whole), Origins(main, moved, others))
+    return Expanded(whole, document_text(whole), Origins(main, moved, others), (), tuple(expansion.notes()))
 
 
 def _is_written_so(top: Mapping[str, Any], text: str) -> bool:
@@ -87,6 +89,7 @@ class _Expansion:
         self._left = _MOST
         self._characters = LARGEST - len(main.text)
         self._declared: dict[str, Path] = {}
+        self._read_files: list[File] = []
         self.files: dict[Path, tuple[Path, Source, dict[str, Any]]] = {}
         self.mistakes = Mistakes()
         self._kept = self.mistakes.kept
@@ -108,6 +111,19 @@ class _Expansion:
             for fault in refuse_absent(document):
                 self.mistakes.say(fault)
         return document
+
+    def notes(self) -> Iterator[Mistake]:
+        """Variables that no text has, in none of the files as often as it is read."""
+        used = {(file.source.path, name) for file in self._read_files for name in file.scope.used}
+        unused = {
+            (file.source.path, name): file.at(VARIABLES, name)
+            for file in self._read_files
+            for name in file.scope.values
+            if (file.source.path, name) not in used
+        }
+        for (_, name), origin in unused.items():
+            what = f'no text has it; write "${{{name}}}" where it is meant, or take it away'
+            yield Mistake(origin.key, spelled(origin.key), what, True, origin)
 
     # -- what the command line says --------------------------------------------------------------------------------
 
@@ -159,6 +175,7 @@ class _Expansion:
                     with self._kept():
                         self._include(document, file, given, origin)
         put_own(document, file, self._kept)
+        self._read_files.append(file)
         return document
 
     # -- including ---------------------------------------------------------------------------------------------------

@@ -56,6 +56,7 @@ class Scope:
 
     def __init__(self, values: Mapping[str, Any], budget: Budget) -> None:
         self.values = values
+        self.used: set[str] = set()
         self._budget = budget
 
     def filled(self, value: Any, origin: Origin, moved: dict[Key, Origin] | None = None) -> Any:
@@ -119,6 +120,7 @@ class Scope:
 
     def _value(self, name: str, origin: Origin, *, of_key: bool = False) -> Any:
         if name in self.values:
+            self.used.add(name)
             return self.values[name]
         known = "there are none; write [variables] with its default; $${ is a ${ that means nothing"
         if self.values:

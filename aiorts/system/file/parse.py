@@ -164,6 +164,7 @@ class _Reader(Reading):
             services=MappingProxyType(services),
             text=self._found.text,
             origins=self._found.origins,
+            notes=self._found.notes,
         )
 
     # -- the parts -------------------------------------------------------------------------------------------------

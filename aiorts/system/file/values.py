@@ -9,6 +9,7 @@ from aiorts.late import dataclass
 from aiorts.model.wanted.entries import Wanted
 from aiorts.system.text.origins import Origins, Source
 from aiorts.system.text.places import Key
+from aiorts.system.text.reading import Mistake
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,9 @@ class SystemFile(Wanted):
     def at(self, *key: str | int, of_key: bool = False) -> str:
         """Where the value of a key stands, or the key itself, as a message has it: "system.toml:7:3"."""
         return str(self.origins.spot(key, of_key=of_key)) if self.text else str(self.path)
+
+    notes: tuple[Mistake, ...] = field(default=(), repr=False, compare=False)
+    """What is not wrong in it, but good to know."""
 
     @property
     def files(self) -> tuple[Path, ...]:
