@@ -20,6 +20,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Overrun, StateChanged
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports.connector import transport_of
+from aiorts.model.health.backlog import Backlog
 from aiorts.model.health.windows import ASKED_FOR, ContextCounts, EdgeCounts, Window, context_since, edge_since
 from aiorts.model.lifecycle import LifecycleState
 
@@ -107,6 +108,7 @@ class _Measurement:
         self._errors: dict[str, str] = {}
         self._by_machine: dict[str, tuple[int, int]] = {}
         """By context: overruns for which the machine is to blame, and ticks that were left out by them."""
+        self._backlogs: dict[str, Backlog] = {}
         self._unsubscribe: tuple[Callable[[], None], ...] = ()
         self._edges: Mapping[str, EdgeCounts] = _NO_EDGES
         self._contexts: Mapping[str, ContextCounts] = _NO_CONTEXTS
@@ -153,7 +155,7 @@ class _Measurement:
             MappingProxyType(contexts),
             MappingProxyType({**self._errors, **errors}),
             frozenset(idle),
-            min(1.0, max(0.0, stalled)),
+            stalled,
         )
 
     def _stalled(self) -> int:
@@ -166,15 +168,18 @@ class _Measurement:
 
     def _is_by_machine(self, event: Overrun) -> bool:
         """Whether the machine is to blame for it, or it would have been in time had the machine not run others."""
-        if event.blame is not None and event.blame.kind == "machine":
-            return True
+        blamed = event.blame is not None and event.blame.kind == "machine"
         context = self._kernel.contexts.get(event.context)
-        if self._stalls is None or context is None or context.exclusive:
-            return False  # no time that passes, or a thread of its own
-        speed = self._kernel.clock.speed
+        if self._stalls is None or context is None:
+            return blamed
+        speed, now_ns = self._kernel.clock.speed, time.monotonic_ns()
         late_ns = event.late_ns / speed
         period_ns = 1e9 / context.rate / speed if context.rate else 0.0
-        return self._stalls.since(time.monotonic_ns() - int(late_ns + period_ns)) >= late_ns
+        since_ns = self._stalls.since(now_ns - int(late_ns + period_ns))
+        backlog = self._backlogs.setdefault(event.context, Backlog())
+        return blamed | (
+            not backlog.late_by_itself(now_ns, late_ns, event.skipped, period_ns, self._stalls.total_ns, since_ns)
+        )
 
     def _changed(self, event: StateChanged) -> None:
         if event.new is _ERROR:

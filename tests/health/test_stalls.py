@@ -30,6 +30,7 @@ class Counted(Stalls):
     def look(self) -> int:
         self._looks.clear()
         self._looks.extend((time.monotonic_ns() + at_ns, taken_ns) for at_ns, taken_ns in self.looks)
+        self.total_ns = self.taken_ns
         return self.taken_ns
 
 
@@ -56,7 +57,7 @@ async def test_who_is_to_blame_is_asked_again_where_the_machine_took_as_much_as_
 
 async def test_it_looks_while_it_is_open_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stalls, "_EVERY", 0.001)
-    if sys.platform != "linux" or not os.path.exists("/proc/thread-self/schedstat"):
+    if sys.platform != "linux" or not os.path.exists("/proc/self/schedstat"):
         pytest.skip("needs a system that counts how long threads wait for a processor")
     files = set(os.listdir("/proc/self/fd"))
     looked = Stalls(asyncio.get_running_loop())
@@ -71,18 +72,45 @@ async def test_it_looks_while_it_is_open_and_leaves_nothing(monkeypatch: pytest.
         looked.close()
         looked.close()
     assert set(os.listdir("/proc/self/fd")) == files
-    assert looked.look() == 0
+    assert looked._timer is None
+
+
+async def test_a_thread_that_comes_and_goes_is_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    monkeypatch.setattr(stalls, "_THREADS", str(tmp_path))
+
+    def count(thread: str, stalled_ns: int) -> None:
+        (tmp_path / thread).mkdir(exist_ok=True)
+        (tmp_path / thread / "schedstat").write_text(f"1000 {stalled_ns} 7\n")
+
+    count("1", 500)
+    looked = Stalls(asyncio.get_running_loop())
+    try:
+        count("1", 600)
+        count("2", 50)
+        assert looked.look() == 100
+        count("2", 80)
+        assert looked.look() == 130
+        (tmp_path / "1" / "schedstat").unlink()
+        (tmp_path / "1").rmdir()
+        count("2", 90)
+        (tmp_path / "3").mkdir()
+        assert looked.look() == 140
+        assert looked.since(0) == 140
+    finally:
+        looked.close()
 
 
 async def test_where_the_system_does_not_count_it_the_machine_took_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Any
 ) -> None:
-    monkeypatch.setattr(stalls, "_COUNTS", str(tmp_path / "none"))
+    monkeypatch.setattr(stalls, "_THREADS", str(tmp_path / "none"))
     looked = Stalls(asyncio.get_running_loop())
     assert (looked.look(), looked.since(0)) == (0, 0)
-    (tmp_path / "text").write_text("nothing")
-    monkeypatch.setattr(stalls, "_COUNTS", str(tmp_path / "text"))
+    (tmp_path / "none" / "1").mkdir(parents=True)
+    (tmp_path / "none" / "1" / "schedstat").write_text("nothing")
     other = Stalls(asyncio.get_running_loop())
     assert (other.look(), other.since(0)) == (0, 0)
+    monkeypatch.setattr(stalls, "_THREADS", str(tmp_path / "gone"))
+    assert other.look() == 0
     other.close()
     looked.close()

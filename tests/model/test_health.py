@@ -161,6 +161,7 @@ def test_where_the_machine_took_more_than_before_as_much_more_is_no_fault() -> N
     assert said(before, window(1, edge(60), stalled=0.35)) is None
     assert said(before, window(1, edge(60), stalled=0.3)) == ("rate", NAMES[0])
     assert said(replace(before, stalled=0.5), window(1, edge(60), stalled=0.5)) == ("rate", NAMES[0])
+    assert said(replace(before, stalled=0.6), window(1, edge(60), stalled=0.6)) is None
     for lost, found in ((25, False), (27, True)):
         late = said(before, window(1, contexts=loop(100, lost), stalled=0.45))
         assert (late == ("overruns", "loop")) is found

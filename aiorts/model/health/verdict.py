@@ -4,9 +4,9 @@ What a change is meant to do is no fault of it. Where it has lowered the rate of
 in-port was fed by, less is expected of all that is downstream; and nothing of a component that is not active.
 
 What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
-it took more of the loop's time than before, backlogs follow, and what is late by them cannot be told from what is late
-by itself: that part of the ticks may overrun besides, and of the samples be dropped, or a tenth of it where the writer
-leaves out ticks that it missed; how far rates fall then says nothing.
+it took more of the time than before, backlogs follow, and what is late by them cannot be told from what is late by
+itself: that part of the ticks may overrun besides (and a tenth of all that it took in any case), and of the samples be
+dropped, or a tenth of it where the writer leaves out ticks that it missed; how far rates fall then says nothing.
 """
 
 from __future__ import annotations
@@ -26,10 +26,12 @@ PERCENT: Final = 1
 """and so many of 100 ticks, or samples written, beside them."""
 SLOWEST: Final = 80
 """So many percent of the rate before are healthy."""
-PACED: Final = 0.1
-"""Of a writer that leaves out what it missed; it is late all the same, and may come before its reader."""
+NOISE: Final = 0.1
+"""So much of the time that the machine took may be seen in figures that it should not change."""
 BUSY: Final = 0.1
-"""Where the machine took more of the loop's time than this beside what it took before, rates decide nothing."""
+"""Where the machine took more of the time than this beside what it took before, rates decide nothing,"""
+BUSIEST: Final = 0.5
+"""nor where it took more than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,17 +68,19 @@ def verdict(before: Window, after: Window, new: Collection[str] = ()) -> Unhealt
     for name, ran in after.contexts.items():
         was = before.contexts.get(name, _NO_TICKS)
         late, late_before = ran.overruns - ran.by_machine, was.overruns - was.by_machine
-        if _too_many(late, ran.ticks, late_before, *lengths, taken):
+        if _too_many(late, ran.ticks, late_before, *lengths, max(taken, NOISE * after.stalled)):
             text = f"{late} of {ran.ticks} ticks overran in {seconds:g} s, and {late_before} of {was.ticks} before"
             return Unhealthy("overruns", name, text)
     for name, one in after.edges.items():
         had = before.edges.get(name, _NO_SAMPLES)
         if _too_many(one.dropped, one.written, had.dropped, *lengths, 0.0) and (
-            not taken or _too_many(one.dropped, one.written, had.dropped, *lengths, taken * _backlog(one, after))
+            not after.stalled or _too_many(one.dropped, one.written, had.dropped, *lengths, _at_once(one, after, taken))
         ):
             lost = f"{one.dropped} of {one.written} samples were dropped in {seconds:g} s"
             return Unhealthy("drops", name, f"{lost}, and {had.dropped} of {had.written} before")
-    return _slower(before, after, *lengths) if taken <= BUSY else None
+    if taken > BUSY or after.stalled > BUSIEST:
+        return None
+    return _slower(before, after, *lengths)
 
 
 _NO_TICKS: Final = ContextCounts()
@@ -90,11 +94,12 @@ def _too_many(lost: int, of: int, lost_before: int, now_ns: int, then_ns: int, t
     return 100 * lost * then_ns > 100 * MORE * lost_before * now_ns + beside * then_ns
 
 
-def _backlog(edge: EdgeCounts, window: Window) -> float:
-    """The part of its samples of the time that the machine took that may come at once, when the loop runs again."""
+def _at_once(edge: EdgeCounts, window: Window, taken: float) -> float:
+    """The part of the samples that may come at once when the machine runs the process again."""
     writer = _component(edge.source)
     contexts = [one for one in window.contexts.values() if writer in one.members]
-    return PACED if contexts and all(one.paced for one in contexts) else 1.0
+    paced = contexts and all(one.paced for one in contexts)
+    return NOISE * taken if paced else max(taken, NOISE * window.stalled)
 
 
 def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:

@@ -59,7 +59,8 @@ class Window:
     idle: frozenset[str] = frozenset()
     """Components that a context has and none runs at its end: not active, and not in error."""
     stalled: float = 0.0
-    """In which part of the time, from 0 to 1, the loop's thread was ready to run and the machine ran others."""
+    """For which part of the time threads of this process were ready to run and the machine ran others: of all together,
+    above 1 where it was several at once."""
 
 
 def edge_since(start: EdgeCounts | None, end: EdgeCounts) -> EdgeCounts:
