@@ -107,7 +107,7 @@ async def test_code_that_overruns_is_taken_back_also_beside_processes_that_spin(
             await stack.enter_async_context(spinning())
             await kernel.sleep(0.2)
         old = kernel.components["worker"]
-        file.replace("range(1):", "range(1):\n            time.sleep(0.006)")
+        file.replace("range(1):", "range(1):\n            time.sleep(0.012)")
         for _ in range(cases(20)):
             with pytest.raises(ComponentError, match=r"(working|reading): \d+ of \d+ ticks overran in"):
                 await kernel.reload("Worker", window=WINDOW)
