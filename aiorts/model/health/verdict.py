@@ -5,8 +5,8 @@ in-port was fed by, less is expected of all that is downstream; and nothing of a
 
 What the machine does to a system is no fault of a change either. Overruns that it is to blame for do not count. Where
 it took more of the time than before, backlogs follow, and what is late by them cannot be told from what is late by
-itself: that part of the ticks may overrun besides (and a tenth of all that it took in any case), and of the samples be
-dropped, or a tenth of it where the writer leaves out ticks that it missed; how far rates fall then says nothing.
+itself: that part of the ticks may overrun besides, and of the samples be dropped, or a tenth of all that it took where
+that is more, or where the writer leaves out ticks that it missed; how far rates fall then says nothing.
 """
 
 from __future__ import annotations
@@ -99,7 +99,8 @@ def _at_once(edge: EdgeCounts, window: Window, taken: float) -> float:
     writer = _component(edge.source)
     contexts = [one for one in window.contexts.values() if writer in one.members]
     paced = contexts and all(one.paced for one in contexts)
-    return NOISE * taken if paced else max(taken, NOISE * window.stalled)
+    seen = NOISE * window.stalled
+    return seen if paced else max(taken, seen)
 
 
 def _slower(before: Window, after: Window, now_ns: int, then_ns: int) -> Unhealthy | None:
