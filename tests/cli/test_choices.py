@@ -117,3 +117,17 @@ def test_a_profile_is_made_of_the_system_with_its_variables(folder: Path) -> Non
     assert (done.returncode, done.stderr) == (0, "")
     assert 'rts:name="count" rts:data="5"' in done.stdout
     assert done.stdout.count("<rts:Components ") == 3
+
+
+def test_a_page_of_a_system_has_the_types_of_included_files(folder: Path) -> None:
+    (folder / "sinks").mkdir()
+    (folder / "sinks.toml").rename(folder / "sinks" / "sinks.toml")
+    (folder / "sinks" / "parts.py").write_text(COMPONENTS.replace("Fails at", "Elsewhere, fails at"))
+    (folder / "system.toml").write_text(
+        SYSTEM.replace("sinks.toml", "sinks/sinks.toml").replace("count = 2", "count = 7")
+    )
+    done = here(folder, "doc", "system.toml", "--remap", "first.numbers=second.numbers")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Elsewhere, fails at the number" in done.stdout
+    done = here(folder, "doc", "parts.py", "--var", "count=1")
+    assert (done.returncode, "not for a component alone" in done.stderr) == (2, True)

@@ -14,13 +14,14 @@ from aiorts.cli.commands.doc_pages import Block, Drawing, Head, Table, Text, htm
 from aiorts.cli.commands.inspection import Drawn, draw, method_text
 from aiorts.cli.commands.unrun import catalogue_of, quietly
 from aiorts.cli.commands.written import give
+from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.completion import subjects
 from aiorts.cli.console.report import printed
 from aiorts.cli.console.subjects import Subject, find_subject
 from aiorts.errors import ConfigurationError
 from aiorts.statechart import Chart
 from aiorts.statemachines import StateStructure
-from aiorts.system import graph, load
+from aiorts.system import AS_WRITTEN, Choices, graph, load
 
 
 @click.command("doc", short_help="Write a page about components: Markdown or HTML.")
@@ -32,8 +33,9 @@ from aiorts.system import graph, load
     help="The language; by default html where FILE of -o ends in .html, else md.",
 )
 @click.option("-o", "--output", metavar="FILE", type=click.Path(), help="Write the page there, not to standard output.")
+@choices_options
 @click.option("--plugins", "folders", multiple=True, type=click.Path(path_type=Path), help="A folder with plugins.")
-def doc(name: str, language: str | None, output: str | None, folders: tuple[Path, ...]) -> int:
+def doc(name: str, language: str | None, output: str | None, choices: Choices, folders: tuple[Path, ...]) -> int:
     """Write a page about a component or a system: its text, ports, services, parameters, options and state machine.
 
     TYPE is an installed component, FILE.py:Class or package.module:Class; of FILE.py it is all its components, of a
@@ -42,7 +44,9 @@ def doc(name: str, language: str | None, output: str | None, folders: tuple[Path
     """
     with quietly():
         if name.endswith(".toml"):
-            title, found, blocks = _system(name, folders)
+            title, found, blocks = _system(name, choices, folders)
+        elif choices != AS_WRITTEN:
+            raise click.UsageError("--var and --remap are for a system file, not for a component alone")
         else:
             found, blocks = list(_subjects(name, folders)), []
             title = ", ".join(one.cls.__name__ for one in found)
@@ -142,14 +146,15 @@ def _transitions(state: StateStructure, inside: str) -> Iterator[tuple[str, ...]
         yield from _transitions(inner, f"{name}.")
 
 
-def _system(file: str, folders: tuple[Path, ...]) -> tuple[str, list[Subject], list[Block]]:
+def _system(file: str, choices: Choices, folders: tuple[Path, ...]) -> tuple[str, list[Subject], list[Block]]:
     """Title, the types of its components, and what is said of the system itself."""
-    system = load(file)
+    system = load(file, (), choices)
     catalogue = catalogue_of(system, folders)
     homes = {name: context.name for context in system.contexts.values() for name in context.members}
     rows = [(one.name, one.type, homes.get(one.name, "")) for one in system.components.values()]
-    types = dict.fromkeys(one.type for one in system.components.values())
-    subjects = {one.cls: one for one in (find_subject(_named(text, system.path), folders) for text in types)}
+    entries = system.components.values()
+    types = dict.fromkeys(_named(one.type, system.folder_of(("components", one.name, "type"))) for one in entries)
+    subjects = {one.cls: one for one in (find_subject(text, folders) for text in types)}
     blocks: list[Block] = [
         Head(1, system.path.name),
         Drawing(graph(system, "mermaid", catalogue), graph(system, "svg", catalogue)),
@@ -158,9 +163,9 @@ def _system(file: str, folders: tuple[Path, ...]) -> tuple[str, list[Subject], l
     return system.path.name, list(subjects.values()), blocks
 
 
-def _named(text: str, file: Path) -> str:
-    """A type as a command line has it: FILE.py is counted from the system file's folder."""
-    return str(file.parent / text) if ".py:" in text else text
+def _named(text: str, folder: Path) -> str:
+    """A type as a command line has it: FILE.py is counted from the folder of the file that names it."""
+    return str(folder / text) if ".py:" in text else text
 
 
 def _services(ports: Iterable[dict[str, Any]]) -> Iterator[Block]:
