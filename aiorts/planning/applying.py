@@ -53,10 +53,10 @@ from aiorts.reload import Trial, check_replaceable, code_of
 from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:
-    from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
     from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
     from aiorts.model.wanted.plan import Plan
+    from aiorts.planning.planning import Planning
 
 _ACTIVE: Final = LifecycleState.ACTIVE
 _PATIENCE: Final = 5.0
@@ -66,8 +66,9 @@ _PATIENCE: Final = 5.0
 class Application:
     """One plan that is carried out, and what is needed to take it back."""
 
-    def __init__(self, kernel: Microkernel, now: Wanted, wanted: Wanted, plan: Plan) -> None:
-        self._kernel = kernel
+    def __init__(self, planning: Planning, now: Wanted, wanted: Wanted, plan: Plan) -> None:
+        self._planning = planning
+        self._kernel = planning.kernel
         self._now = now
         self._wanted = wanted
         self.plan = plan
@@ -219,7 +220,7 @@ class Application:
         component = kernel.components.get(name)
         if component is None:
             return
-        if self.goes_back or not type(component).parks:
+        if self.goes_back or not self._planning.parks(component):
             await kernel.remove(component)
         else:
             kernel.registry.park(component)
@@ -257,6 +258,7 @@ class Application:
         self._supervise_as(self._kernel.components[step.after.name], step.after)
 
     def _supervise_as(self, component: Component, entry: ComponentEntry) -> None:
+        (self._planning.exclusive.add if entry.exclusive else self._planning.exclusive.discard)(entry.name)
         supervising = self._kernel.service(Supervising)
         if entry.start is None:
             supervising.rules.pop(entry.name, None)

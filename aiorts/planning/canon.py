@@ -71,6 +71,8 @@ class Canon:
         state: ConfigurationState,
         supervision: Supervision | None,
         start: StartRule | None,
+        *,
+        exclusive: bool,
     ) -> ComponentEntry:
         """A component of this class with this configuration."""
         text = self.named(cls, "components")
@@ -88,6 +90,7 @@ class Canon:
             state.active if state.active != declared.active else "",
             supervision if supervision != Supervision() else None,
             start,
+            exclusive,
         )
 
     def _params(self, name: str, state: ConfigurationState, declared: ConfigurationState) -> Mapping[str, Any]:

@@ -21,6 +21,7 @@ from aiorts.model.wanted.system_text import Saved, system_text
 from aiorts.planning.turns import finished, in_turns
 
 if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.health.verdict import Unhealthy
     from aiorts.model.health.windows import Window
@@ -38,6 +39,8 @@ class Planning(KernelService):
         super().__init__(kernel)
         self.clock: ClockEntry | None = None
         """What the system file said of the clock, whatever the command line said; None where there was no file."""
+        self.exclusive: set[str] = set()
+        """Components that a plan ends before anything is made, as system files say."""
         self.health = Health(kernel)
         """What the windows of `apply` are measured by."""
         self._applying: asyncio.Task[Applied] | None = None
@@ -102,11 +105,15 @@ class Planning(KernelService):
         task.add_done_callback(self._ended)
         return await asyncio.shield(task)
 
+    def parks(self, component: Component) -> bool:
+        """Whether a component that a plan takes out is kept whole for its return."""
+        return type(component).parks and component.name not in self.exclusive
+
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         components = self.kernel.components.values()
         limited = {port.path for one in components for port in one.ports.values() if port.max_connectors is not None}
         yield
-        return (yield from planning(now, wanted, limited, {one.name for one in components if not type(one).parks}))
+        return (yield from planning(now, wanted, limited, {one.name for one in components if not self.parks(one)}))
 
     def _ended(self, task: asyncio.Task[Applied]) -> None:
         self._applying = None
@@ -123,7 +130,7 @@ class Planning(KernelService):
                 raise StateError("\n".join(planned.refused))
             if planned.empty:
                 return Applied(planned)
-            application = Application(self.kernel, now, wanted, planned)
+            application = Application(self, now, wanted, planned)
             await application.load()
             before = await self.health.before(window) if window else None
             try:

@@ -6,7 +6,7 @@ Only what was chosen is in it: what is as a class declares it, or as an option i
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -62,6 +62,8 @@ class _Reader:
         self._canon = Canon(kernel.plugins, notes)
         supervising = kernel.attached(Supervising)
         self._supervised = {} if supervising is None else supervising.supervised
+        planning = kernel.attached(Planning)
+        self._exclusive: Collection[str] = () if planning is None else planning.exclusive
         self._rules = _NO_RULES if supervising is None else supervising.rules
 
     def wanted(self) -> Generator[None, None, Wanted]:
@@ -107,6 +109,7 @@ class _Reader:
             cell(component).configuration,
             None if supervised is None else supervised.policy,
             self._rules.get(component.name),
+            exclusive=component.name in self._exclusive,
         )
 
     # -- composites and contexts -----------------------------------------------------------------------------------

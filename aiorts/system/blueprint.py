@@ -108,7 +108,9 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     kernel.plugins = Catalogue(dict.fromkeys(folders)) if kernel.plugins.folders else plan.catalogue
     system = plan.system
     kernel.origin = system.text
-    kernel.service(Planning).clock = system.clock
+    planning = kernel.service(Planning)
+    planning.clock = system.clock
+    planning.exclusive |= {entry.name for entry in system.components.values() if entry.exclusive}
     for service in plan.services.values():
         service.attach(kernel)
     for name in system.components:

@@ -14,6 +14,7 @@ ROOMBA = str(ROOT / "examples" / "roomba" / "system.toml")
 Out = pytest.CaptureFixture[str]
 
 
+@pytest.mark.row(113)
 @pytest.mark.parametrize(
     ("form", "begin"), [("mermaid", "flowchart LR\n"), ("dot", "digraph system {\n"), ("svg", "<?xml")]
 )

@@ -101,6 +101,7 @@ Talking.Talker0.conf.default.step: 7
 """
 
 
+@pytest.mark.row(89)
 def test_a_managers_configuration_becomes_a_system_that_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,6 +150,7 @@ def test_files_win_over_what_is_said_of_a_type_and_instances_over_both(tmp_path:
     }
 
 
+@pytest.mark.row(89)
 def test_who_is_not_preactivated_is_not_activated(tmp_path: Path) -> None:
     conf = "manager.components.precreate: Talker, Talker, Listener\nmanager.components.preactivation: Talker1\n"
     lab(tmp_path, f"{conf}manager.modules.load_path: rtc\n")

@@ -297,6 +297,7 @@ def systems(draw: st.DrawFn) -> str:
     return text
 
 
+@pytest.mark.row(78)
 @given(systems())
 @settings(max_examples=cases(20_000))
 @pytest.mark.timeout(time_limit(900))

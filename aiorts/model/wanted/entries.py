@@ -31,6 +31,8 @@ class ComponentEntry:
     """The active set; "" is the default one."""
     supervision: Supervision | None = None
     start: StartRule | None = None
+    exclusive: bool = False
+    """Whether it holds what its replacement needs: a plan ends it before anything is made."""
 
 
 def chosen(rule: Supervision | StartRule) -> dict[str, Any]:

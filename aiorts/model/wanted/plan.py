@@ -204,8 +204,9 @@ class _Planner:
                 yield Reload(before, after)
                 continue
             if _shape(before) != _shape(after):
-                yield Configure(before, replace(after, supervision=before.supervision, start=before.start))
-                before = replace(after, supervision=before.supervision, start=before.start)
+                shaped = replace(after, supervision=before.supervision, start=before.start, exclusive=before.exclusive)
+                yield Configure(before, shaped)
+                before = shaped
             if before != after:
                 yield Supervise(before, after)
 

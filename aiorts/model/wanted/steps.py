@@ -175,7 +175,7 @@ class Reload(_Change):
 
 @dataclass(frozen=True, slots=True)
 class Supervise(_Change):
-    """Change what is done when a component fails, or when it is started."""
+    """Change what is done when a component fails, when it is started, or when it is replaced."""
 
     before: ComponentEntry
     after: ComponentEntry
@@ -300,7 +300,8 @@ def _settings(one: ComponentEntry) -> dict[str, Any]:
 
 def _rules(one: ComponentEntry) -> dict[str, Any]:
     rules = {"supervision": one.supervision, "start": one.start}
-    return {f"{word}.{key}": value for word, rule in rules.items() if rule for key, value in chosen(rule).items()}
+    found = {f"{word}.{key}": value for word, rule in rules.items() if rule for key, value in chosen(rule).items()}
+    return {**found, "exclusive": True} if one.exclusive else found
 
 
 def _ends(connection: ConnectionEntry) -> str:

@@ -96,6 +96,8 @@ class _Writer:
             yield f"supervision = {self._inline(one.name, chosen(one.supervision))}"
         if one.start is not None:
             yield f"start = {self._inline(one.name, chosen(one.start))}"
+        if one.exclusive:
+            yield "exclusive = true"
 
     def _composite(self, one: CompositeEntry) -> Iterator[str]:
         yield self._pair(one.name, "members", one.members)

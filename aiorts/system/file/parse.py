@@ -53,7 +53,7 @@ __all__ = (
 CLOCKS: Final = ("system", "scaled", "simulated")
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
-_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start", IF, REPEAT)
+_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start", "exclusive", IF, REPEAT)
 _COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule", IF, REPEAT)
 _SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
 _START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
@@ -192,6 +192,7 @@ class _Reader(Reading):
             self._get(key, table, "active", str, ""),
             self._supervision(key, table),
             self._start(key, table),
+            self._get(key, table, "exclusive", bool, default=False),
         )
 
     def _options(self, key: Key, given: Any) -> tuple[str, ...]:

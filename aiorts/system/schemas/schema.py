@@ -30,6 +30,7 @@ from aiorts.system.schemas.connection_schema import connection_schema
 from aiorts.system.schemas.table_schemas import (
     active_schema,
     composite_schema,
+    exclusive_schema,
     sets_schema,
     start_schema,
     supervision_schema,
@@ -182,6 +183,7 @@ def _entry(kind: dict[str, Any], params: dict[str, Any], cls: type[Component] | 
             "params": params,
             "sets": sets_schema(params, _NAME),
             "active": active_schema(),
+            "exclusive": exclusive_schema(),
             "supervision": {"$ref": "#/$defs/supervision"},
             "start": {"$ref": "#/$defs/start"},
             **PART,

@@ -32,6 +32,12 @@ def active_schema() -> dict[str, Any]:
     return {"type": "string", "description": "The configuration set in force: one of sets, of its class, or default."}
 
 
+def exclusive_schema() -> dict[str, Any]:
+    """`exclusive` of a component."""
+    what = "Whether it holds a device that its replacement needs: when the running system is changed, it ends first."
+    return {"type": "boolean", "default": False, "description": what}
+
+
 def supervision_schema() -> dict[str, Any]:
     """`[components.X.supervision]`."""
     text = "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
