@@ -99,7 +99,6 @@ FEATURES = {
     114: "Samples are printed and injected while a system runs",
     121: "Commands have JSON output, and are carried out in a batch",
     107: "A system is saved as an RtsProfile, XML or YAML",
-    78: "The configuration file of a system has a schema, and is checked by it",
     89: "Components, connections and activations that a manager's configuration asks for",
     113: "The graph of a system is exported",
     108: "A saved system is restored, connections and configuration, whole or not at all",
