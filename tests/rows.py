@@ -100,7 +100,6 @@ FEATURES = {
     121: "Commands have JSON output, and are carried out in a batch",
     107: "A system is saved as an RtsProfile, XML or YAML",
     89: "Components, connections and activations that a manager's configuration asks for",
-    113: "The graph of a system is exported",
     108: "A saved system is restored, connections and configuration, whole or not at all",
     109: "Components that are missing are created when a system is restored",
     110: "What runs is compared with its file",
