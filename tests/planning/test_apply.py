@@ -41,6 +41,7 @@ def check_order(kernel: Kernel) -> None:
             last[id(source)] = number
 
 
+@pytest.mark.row(109)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_system_is_the_wanted_one_afterwards(seed: int) -> None:
     random = Random(seed)

@@ -16,6 +16,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 FILES = sorted(path for path in EXAMPLES.rglob("*.toml") if path.name not in ("pyproject.toml", "replay.toml"))
 
 
+@pytest.mark.row(110)
 @pytest.mark.parametrize("file", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_a_file_and_what_was_built_from_it_are_one_system(file: Path) -> None:
     async def both() -> None:
