@@ -28,7 +28,7 @@ class Stalls:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._threads: dict[str, tuple[int, int]] = {}
+        self._per_thread: dict[str, tuple[int, int]] = {}
         """For each its file, and what was counted there last."""
         self.total_ns = 0
         """How long they have been stalled since this was made, all together, in nanoseconds, by the last look."""
@@ -43,9 +43,9 @@ class Stalls:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        for file, _ in self._threads.values():
+        for file, _ in self._per_thread.values():
             os.close(file)
-        self._threads.clear()
+        self._per_thread.clear()
 
     def look(self) -> int:
         """The total by now; 0 where nothing is known."""
@@ -67,7 +67,7 @@ class Stalls:
         self.look()
 
     def _count(self) -> None:
-        threads = self._threads
+        threads = self._per_thread
         try:
             there = os.listdir(_THREADS)
         except OSError:
