@@ -133,7 +133,11 @@ def system_file() -> str:
     top.pop("composites")
     parts.append(_table("[[connections]]", made["$defs"]["connection"], top.pop("connections")["description"]))
     parts.append(_contexts(top.pop("contexts"), made["$defs"]["context"]["oneOf"]))
-    parts += [_table(f"[{name}]", table) for name, table in top.items()]
+    for name, table in top.items():
+        listed = table.get("type") == "array"
+        parts.append(
+            _table(f"[[{name}]]", table["items"], table["description"]) if listed else _table(f"[{name}]", table)
+        )
     return "\n".join(parts)
 
 

@@ -7,7 +7,8 @@ everything: the class of its settings says what its table of a system file, `Ker
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple, TypeVar, get_args
 
@@ -84,6 +85,14 @@ class KernelService:
         What it raises ends the start.
         """
 
+    def making(self) -> AbstractContextManager[None]:
+        """Round the time in which a system file, or a plan, makes components and connects them itself."""
+        return nullcontext()
+
+    def owns(self, connector: Connector) -> bool:
+        """Whether a connector of data ports is its own work: not saved, and nothing that a plan looks at."""
+        return False
+
     def report(self) -> Mapping[str, Any]:
         """Its part of the kernel's profile and of what SIGUSR1 prints: figures and texts by name; {} for none.
 
@@ -117,6 +126,12 @@ class KernelService:
 
     def closed(self) -> None:
         """All was given up, the bus too."""
+
+
+def owned_by(services: Iterable[KernelService]) -> Callable[[Connector], bool] | None:
+    """Whether a connector is the own work of one of these; None where none of them makes any."""
+    owners = [one for one in services if type(one).owns is not KernelService.owns]
+    return (lambda connector: any(one.owns(connector) for one in owners)) if owners else None
 
 
 class ServicePlan(NamedTuple):

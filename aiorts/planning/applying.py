@@ -25,6 +25,7 @@ from aiorts.kernel.extensions.loading import load_aside
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import set_open
+from aiorts.kernel.service import owned_by
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.options import CHANGEABLE, connector_profile
@@ -223,6 +224,8 @@ class Application:
         if self.goes_back or not self._planning.parks(component):
             await kernel.remove(component)
         else:
+            for port in component.ports.values():  # what is left are connectors of services, not of the plan
+                kernel.connections.end_each(port.connectors)
             kernel.registry.park(component)
             self._parked[name] = component
 
@@ -274,11 +277,20 @@ class Application:
     async def _connect(self, step: Connect) -> None:
         kernel, name = self._kernel, step.name
         parked = self._connectors.pop(name, None)
+        self._give_way(step.connection.ports)
         if parked is not None:
             kernel.connections.unpark(parked)
         elif name not in kernel.connectors and name not in kernel.service_connectors:
             one, two = step.connection.ports
             await kernel.connect(one, two, **step.connection.options)
+
+    def _give_way(self, paths: tuple[str, ...]) -> None:
+        """What a service has connected for itself ends where the system is to have a connector of its own."""
+        owned = owned_by(self._kernel.services)
+        port: Any = self._kernel.find(paths[0]) if owned is not None else None
+        for connector in getattr(port, "connectors", ()):
+            if owned is not None and connector.profile.ports == paths and owned(connector):
+                self._kernel.connections.end(connector)
 
     async def _disconnect(self, step: Disconnect) -> None:
         connections, name = self._kernel.connections, step.name

@@ -6,6 +6,7 @@ import asyncio
 import math
 import os
 from collections.abc import Collection, Generator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -121,29 +122,36 @@ class Planning(KernelService):
             task.exception()  # its caller may have been cancelled
 
     async def _apply(self, wanted: Wanted, window: float) -> Applied:
+        async with self.kernel.registry.renewal:
+            with ExitStack() as making:
+                for service in self.kernel.services:
+                    making.enter_context(service.making())
+                return await self._carried_out(wanted, window, making)
+
+    async def _carried_out(self, wanted: Wanted, window: float, making: ExitStack) -> Applied:
         from aiorts.planning.applying import Application
 
-        async with self.kernel.registry.renewal:
-            now = await self._wanted([])
-            planned = await self._plan(now, wanted)
-            if planned.refused:
-                raise StateError("\n".join(planned.refused))
-            if planned.empty:
-                return Applied(planned)
-            application = Application(self, now, wanted, planned)
-            await application.load()
-            before = await self.health.before(window) if window else None
-            try:
-                await application.forth()
-            except BaseException as error:
-                await self._take_back(application, error)
-                raise
-            application.release()
-            worse = None if before is None else await self._worse(before, window, application.new)
-            left = () if worse is None else tuple(await application.back())
-            application.release()
-            await application.settle()
-            return Applied(application.plan, worse is None, str(worse or ""), left)
+        now = await self._wanted([])
+        planned = await self._plan(now, wanted)
+        if planned.refused:
+            raise StateError("\n".join(planned.refused))
+        if planned.empty:
+            return Applied(planned)
+        application = Application(self, now, wanted, planned)
+        await application.load()
+        before = await self.health.before(window) if window else None
+        try:
+            await application.forth()
+        except BaseException as error:
+            await self._take_back(application, error)
+            raise
+        application.release()
+        making.close()
+        worse = None if before is None else await self._worse(before, window, application.new)
+        left = () if worse is None else tuple(await application.back())
+        application.release()
+        await application.settle()
+        return Applied(application.plan, worse is None, str(worse or ""), left)
 
     async def _worse(self, before: Window, window: float, new: Collection[str]) -> Unhealthy | None:
         """What the system does worse than before; None when the kernel closes meanwhile: it stays as it is."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.clock import SimulatedClock
 from aiorts.composites import Composite, group_of
 from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.service import owned_by
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.wanted.entries import (
     ClockEntry,
@@ -158,7 +159,10 @@ class _Reader:
 
     def _connections(self) -> Iterator[ConnectionEntry]:
         number = 0
+        owned = owned_by(self._kernel.services)
         for connector in tuple(self._kernel.connectors.values()):
+            if owned is not None and owned(connector):
+                continue
             number += 1
             ports = (connector.out.path, connector.in_.path)
             yield self._canon.connection(ports, connector.profile, connector.in_.length, number)

@@ -113,6 +113,18 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     planning.exclusive |= {entry.name for entry in system.components.values() if entry.exclusive}
     for service in plan.services.values():
         service.attach(kernel)
+    with contextlib.ExitStack() as making:
+        for attached in kernel.services:
+            making.enter_context(attached.making())
+        await _make(kernel, plan)
+    for attached in kernel.services:
+        attached.starting()
+    await _start(kernel, plan)
+
+
+async def _make(kernel: Kernel, plan: Blueprint) -> None:
+    """Create the components and connect them."""
+    system = plan.system
     for name in system.components:
         try:
             await _create(kernel, plan, name)
@@ -132,8 +144,11 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
         except WiringError as error:
             where = system.at(*_blamed(connection, str(error)))
             raise WiringError(f"{where}: {connection.place}: {error}") from None
-    for attached in kernel.services:
-        attached.starting()
+
+
+async def _start(kernel: Kernel, plan: Blueprint) -> None:
+    """Start the contexts and activate their members."""
+    system = plan.system
     for context in system.contexts.values():
         members = [kernel.components[name] for name in context.members]
         await kernel.start(plan.contexts[context.name], *members)

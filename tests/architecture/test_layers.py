@@ -37,6 +37,7 @@ aiorts/kernel/quality
 aiorts/kernel
 aiorts/contexts
 aiorts/configuration aiorts/diagnostics aiorts/functions aiorts/health aiorts/realtime aiorts/services aiorts/sync
+aiorts/rules
 aiorts/observe
 aiorts/composites aiorts/statemachines
 aiorts/supervision
@@ -67,7 +68,7 @@ plugins/aiorts_foxglove
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
     *("composites", "configuration", "control", "diagnostics", "functions", "health", "observe"),
-    *("planning", "realtime", "reload", "services", "statemachines", "supervision", "sync"),
+    *("planning", "realtime", "reload", "rules", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""
 LARGEST_ROOM = 21

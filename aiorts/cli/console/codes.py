@@ -344,6 +344,11 @@ CODES: Final[dict[str, Code]] = {
         "It is misspelt, belongs to another middleware, or another option makes it meaningless.",
         "Write it as the message shows, or remove it.",
     ),
+    "W-RULES": Code(
+        "A rule of the system file has not connected ports that fit it.",
+        "It has as many connectors as its max lets it make, or the two ports do not go together.",
+        "Raise max, make the pattern narrower, or correct the ports as the message says.",
+    ),
     "W-LATE": Code(
         "Cycles of a context that runs were not done when the next was due: a warning of aiorts check.",
         "A hook takes too long, or other code holds up the event loop.",

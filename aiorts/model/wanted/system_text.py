@@ -65,7 +65,11 @@ class _Writer:
             if wanted.clock.speed is not None:
                 yield f"speed = {value_text('clock.speed', wanted.clock.speed)}"
         for name, table in wanted.services.items():
-            yield from ("", f"[{_key(name)}]", *self._pairs(name, table))
+            if tuple(table) == (name,) and is_list_of_tables(table[name]):
+                for entry in table[name]:
+                    yield from ("", f"[[{_key(name)}]]", *self._pairs(name, entry))
+            else:
+                yield from ("", f"[{_key(name)}]", *self._pairs(name, table))
         for component in wanted.components.values():
             yield from ("", f"[components.{component.name}]", *self._component(component))
         for composite in wanted.composites.values():
@@ -160,6 +164,11 @@ class _Writer:
         if isinstance(value, tuple):
             return f"[{', '.join(self._value(where, item) for item in value)}]"
         return value_text(where, literal(value))
+
+
+def is_list_of_tables(value: Any) -> bool:
+    """Whether a system file has it as `[[NAME]]`."""
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, Mapping) for one in value)
 
 
 def _key(name: str) -> str:

@@ -5,17 +5,18 @@ for themselves. Pure: it looks at a survey and at drafts.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from aiorts.contexts import EventContext
 from aiorts.errors import SLOW_READER, StateError, SystemFileError, WiringError
-from aiorts.kernel.ports import OutPort, Port
+from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.options import connector_profile
 from aiorts.model.policy import Dataflow, Push, Subscription
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ConnectionEntry
+from aiorts.rules import RulesSettings, ruled
 from aiorts.services import ServicePort
 from aiorts.system.checks.draft import Draft
 from aiorts.system.checks.findings import Said
@@ -68,11 +69,21 @@ def _unused(found: Survey) -> Iterator[Said]:
             yield Said("warning", "W-UNUSED", ("components", name), text, of_key=True)
 
 
+def _connected_later(found: Survey) -> Callable[[str, Port[Any]], bool]:
+    """Whether a port is one that `[[rules]]` connect when the system runs."""
+    settings = found.services["rules"].settings if "rules" in found.services else None
+    if not isinstance(settings, RulesSettings):
+        return lambda _name, _port: False
+    fits = ruled(settings.rules)
+    return lambda name, port: isinstance(port, InPort | OutPort) and fits(name, port.name, isinstance(port, OutPort))
+
+
 def _open_ports(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]:
     most = 6
     used = {path for connection in found.system.connections for path in connection.ports}
+    comes = _connected_later(found)
     for name, draft in drafts.items():
-        free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used]
+        free = [port for port in draft.ports.values() if f"{name}.{port.name}" not in used and not comes(name, port)]
         if free:
             listed = ", ".join(f"{port.name} ({_way(port)} {_kind(port)})" for port in free[:most])
             more = f" and {len(free) - most} more" if len(free) > most else ""

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from aiorts.model.configuration.toml_values import basic_string, value_text
-from aiorts.model.wanted.system_text import literal
+from aiorts.model.wanted.system_text import is_list_of_tables, literal
 from aiorts.system.expansion.entries import NAMED
 
 
@@ -17,15 +17,15 @@ def document_text(top: Mapping[str, Any]) -> str:
 
 def _lines(top: Mapping[str, Any]) -> Iterator[str]:
     for word, value in top.items():
-        if not isinstance(value, dict) and word != "connections":
+        if not isinstance(value, dict) and not is_list_of_tables(value):
             yield _pair(word, value)
     for word, value in top.items():
         if word in NAMED and isinstance(value, dict):
             for name, table in value.items():
                 yield from ("", f"[{word}.{_key(name)}]", *(_pair(key, one) for key, one in table.items()))
-        elif word == "connections":
+        elif is_list_of_tables(value):
             for table in value:
-                yield from ("", "[[connections]]", *(_pair(key, one) for key, one in table.items()))
+                yield from ("", f"[[{_key(word)}]]", *(_pair(key, one) for key, one in table.items()))
         elif isinstance(value, dict):
             yield from ("", f"[{_key(word)}]", *(_pair(key, one) for key, one in value.items()))
 

@@ -125,6 +125,17 @@ def may_be_a_service(key: str) -> bool:
     return not get_close_matches(key[:100], TOP, cutoff=0.85)
 
 
+def may_be_of_a_service(key: str, value: Any) -> bool:
+    """Whether it is a table of a service, or a list of such: `[[NAME]]`."""
+    listed = isinstance(value, list) and key not in TOP and all(isinstance(one, dict) for one in value)
+    return (isinstance(value, dict) or listed) and may_be_a_service(key)
+
+
+def _service_table(key: str, value: Any) -> dict[str, Any]:
+    """The settings of a service; `[[NAME]]` is its setting of its own name."""
+    return value if isinstance(value, dict) else {key: value}
+
+
 class _Reader(Reading):
     """Reads the tables, one method for each kind of entry."""
 
@@ -136,7 +147,7 @@ class _Reader(Reading):
     def system(self, top: dict[str, Any], overrides: Iterable[str]) -> SystemFile:
         if not self._schema(top):
             top = {}  # of another version nothing can be said
-        services = {key: table for key, table in top.items() if isinstance(table, dict) and may_be_a_service(key)}
+        services = {key: _service_table(key, value) for key, value in top.items() if may_be_of_a_service(key, value)}
         self._only((), top, (*TOP, *services))
         tables_ = self._tables(top, "components", "component")
         components = {name: self._component(name, table) for name, table in tables_.items()}

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import field, fields
 from pathlib import Path
@@ -33,6 +34,7 @@ _TEXTS: Final = ("name", "empty", "stamp", "convert")
 """Options of a connection whose value a program may leave out as None, False or 0; in a file that says nothing."""
 
 
+_ENTRY: Final = re.compile(r"\[(\d+)\](?:\.([^:]+))?: ")
 _FAILED: Final = " cannot be loaded: "
 
 
@@ -184,10 +186,20 @@ def _service(found: Survey, name: str, table: Mapping[str, Any], chosen: Mapping
     faults = list(settings_faults(kind.settings, given))
     for key, what, of_key in faults:
         option = option_flag(name, by_name[key]) if key in chosen and key in by_name else ""
-        found.say((name, key) if key else (name,), SystemFileError(what), option, of_key=of_key)
+        where, what = _listed(name, what) if key == name else ((name, key) if key else (name,), what)
+        found.say(where, SystemFileError(what), option, of_key=of_key)
     if not faults:
         said = own if name in found.system.services else None
         found.services[name] = ServicePlan(kind, settings_of(kind.settings, given), said)
+
+
+def _listed(name: str, what: str) -> tuple[Key, str]:
+    """Where in `[[NAME]]` it is that a service speaks of, "[NUMBER].KEY: ...", and what it says."""
+    place = _ENTRY.match(what)
+    if place is None:
+        return (name,), what
+    entry: Key = (name, int(place[1]) - 1)
+    return (*entry, place[2]) if place[2] else entry, what[place.end() :]
 
 
 def _in_folder(folder: Path, settings: type, table: Mapping[str, Any]) -> dict[str, Any]:

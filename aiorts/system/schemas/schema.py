@@ -268,6 +268,10 @@ def _services(catalogue: Catalogue) -> dict[str, Any]:
             continue
         cls = service.settings
         kinds = arguments_of(cls)
+        whole = next((one for one in dataclasses.fields(cls) if one.name == name), None)
+        if whole is not None and kinds[name] == (list,):  # [[NAME]]
+            found[name] = _setting(whole, kinds[name])
+            continue
         found[name] = {
             "type": "object",
             "description": inspect.cleandoc(cls.__doc__ or name).partition("\n\n")[0],

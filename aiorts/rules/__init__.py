@@ -1,0 +1,15 @@
+"""Rules connect ports by the patterns of their paths, as components and ports come and go.
+
+It is a service of the kernel, there only where a system has `[[rules]]`; what a rule says is a value.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.rules.connecting import ConnectingRules, RulesSettings
+    from aiorts.rules.rule import ruled
+
+_late(globals(), {"aiorts.rules.connecting": "ConnectingRules RulesSettings", "aiorts.rules.rule": "ruled"})
