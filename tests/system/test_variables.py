@@ -115,6 +115,12 @@ def test_a_variable_of_a_file_that_is_wrong_says_so(write: Callable[..., Path], 
     assert refused(write(text)).startswith(f"system.toml:{message}")
 
 
+@pytest.mark.fault("F01")
+@pytest.mark.parametrize("line", ["[components.motor{i}]", "if = ${sim}", "motor{i} = 1"])
+def test_what_has_to_stand_in_quotes_is_told_so(write: Callable[..., Path], line: str) -> None:
+    assert refused(write(f"schema = 1\n{line}\n")).endswith("what has {i} or ${name} in it stands in quotes")
+
+
 def test_a_misspelt_table_of_variables_is_told_so(write: Callable[..., Path]) -> None:
     (finding,) = [one for one in check(write("schema = 1\n[variable]\na = 1\n")) if one.severity == "error"]
     assert finding.message == "unknown key 'variable'; did you mean 'variables'?"

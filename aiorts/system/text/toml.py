@@ -90,6 +90,8 @@ def tables(text: str, path: Path) -> dict[str, Any]:
         reason = message[: at.start()] if at is not None else message
         if at is not None and at[1] is None:
             reason += ", the file ends here"
+        if text.split("\n", line)[line - 1][column - 1 :].startswith(("{i", "${")):
+            reason += "; what has {i} or ${name} in it stands in quotes"
         raise NotToml(path, text, line, column, f"not valid TOML: {reason}") from None
     except (ValueError, RecursionError) as error:
         # A number with more digits than Python converts; a date that is none.
