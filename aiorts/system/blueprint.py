@@ -258,7 +258,6 @@ def _check_declared(found: Survey) -> None:
             if cls is None or cls.ports_for is not Component.ports_for or hasattr(cls, "make_ports"):
                 continue
             declared = [port.name or attribute for attribute, port in declarations(cls).ports.items()]
-            near = get_close_matches(name, declared, n=1)
-            if near and name not in declared:
+            if name not in declared and (near := get_close_matches(name, declared, n=1)):
                 what = f"{component} has no port {name!r}; did you mean {near[0]!r}?"
                 found.say(end_key(connection, number), SystemFileError(what), connection.place)

@@ -1,4 +1,5 @@
-"""Planning a system of 1,000 components and 2,000 connectors takes at most 12 times as long as one of 100.
+"""Planning, exporting and importing a system of 1,000 components and 2,000 connectors takes at most 12 times as long
+as one of 100.
 
 The bounds are generous, since other work may run beside the tests.
 """
@@ -17,6 +18,7 @@ from typing import Any
 import pytest
 
 from aiorts import Kernel
+from aiorts.cli.app import run_command
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.plan import plan
 from aiorts.model.wanted.system_text import system_text
@@ -95,6 +97,30 @@ async def figures(components: int, folder: Path) -> dict[str, float]:
 async def test_a_thousand_components_are_planned_in_seconds(tmp_path: Path) -> None:
     await figures(100, tmp_path)  # imports all that is imported late
     small, whole = await figures(100, tmp_path), await figures(1000, tmp_path)
+    for what, seconds in whole.items():
+        assert seconds < SECONDS * GENEROUS, (what, seconds)
+        assert seconds < TIMES * GENEROUS * max(small[what], 0.005), (what, small[what], seconds)
+
+
+def exchanged(components: int, folder: Path) -> dict[str, float]:
+    """Seconds of the processor for making a profile of OpenRTM of a system file, and a system file of that."""
+    kinds = folder / KINDS.name
+    kinds.write_text(KINDS.read_text())
+    file, profile, back = (folder / f"{components}{end}" for end in (".toml", ".xml", "back.toml"))
+    file.write_text(system_text(large(components, kinds), folder))
+    found = {}
+    for command, source, target in (("export", file, profile), ("import", profile, back)):
+        gc.collect()
+        began = time.process_time()
+        assert run_command([command, str(source), "-o", str(target), "--force"]) == 0
+        found[command] = time.process_time() - began
+    assert back.read_text().count("[components.") == components
+    return found
+
+
+def test_a_thousand_components_become_a_profile_and_a_system_file_in_seconds(tmp_path: Path) -> None:
+    exchanged(100, tmp_path)  # imports all that is imported late
+    small, whole = exchanged(100, tmp_path), exchanged(1000, tmp_path)
     for what, seconds in whole.items():
         assert seconds < SECONDS * GENEROUS, (what, seconds)
         assert seconds < TIMES * GENEROUS * max(small[what], 0.005), (what, small[what], seconds)

@@ -55,6 +55,8 @@ class Survey:
     system: SystemFile
     catalogue: Catalogue
     types: dict[str, type[Component]] = field(default_factory=dict)
+    classes: dict[tuple[str, Path], type[Component]] = field(default_factory=dict)
+    """By the text of a type and the folder of the file that it stands in: thousands of components have few types."""
     settings: dict[str, Setting] = field(default_factory=dict)
     profiles: dict[int, tuple[ConnectorProfile, dict[str, Any]]] = field(default_factory=dict)
     """By the number of the connection: the options in force, and those that are about its ports."""
@@ -97,7 +99,7 @@ def survey(
 def _component(found: Survey, entry: ComponentEntry) -> None:
     key: Key = ("components", entry.name)
     try:
-        cls = component_type(found.system, entry, found.catalogue)
+        cls = _class(found, entry)
     except (PluginError, SystemFileError) as error:
         # What keeps one module from being imported keeps all its classes: it is said once.
         _, failed, cause = str(error).partition(_FAILED)
@@ -110,6 +112,15 @@ def _component(found: Survey, entry: ComponentEntry) -> None:
     for where, said, fault in (*faults, *more):
         found.bad_params.add(entry.name)
         found.say(where, fault, said, of_key="no such parameter" in str(fault))
+
+
+def _class(found: Survey, entry: ComponentEntry) -> type[Component]:
+    """The class of a component, which is looked for once; what cannot be had is looked for, and refused, each time."""
+    asked = entry.type, found.system.folder_of(("components", entry.name, "type"))
+    cls = found.classes.get(asked)
+    if cls is None:
+        cls = found.classes[asked] = component_type(found.system, entry, found.catalogue)
+    return cls
 
 
 def _connection(found: Survey, entry: ConnectionEntry) -> None:

@@ -100,7 +100,7 @@ class _Exporter:
     def _with_order_of_contexts(self, made: RtsProfile) -> RtsProfile:
         """The profile with the order in which contexts start, where that is not the order of their owners."""
         root = with_property(made.element, f"{MARK}contexts", None)
-        made = RtsProfile.of(root)
+        made = made if root is made.element else RtsProfile.of(root)
         found = list(imported(made, self._types).wanted.contexts)
         order = [name for name in self._wanted.contexts if name in found]
         return made if order == found else RtsProfile.of(with_property(root, f"{MARK}contexts", order))

@@ -45,7 +45,10 @@ class Element:
 
     def get(self, space: str, local: str, default: str = "") -> str:
         """The value of an attribute."""
-        return next((one.value for one in self.attributes if (one.space, one.local) == (space, local)), default)
+        for one in self.attributes:
+            if one.local == local and one.space == space:
+                return one.value
+        return default
 
     def has(self, space: str, local: str) -> bool:
         """Whether there is such an attribute."""
