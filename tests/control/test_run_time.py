@@ -142,27 +142,38 @@ async def test_code_is_replaced_by_the_name_of_a_component_or_by_its_file(
         assert getattr(kernel.components["src"], "text") == "three"  # noqa: B009
 
 
-_SLOW_CODE = """
-from aiorts import Component
+_WRITING = """
+from aiorts import Component, InPort, OutPort
 
 
 class Source(Component):
-    async def on_execute(self):
-        await self.sleep({seconds})
+    out = OutPort(float)
+
+    def on_execute(self):
+        for _ in range({count}):
+            self.out.write_nowait(1.0)
+
+
+class Sink(Component):
+    into = InPort(float)
+
+    def on_execute(self):
+        self.into.drain()
 """
 
 
 async def test_code_that_does_worse_in_its_window_is_taken_back(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    file = tmp_path / "slow_source.py"
-    file.write_text(_SLOW_CODE.format(seconds=0.0))
+    file = tmp_path / "writing_source.py"
+    file.write_text(_WRITING.format(count=1))
     async with Kernel(services={"control": {"name": "codes"}}) as kernel:
-        source = await kernel.create(f"{file}:Source", "src")
-        await kernel.start(PeriodicContext(rate=500.0, name="loop"), source, activate=True)
-        file.write_text(_SLOW_CODE.format(seconds=0.003))
+        source, sink = await kernel.create(f"{file}:Source", "src"), await kernel.create(f"{file}:Sink", "sink")
+        await kernel.connect("src.out", "sink.into", length=1)
+        await kernel.start(PeriodicContext(rate=500.0, name="loop"), source, sink, activate=True)
+        file.write_text(_WRITING.format(count=4))
         status, text = await commanded(capsys, "reload", "src", "--window", "0.25")
-        assert (status, "does worse: loop: " in text, "ticks overran" in text) == (1, True, True)
+        assert (status, "does worse: src.out-sink.into: " in text, "were dropped" in text) == (1, True, True)
         assert kernel.components["src"] is source
 
 

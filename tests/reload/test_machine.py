@@ -102,19 +102,3 @@ async def test_code_that_more_than_doubles_the_drops_of_an_edge_is_taken_back_al
                 await kernel.reload("Worker", window=WINDOW)
             assert kernel.components["worker"] is old
             await kernel.sleep(0.2)
-
-
-@pytest.mark.parametrize("beside", [False, True])
-async def test_code_that_overruns_is_taken_back_also_beside_processes_that_spin(beside: bool, source: Make) -> None:
-    file = source(WORKER)
-    async with system(file, 0.0) as kernel, AsyncExitStack() as stack:
-        if beside:
-            await stack.enter_async_context(spinning())
-            await kernel.sleep(0.2)
-        old = kernel.components["worker"]
-        file.replace("range(1):", "range(1):\n            time.sleep(0.012)")
-        for _ in range(20):
-            with pytest.raises(ComponentError, match=r"(working|reading): \d+ of \d+ ticks overran in"):
-                await kernel.reload("Worker", window=WINDOW)
-            assert kernel.components["worker"] is old
-            await kernel.sleep(0.2)
