@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from aiorts.cli.runtime.service_options import RunCommand, chosen
 from aiorts.cli.runtime.session import execute, log_of, refuse
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.cli.runtime.target import errors_of, find_target
+from aiorts.cli.runtime.watching import WINDOW, Watch
 from aiorts.errors import AiortsError, ComponentError
 from aiorts.system import Choices
 
@@ -41,6 +43,13 @@ from aiorts.system import Choices
 @click.option("--count", type=click.IntRange(min=1), metavar="N", help="End a component alone after N samples.")
 @click.option("--speed", type=float, metavar="X", help="Run X times as fast as real time.")
 @click.option("--simulate", is_flag=True, help="Run in virtual time: exact, and as fast as possible.")
+@click.option("--watch", is_flag=True, help="Apply what is changed in the files of the system while it runs.")
+@click.option(
+    "--window",
+    type=click.FloatRange(min=0.0),
+    metavar="S",
+    help=f"With --watch: S seconds after a change it must not do worse, {WINDOW:g} by default; 0 does not measure.",
+)
 @click.option("--lenient", is_flag=True, help="A component that ended in error makes the exit status no worse.")
 @click.option(
     "--plugins",
@@ -72,6 +81,8 @@ def run(
     duration_once: float | None,
     quiet: bool,
     no_status: bool,
+    watch: bool,
+    window: float | None,
     **given: Any,
 ) -> int:
     """Run a system file, or one component alone.
@@ -93,6 +104,10 @@ def run(
     recovery, and no sample is on its way. It also ends when a component requests it, after --for, and on Ctrl-C; a
     second Ctrl-C ends it at once.
 
+    With --watch a changed file of the system, one that it includes too, is checked, and the difference applied; the
+    code of components is replaced. A file with errors changes nothing, and a change that makes the system do worse is
+    taken back. `aiorts apply --help` says more.
+
     Exit status: that of the component's request; 1 when a component could not be created, or when a coroutine was never
     awaited, unless --lenient; 2 when the file or the command line is wrong; 3 when a component ended in error without
     recovery, unless --lenient; 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP. `aiorts help` lists all. Failures
@@ -102,6 +117,8 @@ def run(
     can end the run for it. An on_initialize may take 30 s. Where NOTIFY_SOCKET is set, systemd gets readiness, status
     and keep-alive messages. With --log-file, standard error gets only warnings and errors.
     """
+    if window is not None and not watch:
+        raise click.UsageError("--window is for --watch")
     if given["duration"] is None:
         given["duration"] = duration_once
     services = chosen(given)
@@ -117,11 +134,19 @@ def run(
             return refuse(log, error, errors_of(target, changes, folders, choices), status)
         log.levels.check(found.names)
         options = with_clock(options, found.clock)
+        if watch and options.simulate:
+            raise click.UsageError("--watch: no file can change while virtual time passes; leave --simulate out")
         if found.streams and sys.stdout is not None and sys.stdout.isatty():
             options = replace(options, status=False)  # its samples are what is looked at, and go past the line
         if log.levels.default <= logging.WARNING:
             for text in found.doubts:
                 log.tell("W-OPTION", text, level="warning")
+        watched = None
+        if watch:
+            if found.plan is None or found.read is None:
+                raise click.UsageError("--watch is for a system file; `aiorts reload` replaces the code of a component")
+            wrong = partial(errors_of, target, changes, folders, choices, running=True)
+            watched = Watch(found.plan, found.read, wrong, WINDOW if window is None else window)
         ends = found.ends
         if ends is not None:
             stopper.last_words.append(ends.report_rest)
@@ -135,6 +160,7 @@ def run(
             unfed_advice=found.unfed,
             streams=found.streams,
             errors=lambda: errors_of(target, changes, folders, choices),
+            watch=watched,
         )
         if ends is None:
             return status

@@ -25,6 +25,7 @@ from aiorts.cli.runtime.log import Log
 from aiorts.cli.runtime.options import Options, checked
 from aiorts.cli.runtime.stopping import Stopper
 from aiorts.cli.runtime.terminal import on_terminal
+from aiorts.cli.runtime.watching import Watch
 from aiorts.errors import (
     ComponentError,
     ConfigurationError,
@@ -63,6 +64,7 @@ class _Run:
     unfed_advice: str
     streams: tuple[str, ...]
     errors: Callable[[], Sequence[Finding]]
+    watch: Watch | None
 
     def warn(self, code: str, message: str) -> None:
         """A line of the command itself, unless only errors are asked for."""
@@ -81,6 +83,7 @@ def execute(
     unfed_advice: str = "",
     streams: tuple[str, ...] = (),
     errors: Callable[[], Sequence[Finding]] = tuple,
+    watch: Watch | None = None,
 ) -> int:
     """Open a kernel, have the system made in it, run it to its end; the exit status.
 
@@ -91,12 +94,13 @@ def execute(
         unfed_advice: for a component alone, what to do when it waits for data that cannot come.
         streams: components that are the command's own standard streams.
         errors: asked when the system cannot be made: all that is wrong with its file.
+        watch: applies what is changed in its files while it runs.
     """
     with contextlib.ExitStack() as stack:
         if log is None:
             log = stack.enter_context(log_of(options, stopper))
         try:
-            run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors)
+            run = _Run(construct, components, options, stopper, log, catalogue, unfed_advice, streams, errors, watch)
             with unawaited_reported(log.tell) as unawaited:
                 status = _run(run)
             return status or (exits.FAILED if unawaited and not options.lenient else exits.DONE)
@@ -170,7 +174,8 @@ async def _session(run: _Run) -> int:
             may_wait = options.duration is None and not failures.in_error
             if run.unfed_advice and may_wait and (hint := unfed(kernel, run.unfed_advice)):
                 run.warn("W-UNFED", hint)
-            status = await _until_end(kernel, run, over, ending)
+            async with contextlib.nullcontext() if run.watch is None else run.watch.beside(kernel, run.log):
+                status = await _until_end(kernel, run, over, ending)
             for line in dropped(kernel, every=options.tell_drops or run.log.levels.default <= logging.INFO):
                 run.warn("W-DROPPED", line)
         elif over.done() and not over.cancelled():

@@ -39,6 +39,7 @@ from aiorts.model.options import doubts
 from aiorts.planning import Setting, setting_alone
 from aiorts.system import (
     AS_WRITTEN,
+    Blueprint,
     Choices,
     ClockEntry,
     Finding,
@@ -77,6 +78,10 @@ class Target:
     """Components that are the command's own: what reads and writes the samples of a component alone."""
     ends: Ends | None = None
     """Of a component alone that standard input feeds: they say at the end what was bad about it."""
+    plan: Blueprint | None = None
+    """Of a system file."""
+    read: Callable[[], Blueprint] | None = None
+    """Reads a system file once more."""
 
 
 def find_target(
@@ -168,6 +173,25 @@ def _no_such(text: str, catalogue: Catalogue) -> str:
 
 
 def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings, choices: Choices) -> Target:
+    def read() -> Blueprint:
+        return _prepared(text, changes, folders, services, choices)
+
+    plan = read()
+    system = plan.system
+    return Target(
+        (*system.components, *system.composites),
+        plan.catalogue,
+        lambda kernel: build(kernel, plan),
+        system.clock,
+        doubts=tuple(f"{system.at(*key, of_key=True)}: {text}" for key, text in _doubts(system)),
+        plan=plan,
+        read=read,
+    )
+
+
+def _prepared(
+    text: str, changes: Sequence[str], folders: Sequence[Path], services: Settings, choices: Choices
+) -> Blueprint:
     try:
         system = load(text, changes, choices)
     except SystemFileError as error:
@@ -182,24 +206,28 @@ def _system(text: str, changes: Sequence[str], folders: Sequence[Path], services
         )
     if not any(context.members for context in system.contexts.values()):
         raise SystemFileError(f"{system.path}: {NOTHING_RUNS}")
-    return Target(
-        (*system.components, *system.composites),
-        catalogue,
-        lambda kernel: build(kernel, plan),
-        system.clock,
-        doubts=tuple(f"{system.at(*key, of_key=True)}: {text}" for key, text in _doubts(system)),
-    )
+    return plan
 
 
 def errors_of(
-    text: str, changes: Sequence[str], folders: Sequence[Path], choices: Choices = AS_WRITTEN
+    text: str,
+    changes: Sequence[str],
+    folders: Sequence[Path],
+    choices: Choices = AS_WRITTEN,
+    *,
+    running: bool = False,
 ) -> tuple[Finding, ...]:
-    """All that is wrong with what `text` names, if that is a system file that can be read."""
+    """All that is wrong with what `text` names, if that is a system file that can be read.
+
+    Args:
+        running: whether a system runs meanwhile, whose standard output this is.
+    """
     if not is_file(text) or text.endswith(".py"):
         return ()
     from aiorts.system import check  # late: only a file that cannot run is looked at in this way
 
-    with contextlib.redirect_stdout(sys.stderr):  # what its components print when they are made once more
+    # What its components print when they are made once more.
+    with contextlib.nullcontext() if running else contextlib.redirect_stdout(sys.stderr):
         found = check(text, changes, catalogue_of(folders).folders, choices)
     wrong = [one for one in found if one.severity == "error"]
     # What the command line says is no mistake of the file.

@@ -48,7 +48,7 @@ def type_text(thing: Any, catalogue: Catalogue, kind: str = "components") -> str
 def _name_in(module: Any, thing: Any) -> str:
     """The name by which a module has it."""
     qualified = getattr(thing, "__qualname__", "")
-    if qualified and _at(module, qualified) is thing:
+    if qualified and _stands_for(_at(module, qualified), thing):
         return str(qualified)
     return next((name for name, value in vars(module).items() if value is thing), "")
 
@@ -64,7 +64,15 @@ def _is(extension: Extension, thing: Any) -> bool:
     """Whether a plugin offers this very object; of a single file it is better said by the file."""
     home, _, name = extension.target.partition(":")
     module = sys.modules.get(home.strip())
-    return module is not None and _at(module, name.strip().split(" ")[0]) is thing
+    return module is not None and _stands_for(_at(module, name.strip().split(" ")[0]), thing)
+
+
+def _stands_for(found: Any, thing: Any) -> bool:
+    """Whether it is this object, or the same class of the same file, which was read anew for another class of it."""
+    if found is thing:
+        return True
+    both_are_classes = isinstance(found, type) and isinstance(thing, type)
+    return both_are_classes and (found.__module__, found.__qualname__) == (thing.__module__, thing.__qualname__)
 
 
 def _installed_places() -> set[Path]:
