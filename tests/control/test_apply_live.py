@@ -112,6 +112,7 @@ async def test_the_system_of_a_file_is_made_of_what_runs(capsys: pytest.CaptureF
         status, out, _ = await said(capsys, "apply", system, "--json", "--window", "0.05")
         assert status == 0
         assert {key: value for key, value in json.loads(out).items() if key != "steps"} == {
+            "refused": [],
             "done": True,
             "rolled_back": "",
             "notes": [],

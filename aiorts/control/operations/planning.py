@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
+from aiorts.control.protocol import Made
 from aiorts.control.session import Session
 from aiorts.late import dataclass
 from aiorts.model.wanted.carried import received
 
 if TYPE_CHECKING:
+    from aiorts.model.wanted.applied import Applied
     from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.plan import Plan
 
@@ -50,6 +52,8 @@ class Changed:
 
     steps: tuple[Mapping[str, Any], ...]
     """As in a plan."""
+    refused: tuple[str, ...]
+    """Empty."""
     done: bool
     """Whether the system is the wanted one now."""
     rolled_back: str
@@ -58,35 +62,38 @@ class Changed:
     """What could not be as the plan, or its reverse, says."""
 
 
-def _plan(session: Session, given: Target) -> Planned | Awaitable[Planned]:
+class _Answer(Made):
+    """A plan, or what has become of it: long ones are made plain beside the loop."""
+
+    __slots__ = ("_value",)
+
+    def __init__(self, value: Plan | Applied) -> None:
+        self._value = value
+
+    def message(self) -> Any:
+        return self._value.to_plain()
+
+
+def _plan(session: Session, given: Target) -> _Answer | Awaitable[_Answer]:
     from aiorts.planning import Planning  # late: few ask for it
 
     planning = session.kernel.service(Planning)
     if isinstance(session.kernel.clock, SimulatedClock):
-        return _planned(planning.plan(_read(given.wanted)))  # a task would be one more that is ready at this instant
+        return _Answer(planning.plan(_read(given.wanted)))  # a task would be one more that is ready at this instant
 
-    async def plan() -> Planned:
-        return _planned(await planning.plan_aside(await _read_aside(given.wanted)))
+    async def plan() -> _Answer:
+        return _Answer(await planning.plan_aside(await _read_aside(given.wanted)))
 
     return plan()
 
 
-async def _apply(session: Session, given: Application) -> Changed:
+async def _apply(session: Session, given: Application) -> _Answer:
+    from aiorts.planning import Planning
+
     kernel = session.kernel
     simulated = isinstance(kernel.clock, SimulatedClock)
     wanted = _read(given.wanted) if simulated else await _read_aside(given.wanted)
-    from aiorts.planning import Planning
-
-    applied = await kernel.service(Planning).apply(wanted, dry_run=False, window=given.window)
-    return Changed(_steps(applied.plan), applied.done, applied.rolled_back, applied.notes)
-
-
-def _planned(plan: Plan) -> Planned:
-    return Planned(_steps(plan), plan.refused)
-
-
-def _steps(plan: Plan) -> tuple[Mapping[str, Any], ...]:
-    return tuple(step.to_plain() for step in plan.steps)
+    return _Answer(await kernel.service(Planning).apply(wanted, dry_run=False, window=given.window))
 
 
 def _read(parts: tuple[str, ...]) -> Wanted:
