@@ -85,10 +85,10 @@ class _Live:
             elif isinstance(port, InPort) and self.target.fits(name, word):
                 self.ins.setdefault(name, []).append(port)
 
-    def pairs(self, changed: set[str] | None) -> Iterator[tuple[OutPort[Any], InPort[Any]]]:
+    def pairs(self, changed: Mapping[str, None] | None) -> Iterator[tuple[OutPort[Any], InPort[Any]]]:
         """The pairs that fit, of these components or of all, in the order in which the components came."""
         for writer, outs in tuple(self.outs.items()):
-            readers = self.ins if changed is None or writer in changed else self.ins.keys() & changed
+            readers = self.ins if changed is None or writer in changed else self.ins.keys() & changed.keys()
             for reader in [one for one in self.ins if one in readers] if readers else ():
                 for out in outs:
                     for in_ in self.ins[reader]:
@@ -166,7 +166,7 @@ class ConnectingRules(KernelService):
         self._waits = False
         if self._held or self.kernel.closed:
             return
-        changed, self._changed = set(self._changed), {}
+        changed, self._changed = self._changed, {}
         kernel = self.kernel
         for name in changed:
             component = kernel.components.get(name)
@@ -189,7 +189,7 @@ class ConnectingRules(KernelService):
                 if len(self._gone) > _REMEMBERED:
                     del self._gone[next(iter(self._gone))]
 
-    def _follow(self, rule: _Live, changed: set[str] | None) -> None:
+    def _follow(self, rule: _Live, changed: Mapping[str, None] | None) -> None:
         if changed is not None and not changed:
             return
         count, beyond = rule.count, False

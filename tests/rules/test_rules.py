@@ -134,6 +134,17 @@ async def test_what_is_ended_or_connected_by_hand_is_left_alone() -> None:
         assert len(logger.poses.connectors) == 3
 
 
+async def test_connectors_come_in_the_order_in_which_their_components_came() -> None:
+    names = [f"s{number}" for number in (3, 1, 4, 15, 9, 2, 6, 5, 35, 8)]
+    async with ruled(ANY) as kernel:
+        for name in ("log1", "log0"):
+            await kernel.create(Logger, name)
+        for name in names:
+            await kernel.create(Source, name)
+        await settled()
+        assert list(kernel.connectors) == [f"{name}.pose-{log}.poses" for name in names for log in ("log1", "log0")]
+
+
 async def test_a_component_is_never_connected_with_itself() -> None:
     async with ruled({"from": "*.*", "to": "*.*"}) as kernel:
         for name in ("one", "two"):
