@@ -123,12 +123,18 @@ class Planning(KernelService):
 
     async def _apply(self, wanted: Wanted, window: float) -> Applied:
         async with self.kernel.registry.renewal:
+            before = await self._before(wanted, window) if window else None
             with ExitStack() as making:
                 for service in self.kernel.services:
                     making.enter_context(service.making())
-                return await self._carried_out(wanted, window, making)
+                return await self._carried_out(wanted, before, window, making)
 
-    async def _carried_out(self, wanted: Wanted, window: float, making: ExitStack) -> Applied:
+    async def _before(self, wanted: Wanted, window: float) -> Window | None:
+        """What is counted before anything is read to be changed, so that the plan is of the system then."""
+        planned = await self._plan(await self._wanted([]), wanted)
+        return None if planned.refused or planned.empty else await self.health.before(window)
+
+    async def _carried_out(self, wanted: Wanted, before: Window | None, window: float, making: ExitStack) -> Applied:
         from aiorts.planning.applying import Application
 
         now = await self._wanted([])
@@ -139,7 +145,6 @@ class Planning(KernelService):
             return Applied(planned)
         application = Application(self, now, wanted, planned)
         await application.load()
-        before = await self.health.before(window) if window else None
         try:
             await application.forth()
         except BaseException as error:

@@ -14,8 +14,8 @@ from aiorts.model.wanted.plan import plan
 from aiorts.planning import wanted_of
 from aiorts.planning.applying import Application
 from aiorts.testing import simulate
-from tests.campaign import cases
-from tests.planning.generated import random_system
+from campaign import cases
+from planning.generated import random_system
 
 SEEDS = range(cases(500))
 

@@ -13,8 +13,8 @@ from aiorts.model.wanted.entries import Wanted
 from aiorts.planning import wanted_of
 from aiorts.planning.applying import Application
 from aiorts.testing import simulate
-from tests.planning.generated import random_system
-from tests.planning.test_apply import Broken, check_ledgers, check_order, texts
+from planning.generated import random_system
+from planning.test_apply import Broken, check_ledgers, check_order, texts
 
 
 @pytest.mark.fault("G05")

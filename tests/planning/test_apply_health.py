@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from random import Random
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +13,12 @@ import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort, Param, PeriodicContext
 from aiorts.model.wanted.entries import ComponentEntry, ContextEntry
+from aiorts.model.wanted.plan import plan
 from aiorts.planning import wanted_of
 from aiorts.testing import simulated
 from campaign import CAMPAIGN, time_limit
 from machine_parts import spinning
+from planning.generated import random_system
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -201,3 +204,15 @@ async def test_a_plan_that_doubles_the_drops_of_an_edge_is_rolled_back_also_besi
             assert applied.rolled_back.startswith("writer.out-filter.into: ")
             assert wanted_of(kernel) == before
             await kernel.sleep(0.2)
+
+
+@simulated
+async def test_what_others_change_in_the_window_before_is_planned_too() -> None:
+    async with Kernel() as kernel:
+        wanted = random_system(Random(5))
+        applying = asyncio.ensure_future(kernel.apply(wanted, window=1.0))
+        await kernel.sleep(0.5)
+        await kernel.create("FlexiDupe", "stranger", inputs=("TimedDouble:2",))
+        assert (await applying).done
+        assert "stranger" not in kernel.components  # it is not wanted
+        assert plan(wanted_of(kernel), wanted).empty
