@@ -176,6 +176,7 @@ DOCUMENTS = st.fixed_dictionaries(
         ),
         "connections": st.one_of(VALUES, st.lists(table(**{"from": VALUES, "to": VALUES, "name": VALUES}), max_size=3)),
         "contexts": st.dictionaries(NAMES, st.one_of(VALUES, table(kind=VALUES, members=VALUES)), max_size=2),
+        "rules": st.one_of(VALUES, table(rules=VALUES), st.lists(table(**{"from": VALUES, "to": VALUES}), max_size=2)),
         "plugins": st.one_of(VALUES, st.fixed_dictionaries({"path": VALUES})),
         "clock": st.one_of(VALUES, table(kind=TEXTS)),
     },

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import pytest
 
-from aiorts.system import Choices, SystemFile, load, prepare, wanted
+from aiorts.system import Choices, SystemFile, check, load, prepare, wanted
 from expansion_parts import ARM, refused, wires
 
 Put: TypeAlias = Callable[..., Path]
@@ -186,3 +186,25 @@ def test_the_whole_text_says_the_same_system(put: Put) -> None:
     again.write_text(system.text)
     assert vars_of(load(again)) == vars_of(system)
     assert system.components["left_other"].params == {"data": "a ${x}"}
+
+
+def test_rules_of_included_files_come_together_and_mean_the_names_of_their_file(put: Put) -> None:
+    arm = f'{ARM}[[rules]]\nfrom = "*.output"\nto = "log.*"\nmax = 5\n[[rules]]\nif = false\nfrom = "a.b"\nto = "c.d"\n'
+    robot = (
+        '[[include]]\nfile = "arm.toml"\nprefix = "left_"\n[[include]]\nfile = "arm.toml"\nprefix = "right_"\n'
+        '[[rules]]\nrepeat = 2\nfrom = "a{i}.*"\nto = "*.b"\n'
+    )
+    path = put(robot=robot, arm=arm)
+    rules = load(path).services["rules"]["rules"]
+    assert [(one["from"], one["to"]) for one in rules] == [
+        ("left_*.output", "left_log.*"),
+        ("right_*.output", "right_log.*"),
+        ("a0.*", "*.b"),
+        ("a1.*", "*.b"),
+    ]
+    prepare(load(path))
+    assert dict(load(put(robot='include = ["arm.toml"]\n', arm=arm.replace("max = 5", "max = 0"))).services)
+    found = check(path.with_name("robot.toml"))
+    assert [one.place.rpartition("/")[2] for one in found if one.severity == "error"] == ["arm.toml:26:7"]
+    text = refused(put(robot='include = ["arm.toml"]\n[rules]\nrules = []\n', arm=arm))
+    assert text.endswith("robot.toml:3:2 has rules, and no list; write all as [[rules]]")

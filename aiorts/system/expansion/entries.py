@@ -19,11 +19,11 @@ COMPONENTS: Final = ("components", "composites")
 
 @dataclass(slots=True)
 class Entry:
-    """A component, composite, context or connection."""
+    """A component, composite, context or connection; or a table of a list of a service, such as `[[rules]]`."""
 
     table: str
     name: str
-    """"" for a connection."""
+    """"" for one of a list."""
     value: dict[str, Any]
     origin: Origin
     moved: dict[Key, Origin] = field(default_factory=dict)
@@ -107,10 +107,10 @@ def renamed(document: Document, rename: Callable[[str], str]) -> Document:
 
 def _rename(entry: Entry, rename: Callable[[str], str]) -> None:
     value = entry.value
-    if entry.table == "connections":
+    if entry.table not in NAMED:
         for key, end in list(entry.ends()):
             entry.set_end(key, rename(end))
-        if isinstance(value.get("name"), str) and value["name"]:
+        if entry.table == "connections" and isinstance(value.get("name"), str) and value["name"]:
             value["name"] = rename(value["name"])
         return
     entry.name = rename(entry.name)

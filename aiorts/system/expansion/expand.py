@@ -18,7 +18,7 @@ from aiorts.system.expansion.choices import Choices
 from aiorts.system.expansion.entries import Document
 from aiorts.system.expansion.faults import Budget, Excess, Fault, Mistakes, Typed
 from aiorts.system.expansion.inclusion import Inclusion, as_table, included, inclusion, listed, port_fault, remapped
-from aiorts.system.expansion.joining import joined
+from aiorts.system.expansion.joining import joined, mixed
 from aiorts.system.expansion.parts import INCLUDE, VARIABLES, File, filled, put_own
 from aiorts.system.expansion.repeating import IF, REPEAT, copies, has_number, is_there
 from aiorts.system.expansion.resolving import refuse_absent, resolve
@@ -105,6 +105,8 @@ class _Expansion:
             self._check_given(top)
             if self.mistakes.found:
                 return document
+            for fault in mixed(document):
+                self.mistakes.say(fault)
             for fault in resolve(document, self._budget):
                 self.mistakes.say(fault)
             self._remap(document)

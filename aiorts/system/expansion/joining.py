@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from aiorts.system.expansion.entries import Document
+from aiorts.system.expansion.entries import NAMED, Document
+from aiorts.system.expansion.faults import Fault
 from aiorts.system.text.origins import Origin, Source
 from aiorts.system.text.places import Key
 
 PLUGINS: Final = "plugins"
+
+
+def mixed(document: Document) -> Iterator[Fault]:
+    """Faults for tables of a list, such as `[[rules]]`, where another file has something else of that name."""
+    for entry in document.entries:
+        value, origin = document.rest.get(entry.table, ([], entry.origin))
+        if not isinstance(value, list):
+            what = f"{origin.spot(of_key=True)} has {entry.table}, and no list; write all as [[{entry.table}]]"
+            yield Fault(entry.origin, what, of_key=True)
 
 
 def joined(document: Document, top: Mapping[str, Any], main: Source) -> tuple[dict[str, Any], dict[Key, Origin]]:
@@ -28,9 +38,9 @@ def joined(document: Document, top: Mapping[str, Any], main: Source) -> tuple[di
             whole[PLUGINS] = {**plugins, "path": [*paths, *more]}
             moved.update({(PLUGINS, "path", len(paths) + at): origin for at, origin in enumerate(more.values())})
     for entry in document.entries:
-        if entry.table == "connections":
-            found = whole.setdefault("connections", [])
-            base: Key = ("connections", len(found))
+        if entry.table not in NAMED:
+            found = whole.setdefault(entry.table, [])
+            base: Key = (entry.table, len(found))
             found.append(entry.value)
         else:
             whole.setdefault(entry.table, {})[entry.name] = entry.value

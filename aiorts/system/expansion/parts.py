@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from aiorts.late import dataclass
+from aiorts.model.wanted.system_text import is_list_of_tables
 from aiorts.system.expansion.entries import NAMED, TABLES, Document, Entry
 from aiorts.system.expansion.faults import Fault
 from aiorts.system.expansion.joining import PLUGINS
@@ -47,11 +48,17 @@ def put_own(document: Document, file: File, kept: Callable[[], AbstractContextMa
     with kept():
         for number, value in _connections(file):
             with kept():
-                _connection(document, file, number, value)
+                _unnamed(document, file, "connections", number, value)
     for word, value in file.top.items():
-        if word not in _OWN:
-            with kept():
+        if word in _OWN:
+            continue
+        with kept():
+            if not is_list_of_tables(value):
                 _other(document, file, word, value)
+                continue
+            for number, one in enumerate(value):
+                with kept():
+                    _unnamed(document, file, word, number, one)
     with kept():
         _plugins(document, file)
 
@@ -90,14 +97,15 @@ def _named(document: Document, file: File, table: str, name: str, value: dict[st
         _add(document, Entry(table, one, made, origin, moved))
 
 
-def _connection(document: Document, file: File, number: int, value: dict[str, Any]) -> None:
-    origin = file.at("connections", number)
+def _unnamed(document: Document, file: File, table: str, number: int, value: dict[str, Any]) -> None:
+    """A connection, or a table of a list of a service."""
+    origin = file.at(table, number)
     numbers = copies(value, file.scope, origin)
     there = is_there(value, file.scope, origin)
     for one in (None,) if numbers is None else numbers:
         made, moved = filled(file, value, origin, one)
         if there:
-            document.entries.append(Entry("connections", "", made, origin, moved))
+            document.entries.append(Entry(table, "", made, origin, moved))
 
 
 def filled(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from aiorts.system.expansion.entries import COMPONENTS, Document, Entry, groups
+from aiorts.system.expansion.entries import COMPONENTS, NAMED, Document, Entry, groups
 from aiorts.system.expansion.faults import Budget, Fault
 from aiorts.system.expansion.repeating import has_number, name_of
 from aiorts.system.text.origins import Origin
@@ -43,7 +43,9 @@ class _Names:
 
     def resolved(self) -> Iterator[Fault]:
         """Change the entry."""
-        if self._entry.table == "connections":
+        if self._entry.table not in NAMED:
+            if self._entry.table != "connections":
+                return
             self._put(("to",), self._ports)
             yield from self._ends()
             return
