@@ -100,6 +100,7 @@ FEATURES = {
     121: "Commands have JSON output, and are carried out in a batch",
     107: "A system is saved as an RtsProfile, XML or YAML",
     89: "Components, connections and activations that a manager's configuration asks for",
+    59: "Ports are connected by rules, as components come and go",
     108: "A saved system is restored, connections and configuration, whole or not at all",
     109: "Components that are missing are created when a system is restored",
     110: "What runs is compared with its file",
