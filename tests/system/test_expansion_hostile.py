@@ -18,7 +18,7 @@ from aiorts.system.file.parse import read
 from aiorts.system.text.origins import Source
 from aiorts.system.text.places import places_of
 from aiorts.system.text.toml import LARGEST
-from campaign import cases
+from campaign import cases, time_limit
 
 SECONDS = 5.0
 """Within which a file is refused, on a machine that others use too; it takes less than one."""
@@ -196,6 +196,7 @@ def as_text(document: dict[str, object]) -> str:
 
 
 @pytest.mark.fault("F01")
+@pytest.mark.timeout(time_limit(900))
 @settings(max_examples=cases(10_000), deadline=None)
 @given(DOCUMENTS, DOCUMENTS, st.lists(st.tuples(st.sampled_from(["a", "b"]), TEXTS), max_size=2))
 def test_any_text_gives_a_system_or_a_named_mistake_with_its_place(
