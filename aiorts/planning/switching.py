@@ -6,7 +6,8 @@ is taken back by the reverse step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from aiorts.composites import Composite, group_of, parts_of
@@ -43,6 +44,25 @@ async def switch(kernel: Microkernel, after: Places, activates: Callable[[str, A
     Raises:
         AiortsError: what a component, a context or a composite refuses, or a hook raised; some of it may be done.
     """
+    with _keeping_connectors(kernel):
+        await _switch(kernel, after, activates)
+
+
+@contextmanager
+def _keeping_connectors(kernel: Microkernel) -> Iterator[None]:
+    """A connector at a port that a composite exports no more stays: it goes where the plan says so."""
+    groups = [group for one in kernel.components.values() if (group := group_of(one)) is not None]
+    before = [dict(group.known) for group in groups]
+    for group in groups:
+        group.known = {port: frozenset(port.connectors) for port in group.known}
+    try:
+        yield
+    finally:
+        for group, known in zip(groups, before, strict=True):
+            group.known.update({port: those for port, those in known.items() if port in group.known})
+
+
+async def _switch(kernel: Microkernel, after: Places, activates: Callable[[str, Any], bool]) -> None:
     composites = kernel.components
     anew = [name for name, one in after.composites.items() if _is_made_anew(composites.get(name), one)]
     for context_name, members in after.contexts.items():

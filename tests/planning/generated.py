@@ -50,18 +50,22 @@ def random_system(random: Random) -> Wanted:
     if len(left) > 1 and random.random() < 0.4:
         count = random.randint(1, min(3, len(left)))
         members, left = left[:count], left[count:]
-        composites["group"] = CompositeEntry("group", tuple(members), named=True)
+        shown = {f"{name}.{'a' if name in 'abcd' else 'x'}": f"of_{name}" for name in members if random.random() < 0.3}
+        options: dict[str, Any] = {"exported": MappingProxyType(shown)} if shown else {}
+        if random.random() < 0.2:
+            options["errors"] = "isolate"
+        composites["group"] = CompositeEntry("group", tuple(members), MappingProxyType(options), named=True)
         left.append("group")
         random.shuffle(left)
     contexts: dict[str, ContextEntry] = {}
     for name in random.sample(["one", "two", "three"], random.randint(0, 3)):
         count = random.randint(0, len(left))
         members, left = left[:count], left[count:]
-        kind, options = random.choice(
+        kind, given = random.choice(
             [("event", {"every": 0.1}), ("periodic", {"rate": 10.0}), ("periodic", {"rate": 20.0})]
         )
         active = not members or random.random() < 0.8
-        contexts[name] = ContextEntry(name, kind, tuple(members), active, MappingProxyType(options))
+        contexts[name] = ContextEntry(name, kind, tuple(members), active, MappingProxyType(given))
     return Wanted(
         MappingProxyType(components),
         connections,
