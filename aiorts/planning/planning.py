@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import math
 import os
+import sys
 from collections.abc import Collection, Generator
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -31,6 +33,15 @@ if TYPE_CHECKING:
 
 _TRIES: Final = 3
 """How often a system that changes while it is read is read with turns of the loop in between."""
+
+_LOADED: Final = (
+    "aiorts.reload.replacement",
+    "aiorts.reload",
+    "aiorts.supervision",
+    "aiorts.planning.applying",
+    "aiorts.planning.reading",
+)
+"""What `apply` needs besides: loaded late and one by one, so that the loop has its turns in between."""
 
 
 class Planning(KernelService):
@@ -122,6 +133,10 @@ class Planning(KernelService):
             task.exception()  # its caller may have been cancelled
 
     async def _apply(self, wanted: Wanted, window: float) -> Applied:
+        for name in _LOADED:
+            if name not in sys.modules:
+                import_module(name)
+                await asyncio.sleep(0)
         async with self.kernel.registry.renewal:
             before = await self._before(wanted, window) if window else None
             with ExitStack() as making:

@@ -79,16 +79,14 @@ def test_at_most_one_tick_is_left_out(files: tuple[Path, Path]) -> None:
     simulate(main())
 
 
-def test_it_moves_on_in_real_time(files: tuple[Path, Path]) -> None:
-    """A machine that is busy leaves out ticks of its own."""
+def test_every_tick_of_the_arm_has_its_command_but_one_in_real_time(files: tuple[Path, Path]) -> None:
+    """A machine that is busy leaves out ticks of the whole composite."""
 
     async def main() -> None:
         async with Kernel() as kernel:
             applied, ticks, commands = await switched(kernel, files)
             assert applied.done
             assert applied.notes == ()
-            print(ticks, commands)
-            assert ticks <= 50
-            assert commands <= 50
+            assert ticks - 1 <= commands <= ticks + 1
 
     asyncio.run(main())
