@@ -1,4 +1,4 @@
-"""The manipulator gets another controller while it runs: its composite, 500 times a second, misses a tick at the most."""
+"""The manipulator gets another controller while it runs, and misses at the most one of 500 ticks a second."""
 
 from __future__ import annotations
 
