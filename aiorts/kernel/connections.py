@@ -116,10 +116,12 @@ class Connections:
             StateError: a real-time thread is at it.
         """
         self.check_mine(connector)
-        if not transport_of(connector).listenable:
-            raise StateError(f"{connector.name}: a real-time thread is at it; disconnect and connect anew")
         before, options = connector.profile, with_openrtm(options)
         profile = wiring.renewed_profile(connector, options)
+        if profile == before:
+            return
+        if not transport_of(connector).listenable:
+            raise StateError(f"{connector.name}: a real-time thread is at it; disconnect and connect anew")
         if not profile.length:
             check_connection(connector.out, connector.in_)
         wiring.renew(self._kernel, connector, profile)
