@@ -78,8 +78,8 @@ class Application:
         self.goes_back = False
         """Whether what was done is being taken back."""
         self._parked: dict[str, Component] = {}
-        self._connectors: dict[str, Connector] = {}
-        """Those that are parked, by name."""
+        self._connectors: list[Connector] = []
+        """Those that are parked, in order."""
         self._trials: dict[str, Trial] = {}
         """Those that are instances of another type now, by name."""
         self._held: set[Component] = set()
@@ -193,8 +193,8 @@ class Application:
     async def settle(self) -> None:
         """It is final: what is parked ends."""
         kernel = self._kernel
-        connectors, self._connectors = self._connectors, {}
-        kernel.connections.end_each(tuple(connectors.values()))
+        connectors, self._connectors = self._connectors, []
+        kernel.connections.end_each(tuple(connectors))
         trials, self._trials = self._trials, {}
         for trial in trials.values():
             await trial.settle()
@@ -276,12 +276,13 @@ class Application:
 
     async def _connect(self, step: Connect) -> None:
         kernel, name = self._kernel, step.name
-        parked = self._connectors.pop(name, None)
+        one, two = step.connection.ports
+        parked = self._parked_connector(name, {one, two}) if self.goes_back else None
         self._give_way(step.connection.ports)
         if parked is not None:
+            self._connectors.remove(parked)
             kernel.connections.unpark(parked)
         elif name not in kernel.connectors and name not in kernel.service_connectors:
-            one, two = step.connection.ports
             await kernel.connect(one, two, **step.connection.options)
 
     def _give_way(self, paths: tuple[str, ...]) -> None:
@@ -291,6 +292,13 @@ class Application:
         for connector in getattr(port, "connectors", ()):
             if owned is not None and connector.profile.ports == paths and owned(connector):
                 self._kernel.connections.end(connector)
+
+    def _parked_connector(self, name: str, paths: set[str]) -> Connector | None:
+        """The one of this name, if its ports are those that have these paths now."""
+        ports = {self._kernel.registry.port(path) for path in paths}
+        return next(
+            (one for one in reversed(self._connectors) if one.name == name and {one.out, one.in_} == ports), None
+        )
 
     async def _disconnect(self, step: Disconnect) -> None:
         connections, name = self._kernel.connections, step.name
@@ -303,7 +311,7 @@ class Application:
             connections.end(connector)
         else:
             connections.park(connector)
-            self._connectors[name] = connector
+            self._connectors.append(connector)
 
     async def _change(self, step: Change) -> None:
         connector = self._kernel.connectors[step.name]

@@ -10,7 +10,7 @@ from collections.abc import Collection, Generator
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
 from aiorts.errors import ApplyError, BusyError, ClosedError, ConfigurationError, StateError, format_error
@@ -26,6 +26,7 @@ from aiorts.planning.turns import finished, in_turns
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
     from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports import Port
     from aiorts.model.health.verdict import Unhealthy
     from aiorts.model.health.windows import Window
     from aiorts.model.wanted.entries import ClockEntry, Wanted
@@ -123,9 +124,14 @@ class Planning(KernelService):
 
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         components = self.kernel.components.values()
-        limited = {port.path for one in components for port in one.ports.values() if port.max_connectors is not None}
+        limited = {port.path for one in components for port in one.ports.values() if _is_limited(port)}
         yield
-        return (yield from planning(now, wanted, limited, {one.name for one in components if not self.parks(one)}))
+        first = {
+            one.name
+            for one in components
+            if not self.parks(one) or (type(one).max_instance is not None and one.name not in wanted.components)
+        }
+        return (yield from planning(now, wanted, limited, first))
 
     def _ended(self, task: asyncio.Task[Applied]) -> None:
         self._applying = None
@@ -222,3 +228,9 @@ def _saved(wanted: Wanted, folder: Path, notes: list[str]) -> Saved:
 
 def _folder_of(path: str | os.PathLike[str]) -> Path:
     return Path(os.path.abspath(path)).parent
+
+
+def _is_limited(port: Port[Any]) -> bool:
+    """Whether one connector must go there before another comes."""
+    ends = getattr(port, "interfaces", ())
+    return port.max_connectors is not None or any(one.polarity == "required" and not one.many for one in ends)

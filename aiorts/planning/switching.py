@@ -85,9 +85,10 @@ async def _switch(kernel: Microkernel, after: Places, activates: Callable[[str, 
     alone = {one for name, line in after.contexts.items() if _is_alone(kernel.contexts.get(name)) for one in line}
     for context_name, members in after.contexts.items():
         context = kernel.contexts.get(context_name)
-        gone = () if context is None else [one for one in tops(context) if one.name not in members]
-        if context is not None and (first := [one for one in gone if _is_alone(context) or one.name in alone]):
-            await context.remove(*first)  # who runs in a thread of its own is in no other context, not for a moment
+        if context is not None:
+            leaving = [one for one in tops(context) if one.name not in members]
+            if first := [one for one in leaving if _is_alone(context) or one.name in alone]:
+                await context.remove(*first)  # who runs in a thread of its own is in no other, not for a moment
     for context_name, members in after.contexts.items():
         context = kernel.contexts.get(context_name)
         if context is not None:

@@ -187,6 +187,9 @@ def test_who_does_not_park_is_finalized_before_its_replacement_is_made(kind: str
             assert texts(wanted_of(kernel), before) == []
             between = [(kind, "on_initialize"), (kind, "on_finalize")] if kind else []
             assert log == [("Camera", "on_finalize"), *between, ("Camera", "on_initialize")]
+            kernel.components["ramp"].number = 0
+            await kernel.sleep(0.1)
+            assert unread(again) == [1, 2, 3, 4, 5]
             check_ledgers(kernel)
 
     simulate(main())

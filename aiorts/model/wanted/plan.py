@@ -160,7 +160,16 @@ class _Planner:
         yield
         connecting, changing, ending = self._connections()
         yield
-        clearing = [one for one in ending if one.name in self._after or self._goes_first(one.connection)]
+        again = {one.connection.ports for one in connecting}
+        taken = {path for one in connecting for path in one.connection.ports if path in self._limited}
+        clearing = [
+            one
+            for one in ending
+            if one.name in self._after
+            or one.connection.ports in again
+            or self._is_touched(one.connection)
+            or not taken.isdisjoint(one.connection.ports)
+        ]
         waiting = [one for one in connecting if self._is_touched(one.connection)]
         steps: list[Step] = [
             *clearing,
@@ -229,9 +238,6 @@ class _Planner:
 
     def _is_touched(self, connection: ConnectionEntry) -> bool:
         return any(path.partition(".")[0] in self._touched for path in connection.ports)
-
-    def _goes_first(self, connection: ConnectionEntry) -> bool:
-        return self._is_touched(connection) or any(path in self._limited for path in connection.ports)
 
     # -- contexts --------------------------------------------------------------------------------------------------
 
