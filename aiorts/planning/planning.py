@@ -36,7 +36,6 @@ _TRIES: Final = 3
 """How often a system that changes while it is read is read with turns of the loop in between."""
 
 _LOADED: Final = (
-    "aiorts.reload.replacement",
     "aiorts.reload",
     "aiorts.supervision",
     "aiorts.planning.applying",
