@@ -21,6 +21,7 @@ from trees import many_objects, parse
 ROOT = Path(__file__).parents[2]
 ORDER = """
 aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py
+aiorts/description.py
 aiorts/guide
 aiorts/timer_heap.py
 aiorts/clock.py
@@ -80,6 +81,7 @@ PUBLIC = (
     "aiorts.types",
     "aiorts.types.ros",
     "aiorts.control",
+    "aiorts.description",
     "aiorts.errors",
     "aiorts.exits",
     "aiorts.late",

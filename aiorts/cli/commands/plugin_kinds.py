@@ -59,6 +59,10 @@ def _converter(extension: Extension, found: Any) -> str:
     return "" if callable(found) else f"{_shown(found)} is no function that makes a converter of text and two types"
 
 
+def _describer(extension: Extension, found: Any) -> str:
+    return "" if callable(found) else f"{_shown(found)} is no function that describes a component of a path"
+
+
 def _command(extension: Extension, found: Any) -> str:
     return "" if isinstance(found, click.Command) else f"{_shown(found)} is no click.Command"
 
@@ -98,6 +102,7 @@ _TESTS: Final[Mapping[str, Callable[[Extension, Any], str]]] = {
     "services": _service,
     "codecs": _codec,
     "converters": _converter,
+    "describers": _describer,
     "transports": lambda _extension, _found: "",  # there are none yet, and so no rule for them
     "commands": _command,
     "benches": _bench,

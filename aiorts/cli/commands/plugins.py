@@ -41,7 +41,7 @@ class _Finding:
 @click.option("--limit", type=click.FloatRange(min=0.1), default=10.0, help="Seconds that an import may take.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document.")
 def plugins(check: bool, folders: tuple[Path, ...], limit: float, as_json: bool) -> int:
-    """List the components, contexts, services, codecs, converters, transports, commands, benches, types to be used.
+    """List the components, contexts, services, codecs, converters, describers and other things to be used.
 
     Nothing is imported, but with --check. Exit status 1 when something is broken, or a name is offered twice.
     """

@@ -10,8 +10,9 @@ from typing import Any
 
 import click
 
-from aiorts import exits
+from aiorts import Catalogue, exits
 from aiorts.cli.console.output import say
+from aiorts.cli.console.report import printed
 from aiorts.errors import ConfigurationError
 
 
@@ -25,6 +26,13 @@ def _types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 @click.command(short_help="Write a plugin with a new component, to begin with.")
 @click.argument("name")
+@click.option(
+    "--from",
+    "source",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Ports, parameters and services of a file that a plugin reads, such as OpenRTM's RTC.xml.",
+)
 @click.option("--in", "ins", multiple=True, metavar="PORT:TYPE", shell_complete=_types, help="An in-port; repeatable.")
 @click.option("--out", "outs", multiple=True, metavar="PORT:TYPE", shell_complete=_types, help="An out-port.")
 @click.option("--param", "params", multiple=True, metavar="NAME[:KIND][=VALUE]", help="KIND: bool, int, float, str.")
@@ -33,6 +41,7 @@ def _types(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 @click.option("--folder", type=click.Path(path_type=Path), default=".", metavar="DIR", help="Write NAME into DIR.")
 def new(
     name: str,
+    source: Path | None,
     ins: tuple[str, ...],
     outs: tuple[str, ...],
     params: tuple[str, ...],
@@ -48,16 +57,24 @@ def new(
     \b
       aiorts new cart --in command:TimedDouble --out position:TimedDouble --param mass:float=2.0
       aiorts run cart/system.toml --for 2
+      aiorts new arm --from RTC.xml
     """
     from aiorts.cli.new.design import design
     from aiorts.cli.new.project import files_of
 
-    made = design(name, ins, outs, params, services, flexi=flexi)
+    described, notes = None, list[str]()
+    if source is not None:
+        from aiorts.cli.new.described import design_of, read
+
+        described, notes = design_of(read(source, Catalogue.default()), name)
+    made = design(name, ins, outs, params, services, flexi=flexi, described=described)
     place = folder / made.name
     _write(place, files_of(made))
+    for note in notes:
+        click.echo(f"aiorts: note: {printed(note)}", err=True)
     say(f"{made.cls} is in {place}. Try:\n")
     say(f"  aiorts run {place / 'system.toml'} --for 2")
-    say(f"  aiorts --plugins {place} inspect {made.cls}")
+    say(f"  aiorts --plugins {place} inspect {made.type}")
     say(f'  python -m pytest {place}      (pip install "aiorts[test]" first)')
     return exits.DONE
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import keyword
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any, Final
 
-from aiorts import Component
+from aiorts import Component, Param
 from aiorts.errors import ConfigurationError
 from aiorts.types import find_type, full_name, has_tm
 
@@ -25,15 +26,21 @@ def _truth(text: str) -> bool:
     return _TRUTH[text.lower()]
 
 
+def _number(text: str) -> float:
+    if math.isfinite(number := float(text)):
+        return number
+    raise ValueError(text)
+
+
 _KINDS: Final[Mapping[str, tuple[Callable[[str], Any], Any]]] = MappingProxyType(
-    {"bool": (_truth, False), "int": (int, 0), "float": (float, 0.0), "str": (str, "")}
+    {"bool": (_truth, False), "int": (int, 0), "float": (_number, 0.0), "str": (str, "")}
 )
 """How a parameter of each kind is read, and its default."""
-_IMPORTED: Final = frozenset(
+IMPORTED: Final = frozenset(
     ("Any", "Component", "InPort", "Mapping", "OutPort", "Param", "Protocol", "Provided", "Required")
 )
 """Names that the file of a component may import."""
-_TAKEN: Final = frozenset(("ask", "types", *(name for name in dir(Component) if not name.startswith("_"))))
+_TAKEN: Final = frozenset(("ask", "self", "types", *(name for name in dir(Component) if not name.startswith("_"))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +48,12 @@ class Port:
     """A data port."""
 
     name: str
+    """Of the attribute."""
     cls: type
+    label: str = ""
+    """Of the port, where it is not the attribute's."""
+    unit: str = ""
+    doc: str = ""
 
     @property
     def type(self) -> str:
@@ -62,11 +74,29 @@ class Service:
     name: str
     role: str
     """"provided" or "required"."""
+    interface: str
+    """The name of the protocol."""
+    label: str = ""
+    """Of the port, where it is not the attribute's."""
+    doc: str = ""
 
-    @property
-    def interface(self) -> str:
-        """The name of the protocol."""
-        return pascal(self.name)
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter."""
+
+    name: str
+    default: Any
+    unit: str = ""
+    doc: str = ""
+    constraint: str = ""
+    widget: str = ""
+
+    def declared(self) -> Any:
+        """What would stand in a class body; DeclarationError where that cannot be."""
+        spec = Param(self.default, unit=self.unit, doc=self.doc, constraint=self.constraint or None, widget=self.widget)
+        type("Checked", (Component,), {self.name: spec})
+        return spec
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +107,21 @@ class Design:
     """Of the folder, the project and the command."""
     ins: tuple[Port, ...] = ()
     outs: tuple[Port, ...] = ()
-    params: Mapping[str, Any] = field(default_factory=dict)
-    """Defaults."""
+    params: tuple[Parameter, ...] = ()
     services: tuple[Service, ...] = ()
     flexi: bool = False
     """Whether its ports follow from parameters."""
+    doc: str = ""
+    """What the component is for."""
+    offered: str = ""
+    """The name that it is found by, where that is not the class's."""
+    rate: float = 10.0
+    """Hz of the system file."""
+
+    @property
+    def type(self) -> str:
+        """The name that it is found by."""
+        return self.offered or self.cls
 
     @property
     def cls(self) -> str:
@@ -102,6 +142,7 @@ def design(
     services: Sequence[str] = (),
     *,
     flexi: bool = False,
+    described: Design | None = None,
 ) -> Design:
     """The component of these words.
 
@@ -111,6 +152,7 @@ def design(
         params: "NAME[:KIND][=DEFAULT]", KIND bool, int, float or str.
         services: "NAME[:provided]" or "NAME:required".
         flexi: ports follow from parameters; then there are none of `ins` and `outs`.
+        described: what a file says of it, to which all this is added.
 
     Raises:
         ConfigurationError: says which word is wrong, and what is expected.
@@ -119,15 +161,17 @@ def design(
     """
     if not _NAME.fullmatch(name) or len(name) > _LONGEST:
         raise ConfigurationError(f"{name!r:.80}: expected a name of letters, digits, - and _ that begins with a letter")
-    if flexi and (ins or outs):
-        raise ConfigurationError("--flexi: its ports follow from parameters; leave --in and --out away")
-    made = Design(
-        name,
-        tuple(_port("--in", word) for word in ins),
-        tuple(_port("--out", word) for word in outs),
-        MappingProxyType(dict(_param(word) for word in params)),
-        tuple(_service(word) for word in services),
-        flexi,
+    known = described or Design(name)
+    if flexi and (ins or outs or known.ins or known.outs):
+        raise ConfigurationError("--flexi: its ports follow from parameters; leave --in, --out and --from away")
+    made = replace(
+        known,
+        name=name,
+        ins=(*known.ins, *(_port("--in", word) for word in ins)),
+        outs=(*known.outs, *(_port("--out", word) for word in outs)),
+        params=(*known.params, *(_param(word) for word in params)),
+        services=(*known.services, *(_service(word) for word in services)),
+        flexi=flexi,
     )
     if find_spec(made.package) is not None:
         raise ConfigurationError(f"{name}: there is a package {made.package} already; choose another name")
@@ -146,20 +190,20 @@ def _port(option: str, word: str) -> Port:
         raise ConfigurationError(f"{option} {word!r:.80}: expected PORT:TYPE, such as {name or 'pose'}:TimedPose2D")
     cls = find_type(type_name)
     has_tm(cls)  # refuses what is no record
-    return Port(_attribute(option, name), cls)
+    return Port(attribute(option, name), cls)
 
 
-def _param(word: str) -> tuple[str, Any]:
+def _param(word: str) -> Parameter:
     head, sign, text = word.partition("=")
     name, colon, kind = head.partition(":")
-    name = _attribute("--param", name)
+    name = attribute("--param", name)
     if colon and kind not in _KINDS:
         raise ConfigurationError(f"--param {word!r:.80}: expected one of {', '.join(_KINDS)} after the colon")
     if not sign:
-        return name, _KINDS[kind or "float"][1]
+        return Parameter(name, _KINDS[kind or "float"][1])
     for each in (kind,) if kind else _KINDS:
         try:
-            return name, _KINDS[each][0](text)
+            return Parameter(name, _KINDS[each][0](text))
         except (ValueError, KeyError):
             continue
     raise ConfigurationError(f"--param {word!r:.80}: {text!r:.40} is no {kind}")
@@ -169,10 +213,10 @@ def _service(word: str) -> Service:
     name, sign, role = word.partition(":")
     if (role or sign) and role not in _ROLES:
         raise ConfigurationError(f"--service {word!r:.80}: expected NAME:provided or NAME:required")
-    return Service(_attribute("--service", name), role or "provided")
+    return Service(attribute("--service", name), role or "provided", pascal(name))
 
 
-def _attribute(option: str, name: str) -> str:
+def attribute(option: str, name: str) -> str:
     """A name that an attribute of a component can have."""
     if not name.isidentifier() or not name.isascii() or name.startswith("_") or len(name) > _LONGEST:
         raise ConfigurationError(f"{option} {name!r:.80}: expected a name of letters, digits and _, as in Python")
@@ -183,14 +227,17 @@ def _attribute(option: str, name: str) -> str:
 
 def _check_distinct(made: Design) -> None:
     ports = (*made.ins, *made.outs)
-    names = [*(one.name for one in ports), *(one.name for one in made.services), *made.params]
+    names = [*(one.name for one in ports), *(one.name for one in made.services), *(one.name for one in made.params)]
     seen: set[str] = set()
     for name in names:
         if name in seen:
             raise ConfigurationError(f"{name}: is given twice; each port, parameter and service has a name of its own")
         seen.add(name)
     classes = [made.cls, *(one.interface for one in made.services)]
-    taken = _IMPORTED | {one.type for one in ports}
+    taken = IMPORTED | {one.type for one in ports}
+    for name in names:
+        if name in taken or name in classes:
+            raise ConfigurationError(f"{name}: is the name of a class that is used; choose another")
     for number, cls in enumerate(classes):
         if cls in taken or cls in classes[:number]:
             raise ConfigurationError(f"{cls}: two classes of {made.name} would have this name; choose another")

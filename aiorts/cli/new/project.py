@@ -11,7 +11,9 @@ from aiorts.types import TimedDouble, has_tm
 from aiorts.wire import split_sample
 
 _RATE: Final = 10.0
-"""Hz of the system file."""
+"""Hz of what the system file feeds it with, at the most."""
+_WIDTH: Final = 120
+"""Of a line."""
 
 
 def files_of(design: Design) -> dict[str, str]:
@@ -44,7 +46,7 @@ dependencies = ["aiorts"]
 
 # Each line: NAME = "MODULE:OBJECT". Nothing is imported before the name is used.
 [project.entry-points."aiorts.components"]
-{design.cls} = "{design.package}.component:{design.cls}"
+{design.type} = "{design.package}.component:{design.cls}"
 
 [tool.hatch.build.targets.wheel]
 packages = ["{design.package}"]
@@ -78,11 +80,11 @@ A component for aiorts. It runs as it lies here, from the folder that holds `{de
 
 ```sh
 aiorts run {design.name}/system.toml --for 2
-aiorts --plugins {design.name} inspect {design.cls}
+aiorts --plugins {design.name} inspect {design.type}
 python -m pytest {design.name}
 ```
 
-After `pip install ./{design.name}` it needs no `--plugins`, and is a filter: `aiorts {design.cls.lower()} --help`.
+After `pip install ./{design.name}` it needs no `--plugins`, and is a filter: `aiorts {design.type.lower()} --help`.
 
 - `{design.package}/component.py`: the component; begin at `on_execute`.
 - `system.toml`: a system that it runs in.
@@ -117,13 +119,14 @@ def _component(design: Design) -> Iterator[str]:
     yield from ["from aiorts.types import find_type"] if design.flexi else _imports((*design.ins, *design.outs))
     yield ""
     names = sorted((design.cls, *(one.interface for one in design.services)))
-    yield f"__all__ = ({', '.join(map(json.dumps, names))}{',' * (len(names) == 1)})"
+    line = f"__all__ = ({', '.join(map(json.dumps, names))}{',' * (len(names) == 1)})"
+    yield from [line] if len(line) <= _WIDTH else ["__all__ = (", *(f"    {json.dumps(one)}," for one in names), ")"]
     for service in design.services:
         yield from _interface(design, service)
     yield ""
     yield ""
     yield f"class {design.cls}(Component):"
-    yield '    """Says in one line what it does."""'
+    yield f'    """{design.doc or "Says in one line what it does."}"""'
     yield ""
     yield from _declarations(design)
     if design.flexi:
@@ -159,7 +162,14 @@ def _imports(ports: Iterable[Port]) -> Iterator[str]:
     found: dict[str, set[str]] = {}
     for port in ports:
         found.setdefault(port.module, set()).add(port.type)
-    yield from (f"from {module} import {', '.join(sorted(names))}" for module, names in sorted(found.items()))
+    for module, names in sorted(found.items()):
+        line = f"from {module} import {', '.join(sorted(names))}"
+        if len(line) <= _WIDTH:
+            yield line
+        else:
+            yield f"from {module} import ("
+            yield from (f"    {one}," for one in sorted(names))
+            yield ")"
 
 
 def _interface(design: Design, service: Service) -> Iterator[str]:
@@ -174,16 +184,52 @@ def _interface(design: Design, service: Service) -> Iterator[str]:
 
 
 def _declarations(design: Design) -> Iterator[str]:
-    yield from (f"    {one.name} = InPort({one.type})" for one in design.ins)
-    yield from (f"    {one.name} = OutPort({one.type})" for one in design.outs)
-    yield from (f"    {one.name} = {one.role.capitalize()}[{one.interface}]()" for one in design.services)
-    yield from (f"    {name} = Param({_literal(value)})" for name, value in design.params.items())
+    for kind, ports in (("InPort", design.ins), ("OutPort", design.outs)):
+        for one in ports:
+            words = {"unit": one.unit, "doc": one.doc, "name": one.label}
+            yield from _call(f"{one.name} = {kind}", [one.type, *_keywords(words)])
+    for service in design.services:
+        head = f"{service.name} = {service.role.capitalize()}[{service.interface}]"
+        yield from _call(head, _keywords({"port": service.label, "doc": service.doc}))
+    for param in design.params:
+        typed = [f"type={_type_of(param.default)}"] if isinstance(param.default, tuple) else []
+        words = {"unit": param.unit, "doc": param.doc, "constraint": param.constraint, "widget": param.widget}
+        yield from _call(f"{param.name} = Param", [literal(param.default), *typed, *_keywords(words)])
     if design.ins or design.outs or design.services or design.params:
         yield ""
 
 
-def _literal(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+def _call(head: str, arguments: list[str]) -> Iterator[str]:
+    """A call in a class body, in the form that ruff gives it."""
+    inside = ", ".join(arguments)
+    if len(line := f"    {head}({inside})") <= _WIDTH:
+        yield line
+        return
+    yield f"    {head}("
+    if len(line := f"        {inside}") <= _WIDTH:
+        yield line
+    else:
+        yield from (f"        {one}," for one in arguments)
+    yield "    )"
+
+
+def _keywords(words: dict[str, str]) -> list[str]:
+    return [f"{key}={literal(text)}" for key, text in words.items() if text]
+
+
+def _type_of(values: tuple[Any, ...]) -> str:
+    return f"tuple[{type(values[0]).__name__}, ...]"
+
+
+def literal(value: Any) -> str:
+    """A value as Python writes it, in the form that ruff gives it."""
+    if isinstance(value, tuple):
+        return f"({', '.join(map(literal, value))}{',' * (len(value) == 1)})"
+    if not isinstance(value, str):
+        return repr(value)
+    quote = "'" if value.count('"') > value.count("'") else '"'
+    plain = value.replace("\\", r"\\").replace(quote, f"\\{quote}")
+    return quote + "".join(one if one.isprintable() else ascii(one)[1:-1] for one in plain) + quote
 
 
 def _cycle(design: Design) -> Iterator[str]:
@@ -226,7 +272,7 @@ def _system(design: Design) -> str:
     parts = [
         f"# {design.cls} in a system. The plugin is found because it lies beside this file.\n"
         f"#\n# Run: aiorts run {design.name}/system.toml\nschema = 1\n",
-        f'[components.{name}]\ntype = "{design.cls}"\n',
+        f"[components.{name}]\ntype = {json.dumps(design.type)}\n",
     ]
     ins = [Port("input0", TimedDouble)] if design.flexi else list(design.ins)
     outs = [Port("output0", TimedDouble)] if design.flexi else list(design.outs)
@@ -235,7 +281,7 @@ def _system(design: Design) -> str:
         types, constants = [one.type for one in ins], [json.dumps(_data(one)) for one in ins]
         parts.append(
             f'[components.source]\ntype = "FlexiConst"\nparams.outputs = {_texts(types)}\n'
-            f"params.constants = {_texts(constants)}\nparams.rate = {_RATE}\n"
+            f"params.constants = {_texts(constants)}\nparams.rate = {min(_RATE, design.rate)}\n"
         )
         members.insert(0, "source")
     if outs:
@@ -246,9 +292,9 @@ def _system(design: Design) -> str:
         members.append("show")
     for number, one in enumerate(ins):
         source = "output" if len(ins) == 1 else f"output{number}"
-        parts.append(f'[[connections]]\nfrom = "source.{source}"\nto = "{name}.{one.name}"\n')
-    parts += [f'[[connections]]\nfrom = "{name}.{one.name}"\nto = "show.{one.name}"\n' for one in outs]
-    parts.append(f'[contexts.loop]\nkind = "periodic"\nrate = {_RATE}\nmembers = {_texts(members)}\n')
+        parts.append(f'[[connections]]\nfrom = "source.{source}"\nto = "{name}.{one.label or one.name}"\n')
+    parts += [f'[[connections]]\nfrom = "{name}.{one.label or one.name}"\nto = "show.{one.name}"\n' for one in outs]
+    parts.append(f'[contexts.loop]\nkind = "periodic"\nrate = {design.rate}\nmembers = {_texts(members)}\n')
     return "\n".join(parts)
 
 
@@ -276,10 +322,10 @@ def _tests(design: Design) -> Iterator[str]:
     yield "@simulated"
     yield "async def test_a_cycle() -> None:"
     yield f'    async with Rig({design.cls}("{name}0")) as rig:'
-    yield from (f'        rig.feed("{one.name}", {one.type}())' for one in fed)
+    yield from (f"        rig.feed({literal(one.label or one.name)}, {one.type}())" for one in fed)
     yield "        await rig.tick()"
-    written = ["output0"] if design.flexi else [one.name for one in design.outs]
-    yield from (f'        assert len(rig.received("{one}")) == 1' for one in written)
+    written = ["output0"] if design.flexi else [one.label or one.name for one in design.outs]
+    yield from (f"        assert len(rig.received({literal(one)})) == 1" for one in written)
     if not written:
         yield "        assert rig.failures == ()"
     yield ""

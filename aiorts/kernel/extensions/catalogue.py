@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 KINDS: Final = (
-    *("components", "contexts", "services", "codecs", "converters", "transports", "commands", "benches", "types"),
+    *("components", "contexts", "services", "codecs", "converters", "describers", "transports", "commands"),
+    *("benches", "types"),
 )
 """What a plugin can offer."""
 _LARGEST: Final = 1 << 20

@@ -271,11 +271,11 @@ def _imported(extension: Offer) -> Any:
 
 
 def _near_name(kind: str, wanted: str, found: Any) -> str:
-    """What may have been meant among the classes of a module, or of a class; of a converter among the functions."""
+    """What may have been meant among the classes of a module, or of a class; functions where they are offered."""
     from difflib import get_close_matches
 
     held = getattr(found, "__dict__", {})
-    meant, word = (FunctionType, "function") if kind == "converters" else (type, "class")
+    meant, word = (FunctionType, "function") if kind in ("converters", "describers") else (type, "class")
     names = [name for name, value in held.items() if isinstance(value, meant) and not name.startswith("_")]
     own = [name for name in names if getattr(held[name], "__module__", "") == getattr(found, "__name__", "")]
     near = get_close_matches(wanted[:100], own or names, n=1)

@@ -1,0 +1,137 @@
+"""A design from a file of others, which a plugin reads: `aiorts new NAME --from FILE`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts import Catalogue
+from aiorts.cli.new.design import IMPORTED, Design, Parameter, Port, Service, attribute, pascal
+from aiorts.description import ComponentDescription, ParameterDescription, PortDescription
+from aiorts.errors import AiortsError, ConfigurationError, DeclarationError, PluginError
+from aiorts.types import find_type, has_tm
+
+_KIND: Final = "describers"
+_OFFERED: Final = re.compile(r"[A-Za-z][\w-]*", re.ASCII)
+_LONGEST_DOC: Final = 1000
+
+
+def read(path: Path, catalogue: Catalogue) -> ComponentDescription:
+    """What a file describes, read by the plugin that offers to read files of its ending.
+
+    Raises:
+        PluginError: no plugin does, or the plugin cannot be loaded or returns something else.
+        AiortsError: the file cannot be read, or is wrong.
+    """
+    ending = path.suffix.removeprefix(".").lower()
+    offered = catalogue.extensions(_KIND)
+    if ending not in offered:
+        known = f"; there are {', '.join(f'.{one}' for one in offered)}" if offered else ""
+        what = f"that end in .{ending}" if ending else "without an ending"
+        raise PluginError(
+            f"--from {path}: no plugin that is installed reads files {what}{known}; "
+            "install one that offers this, as aiorts_openrtm does for RTC.xml"
+        )
+    found = catalogue.find(_KIND, ending).load()(path)
+    if not isinstance(found, ComponentDescription):
+        raise PluginError(f"--from {path}: its reader returned {type(found).__name__}, no ComponentDescription")
+    return found
+
+
+def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]]:
+    """The component that a description is of, to be made under a name, and what of it is left out.
+
+    Raises:
+        ConfigurationError: it has what no component can have; says where.
+    """
+    notes = list(found.notes)
+    used = {*IMPORTED, pascal(name)}
+    ports = [_port(one, used) for one in found.ports]
+    used |= {one.type for _, one in ports}
+    params = tuple(_parameter(one, notes) for one in found.parameters)
+    used |= {one.name for one in params}
+    services = []
+    for one in found.services:
+        own = _attribute(one.name, "service", used)
+        label = one.port or one.name
+        interface = pascal(own)
+        interface = f"{interface}Service" if interface in used else interface
+        used.add(interface)
+        role = "required" if one.required else "provided"
+        services.append(Service(own, role, interface, "" if label == own else label, one.doc))
+    offered = found.name if _OFFERED.fullmatch(found.name) else ""
+    if not offered:
+        notes.append(f"{found.name!r:.80} is no name for a component here; it is found as {pascal(name)}")
+    made = Design(
+        name,
+        tuple(port for direction, port in ports if direction == "in"),
+        tuple(port for direction, port in ports if direction == "out"),
+        params,
+        tuple(services),
+        doc=_docstring(found.doc),
+        offered=offered,
+        rate=found.rate or 10.0,
+    )
+    return made, notes
+
+
+def _port(one: PortDescription, used: set[str]) -> tuple[str, Port]:
+    try:
+        cls = find_type(one.type)
+        has_tm(cls)  # refuses what is no record
+    except AiortsError as error:
+        raise ConfigurationError(
+            f"{one.where}: port {one.name}: {error}; a plugin (--plugins) can offer a record type of this name"
+        ) from None
+    name = _attribute(one.name, "port", {*used, one.type})
+    return one.direction, Port(name, cls, "" if name == one.name else one.name, _line(one.unit), _line(one.doc))
+
+
+def _parameter(one: ParameterDescription, notes: list[str]) -> Parameter:
+    try:
+        name = attribute("parameter", one.name)
+        if name in IMPORTED:
+            raise ConfigurationError(f"parameter {name}: is the name of a class that is used; choose another")
+        made = Parameter(name, one.default, _line(one.unit), _line(one.doc), one.constraint, one.widget)
+        try:
+            made.declared()
+        except DeclarationError as error:
+            if not one.widget:
+                raise
+            made = Parameter(name, one.default, _line(one.unit), _line(one.doc), one.constraint)
+            made.declared()
+            notes.append(f"{one.where}: {_cause(error)}; it is left out")
+    except AiortsError as error:
+        raise ConfigurationError(f"{one.where}: {_cause(error)}") from None
+    return made
+
+
+def _attribute(label: str, fallback: str, used: set[str]) -> str:
+    """A name for an attribute as near to a label as can be."""
+    plain = re.sub(r"\W+", "_", label, flags=re.ASCII).strip("_") or fallback
+    for own in (label, plain, f"{plain}_", f"{fallback}_{plain}"):
+        try:
+            found = attribute(fallback, own)
+        except ConfigurationError:
+            continue
+        if found not in used:
+            used.add(found)
+            return found
+    number = next(number for number in range(1, len(used) + 2) if f"{fallback}{number}" not in used)
+    used.add(f"{fallback}{number}")
+    return f"{fallback}{number}"
+
+
+def _docstring(text: str) -> str:
+    """The text on one line, as it can stand in a docstring."""
+    return _line(text).replace("\\", "\\\\").replace('"', "'")
+
+
+def _line(text: str) -> str:
+    words = " ".join(text.split())
+    return "".join(one for one in words if one.isprintable())[:_LONGEST_DOC].strip()
+
+
+def _cause(error: Any) -> str:
+    return " ".join(str(error).split()).removeprefix("Checked.")

@@ -1,0 +1,83 @@
+"""What `aiorts new --from RTC.xml` makes a component of."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts.description import ComponentDescription, ParameterDescription, PortDescription, ServiceDescription
+from aiorts_openrtm.errors import OpenRTMError
+from aiorts_openrtm.mapping.context_kinds import kind_of
+from aiorts_openrtm.mapping.values import typed
+from aiorts_openrtm.profiles.rtc_profile import RtcParameter, RtcProfile, RtcServicePort
+
+_VECTOR: Final = re.compile(r"(?:std::)?vector<\s*([\w: ]+?)\s*>")
+
+
+def description(path: Path) -> ComponentDescription:
+    """The component type that an `RTC.xml` describes.
+
+    Raises:
+        OpenRTMError: it cannot be read, or describes what no component can have; says on which line.
+        MissingExtra: what reads XML is not installed.
+    """
+    profile = RtcProfile.read(path)
+    return ComponentDescription(
+        profile.name,
+        profile.description,
+        tuple(
+            PortDescription(one.name, direction, one.record, one.unit, one.doc, one.where)
+            for one in profile.data_ports
+            if (direction := one.direction) != "event"
+        ),
+        tuple(map(_parameter, profile.parameters)),
+        tuple(service for port in profile.service_ports for service in _services(port)),
+        profile.rate,
+        tuple(_notes(profile)),
+    )
+
+
+def _parameter(one: RtcParameter) -> ParameterDescription:
+    value = _value(one)
+    return ParameterDescription(one.name, value, one.unit, one.doc, one.constraint, one.widget, one.where)
+
+
+def _value(one: RtcParameter) -> Any:
+    """The default, of the parameter's type; a text for a type that is not known, as all is in OpenRTM."""
+    if (vector := _VECTOR.fullmatch(one.type.strip())) and one.default.strip():
+        return tuple(_plain(one, vector[1], part) for part in one.default.split(","))
+    return _plain(one, one.type, one.default)
+
+
+def _plain(one: RtcParameter, kind: str, text: str) -> Any:
+    value = typed(text, kind)
+    if not isinstance(value, str):
+        return value
+    zero = next((zero for zero in (typed("0", kind), typed("false", kind)) if not isinstance(zero, str)), "")
+    if isinstance(zero, str):
+        return text
+    if text.strip():
+        raise OpenRTMError(f"{one.where}: {one.name}: default {one.default!r:.80} is no {one.type}")
+    return zero
+
+
+def _services(port: RtcServicePort) -> Iterator[ServiceDescription]:
+    for one in port.interfaces:
+        name, doc = port.name if len(port.interfaces) == 1 else one.name, one.type
+        yield ServiceDescription(name, not one.provided, port.name, doc, one.where)
+
+
+def _notes(profile: RtcProfile) -> Iterator[str]:
+    for port in profile.data_ports:
+        if port.direction == "event":
+            yield f"{port.where}: event port {port.name!r}: a component with a state chart has it; write it by hand"
+    for service in profile.service_ports:
+        if service.interfaces:
+            yield f"{service.where}: service port {service.name!r}: its methods are in IDL; write them by hand"
+        else:
+            yield f"{service.where}: service port {service.name!r} has no interface; left out"
+    if profile.context and kind_of(profile.context) != "periodic":
+        where = profile.element.where
+        yield f"{where}: executionType {profile.context!r:.60}: the new system's context is periodic"
