@@ -93,7 +93,10 @@ def test_any_type_can_be_that_of_a_port(tmp_path: Path) -> None:
         (["x", "--param", "a:int=1.5"], "'1.5' is no int"),
         (["x", "--service", "a:offered"], "expected NAME:provided or NAME:required"),
         (["x", "--service", "x"], "two classes of x would have this name"),
-        (["x", "--flexi", "--in", "a:TimedLong"], "leave --in and --out away"),
+        (["x", "--flexi", "--in", "a:TimedLong"], "leave --in, --out and --from away"),
+        (["x", "--in", "self:TimedLong"], "has this name already"),
+        (["x", "--in", "TimedLong:TimedLong"], "is the name of a class that is used"),
+        (["x", "--param", "a:float=inf"], "'inf' is no float"),
         (["log"], "there is a package aiorts_log already"),
     ],
 )
