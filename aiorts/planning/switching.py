@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from aiorts.composites import Composite, group_of, parts_of
-from aiorts.errors import ComponentError, format_error
+from aiorts.errors import ComponentError, StateError, format_error
 from aiorts.kernel.execution.cell import cell, flattened
 from aiorts.model.lifecycle import LifecycleState
 
@@ -93,6 +93,9 @@ async def _switch(kernel: Microkernel, after: Places, activates: Callable[[str, 
         context = kernel.contexts.get(context_name)
         if context is not None:
             await _fill(context, [composites[name] for name in members], activates)
+    for context_name, members in after.contexts.items():
+        if members and context_name not in kernel.contexts:
+            raise StateError(f"{context_name}: was stopped meanwhile; {', '.join(members)}: cannot run there")
 
 
 def _is_alone(context: Context | None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 import pytest
@@ -191,5 +192,22 @@ def test_who_does_not_park_is_finalized_before_its_replacement_is_made(kind: str
             await kernel.sleep(0.1)
             assert unread(again) == [1, 2, 3, 4, 5]
             check_ledgers(kernel)
+
+    simulate(main())
+
+
+def test_a_context_that_was_stopped_in_the_window_is_said(files: Files) -> None:
+    async def main() -> None:
+        async with Kernel() as kernel:
+            await build(kernel, load(files("Keeper")))
+            await kernel.sleep(1.0)
+            task = asyncio.ensure_future(kernel.apply(wanted(load(files("", worse=True))), window=1.0))
+            await kernel.sleep(1.9)
+            await kernel.contexts["work"].stop()
+            applied = await task
+            assert not applied.done
+            (note,) = applied.notes
+            assert "work: was stopped meanwhile; ramp, meter, keeper: cannot run there" in note
+            assert not kernel.registry.parked
 
     simulate(main())
