@@ -140,6 +140,26 @@ async def test_what_fails_leaves_all_as_it_was(capsys: pytest.CaptureFixture[str
         assert await said(capsys, "plan", tmp_path / "system.toml", "--live", "unit") == (0, "", "")
 
 
+@pytest.mark.row(108)
+async def test_what_does_worse_is_taken_back_with_the_figure(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "late.py").write_text(
+        "from aiorts import Component\n\n\nclass Late(Component):\n"
+        "    async def on_execute(self) -> None:\n        raise ValueError('no such device')\n"
+    )
+    more = '[components.late]\ntype = "late.py:Late"\n[contexts.fast]\nkind = "periodic"\nrate = 100.0\n'
+    (tmp_path / "late.toml").write_text(f'{OTHER}{more}members = ["late"]\n')
+    async with built(tmp_path) as kernel:
+        status, out, _ = await said(capsys, "apply", tmp_path / "late.toml", "--window", "0.2")
+        assert status == 1
+        assert "+ create late (late.py:Late)\n" in out
+        assert out.splitlines()[-1].startswith("taken back: late")
+        assert "no such device" in out
+        assert list(kernel.components) == ["const", "dump"]
+        assert await said(capsys, "plan", tmp_path / "system.toml", "--live", "unit") == (0, "", "")
+
+
 async def test_what_cannot_be_done_is_refused_with_status_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     system = tmp_path / "system.toml"
     async with built(tmp_path):

@@ -149,6 +149,19 @@ def test_a_change_that_makes_it_worse_is_taken_back(tmp_path: Path) -> None:
         assert run_command(["plan", str(system), "--live", "watched"]) == 0
 
 
+def test_code_that_was_changed_while_no_component_was_of_it_is_the_new_one(tmp_path: Path) -> None:
+    (tmp_path / "other.py").write_text(PARTS)
+    with watched(tmp_path, "0") as one:
+        one.write("[contexts", '[components.other]\ntype = "other.py:Ramp"\n[contexts')
+        one.says("+ create other (other.py:Ramp)\n", "done\n")
+        one.write('[components.other]\ntype = "other.py:Ramp"\n', "")
+        one.says("- remove other", "done\n")
+        one.write("step: float", "steps: float = Param(1.0)\n    step: float", "other.py")
+        time.sleep(1.0)
+        one.write("[contexts", '[components.other]\ntype = "other.py:Ramp"\nparams.steps = 3\n[contexts')
+        one.says("- remove other", "+ create other (other.py:Ramp)\n", "done\n")
+
+
 def test_of_what_changes_during_a_window_the_newest_is_applied(tmp_path: Path) -> None:
     with watched(tmp_path, "3") as one:
         one.write("length = 100", "length = 1")

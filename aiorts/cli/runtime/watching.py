@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import sys
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping, Sequence
 from hashlib import sha256
 from itertools import islice
@@ -73,7 +74,8 @@ class Watch:
                 settled, before = now == before, now
                 if settled and now != self._seen:
                     await self._take(kernel, log, {path for path in now if now[path] != self._seen.get(path)})
-                    self._sources = _sources(map(type, kernel.components.values()))
+                    self._measure(kernel)
+                    self._sources |= _sources(map(type, kernel.components.values()))
                     self._seen = before = {**await _aside(self._look), **now}
 
     def _look(self) -> Mapping[Path, bytes]:
@@ -107,18 +109,19 @@ class Watch:
             raise
         except AiortsError as error:
             log.failed(error)
-        self._measure(kernel)
 
     async def _reload(self, kernel: Kernel, log: Log, path: Path) -> None:
-        """Replace the code of all types of a file."""
+        """Replace the code of all types of a file; where there is no component of it, it is imported when one comes."""
         from aiorts.reload import file_of
 
-        for kind in dict.fromkeys(map(type, kernel.components.values())):
-            if file_of(kind) == path:
-                done = await kernel.reload(kind, window=self._window)
-                log.tell(
-                    "", f"~ reload {done.kind}: {', '.join(one.component for one in done.components)}", level="info"
-                )
+        kinds = [one for one in dict.fromkeys(map(type, kernel.components.values())) if file_of(one) == path]
+        for kind in kinds:
+            done = await kernel.reload(kind, window=self._window)
+            log.tell("", f"~ reload {done.kind}: {', '.join(one.component for one in done.components)}", level="info")
+        if not kinds and path in self._sources:
+            for name, module in list(sys.modules.items()):
+                if getattr(module, "__file__", None) == str(path):
+                    del sys.modules[name]
 
     async def _apply(self, kernel: Kernel, log: Log, wanted: Wanted) -> None:
         while True:
