@@ -110,6 +110,14 @@ def test_a_page_of_a_system_has_its_drawing_and_its_types(
         assert part in page
 
 
+def test_a_type_of_a_plugin_that_lies_beside_the_system_is_described(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(["new", "paged", "--in", "command:TimedDouble", "--folder", str(tmp_path)]) == 0
+    assert run_command(["doc", str(tmp_path / "paged" / "system.toml")]) == 0
+    assert "| command | in | TimedDouble |" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("name", "cause"),
     [

@@ -13,6 +13,7 @@ import pytest
 from aiorts import Catalogue
 from aiorts.cli.app import run_command
 from aiorts.cli.new.project import literal
+from aiorts.system import check
 from openrtm_parts import REAL
 
 OPENING = """<?xml version="1.0" encoding="UTF-8"?>
@@ -157,6 +158,23 @@ def test_without_the_plugin_it_is_said_what_to_install(
     monkeypatch.setattr(Catalogue, "extensions", lambda *_: {})
     assert arm(tmp_path) == 2
     assert "install one that offers this, as aiorts_openrtm does for RTC.xml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        ("rated", '"50"', '"1e12"', "it is 10.0"),
+        ("placed", 'name="angle"', 'name="位置 1"', "a port cannot be called '位置 1' here; it is port_1"),
+        ("served", 'name="brake"', 'name="止"', "a port cannot be called '止' here; it is service"),
+        ("offered", "Arm_RTC", "腕", "is no name for a component here"),
+    ],
+)
+def test_what_has_another_name_or_rate_here_is_said_and_runs(
+    tmp_path: Path, name: str, old: str, new: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert arm(tmp_path, WHOLE.replace(old, new), name) == 0
+    assert says in capsys.readouterr().err
+    assert [one for one in check(tmp_path / name / "system.toml") if one.severity == "error"] == []
 
 
 def test_options_add_to_the_file(tmp_path: Path) -> None:

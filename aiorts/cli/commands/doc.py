@@ -154,7 +154,7 @@ def _system(file: str, choices: Choices, folders: tuple[Path, ...]) -> tuple[str
     rows = [(one.name, one.type, homes.get(one.name, "")) for one in system.components.values()]
     entries = system.components.values()
     types = dict.fromkeys(_named(one.type, system.folder_of(("components", one.name, "type"))) for one in entries)
-    subjects = {one.cls: one for one in (find_subject(text, folders) for text in types)}
+    subjects = {one.cls: one for one in (find_subject(text, catalogue.folders) for text in types)}
     blocks: list[Block] = [
         Head(1, system.path.name),
         Drawing(graph(system, "mermaid", catalogue), graph(system, "svg", catalogue)),

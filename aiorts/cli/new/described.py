@@ -14,6 +14,9 @@ from aiorts.types import find_type, has_tm
 
 _KIND: Final = "describers"
 _OFFERED: Final = re.compile(r"[A-Za-z][\w-]*", re.ASCII)
+_LABEL: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}")
+_RATES: Final = (0.001, 10_000.0)
+_USUAL: Final = 10.0
 _LONGEST_DOC: Final = 1000
 
 
@@ -47,22 +50,26 @@ def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]
     """
     notes = list(found.notes)
     used = {*IMPORTED, pascal(name)}
-    ports = [_port(one, used) for one in found.ports]
+    ports = [_port(one, used, notes) for one in found.ports]
     used |= {one.type for _, one in ports}
     params = tuple(_parameter(one, notes) for one in found.parameters)
     used |= {one.name for one in params}
     services = []
     for one in found.services:
         own = _attribute(one.name, "service", used)
-        label = one.port or one.name
+        label = _label(one.port or one.name, own, one.where, notes)
         interface = pascal(own)
         interface = f"{interface}Service" if interface in used else interface
         used.add(interface)
         role = "required" if one.required else "provided"
-        services.append(Service(own, role, interface, "" if label == own else label, one.doc))
+        services.append(Service(own, role, interface, label, _line(one.doc)))
     offered = found.name if _OFFERED.fullmatch(found.name) else ""
     if not offered:
         notes.append(f"{found.name!r:.80} is no name for a component here; it is found as {pascal(name)}")
+    rate = found.rate or _USUAL
+    if not _RATES[0] <= rate <= _RATES[1]:
+        notes.append(f"a rate of {rate} Hz is none for a context here, which has 0.001 to 10000; it is {_USUAL}")
+        rate = _USUAL
     made = Design(
         name,
         tuple(port for direction, port in ports if direction == "in"),
@@ -71,12 +78,12 @@ def design_of(found: ComponentDescription, name: str) -> tuple[Design, list[str]
         tuple(services),
         doc=_docstring(found.doc),
         offered=offered,
-        rate=found.rate or 10.0,
+        rate=rate,
     )
     return made, notes
 
 
-def _port(one: PortDescription, used: set[str]) -> tuple[str, Port]:
+def _port(one: PortDescription, used: set[str], notes: list[str]) -> tuple[str, Port]:
     try:
         cls = find_type(one.type)
         has_tm(cls)  # refuses what is no record
@@ -85,7 +92,7 @@ def _port(one: PortDescription, used: set[str]) -> tuple[str, Port]:
             f"{one.where}: port {one.name}: {error}; a plugin (--plugins) can offer a record type of this name"
         ) from None
     name = _attribute(one.name, "port", {*used, one.type})
-    return one.direction, Port(name, cls, "" if name == one.name else one.name, _line(one.unit), _line(one.doc))
+    return one.direction, Port(name, cls, _label(one.name, name, one.where, notes), _line(one.unit), _line(one.doc))
 
 
 def _parameter(one: ParameterDescription, notes: list[str]) -> Parameter:
@@ -121,6 +128,14 @@ def _attribute(label: str, fallback: str, used: set[str]) -> str:
     number = next(number for number in range(1, len(used) + 2) if f"{fallback}{number}" not in used)
     used.add(f"{fallback}{number}")
     return f"{fallback}{number}"
+
+
+def _label(label: str, own: str, where: str, notes: list[str]) -> str:
+    """The name of a port where it is another than its attribute's."""
+    if _LABEL.fullmatch(label):
+        return "" if label == own else label
+    notes.append(f"{where}: a port cannot be called {label!r:.80} here; it is {own}")
+    return ""
 
 
 def _docstring(text: str) -> str:
