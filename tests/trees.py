@@ -27,6 +27,22 @@ def parse(path: Path) -> ast.Module:
         return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
 
+def nodes(tree: ast.AST) -> list[ast.AST]:
+    """All nodes of a tree, as `ast.walk` gives them; a second time they are at hand."""
+    found: list[ast.AST] | None = getattr(tree, "all_nodes", None)
+    if found is None:
+        found = [tree]
+        with many_objects():
+            for node in found:
+                for value in vars(node).values():
+                    if isinstance(value, ast.AST):
+                        found.append(value)
+                    elif isinstance(value, list):
+                        found += [one for one in value if isinstance(one, ast.AST)]
+        tree.all_nodes = found  # type: ignore[attr-defined]
+    return found
+
+
 def dotted(node: ast.AST) -> str:
     """`a.b.c` as text; of what is no such name its last part, with a point before it."""
     if isinstance(node, ast.Attribute):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from test_layers import ROOT, sources
 
-from trees import dotted, many_objects, parse
+from trees import dotted, many_objects, nodes, parse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -140,7 +140,7 @@ def trees() -> Iterator[dict[str, ast.Module]]:
 
 def forbidden(tree: ast.Module) -> list[str]:
     faults = []
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom):
             modules = [node.module or ""]
@@ -167,7 +167,7 @@ def test_no_file_changes_the_class_of_a_live_object(trees: dict[str, ast.Module]
     changed = [
         f"{name}:{node.lineno}"
         for name, tree in trees.items()
-        for node in ast.walk(tree)
+        for node in nodes(tree)
         if isinstance(node, ast.Attribute) and node.attr == "__class__" and isinstance(node.ctx, ast.Store)
     ]
     assert changed == []

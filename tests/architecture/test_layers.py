@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from trees import many_objects, parse
+from trees import many_objects, nodes, parse
 
 ROOT = Path(__file__).parents[2]
 ORDER = """
@@ -123,7 +123,7 @@ def room_of(path: Path, root: Path = ROOT) -> str:
 def imports(path: Path) -> list[Import]:
     """Every import of a file, wherever it stands, and every string that is nothing but the name of a module of ours."""
     found = []
-    for node in ast.walk(parse(path)):
+    for node in nodes(parse(path)):
         if isinstance(node, ast.Import):
             found += [Import(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from trees import dotted, many_objects
+from trees import dotted, many_objects, nodes
 
 TESTS = Path(__file__).parents[1]
 LONGEST = 120
@@ -20,8 +20,8 @@ WAITING = ("subprocess.run", "subprocess.check_output", "subprocess.check_call",
 def calls(text: str) -> Iterator[tuple[ast.Call, str]]:
     """Every call that is not awaited, and what is called."""
     tree = ast.parse(text)
-    awaited = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Await)}
-    for node in ast.walk(tree):
+    awaited = {id(node.value) for node in nodes(tree) if isinstance(node, ast.Await)}
+    for node in nodes(tree):
         if isinstance(node, ast.Call) and id(node) not in awaited:
             yield node, dotted(node.func)
 
