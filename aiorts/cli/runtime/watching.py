@@ -49,6 +49,8 @@ class Watch:
         self._sources = _sources(plan.types.values())
         self._bad = False
         """Whether the file could not be read when it was read last."""
+        self._near: Mapping[Path, bytes] = {}
+        """What lay beside the file when it was read last."""
         self._seen = self._look()
         """The files as they were when something was done about them last."""
 
@@ -76,14 +78,18 @@ class Watch:
                     await self._take(kernel, log, {path for path in now if now[path] != self._seen.get(path)})
                     self._measure(kernel)
                     self._sources |= _sources(map(type, kernel.components.values()))
-                    self._seen = before = {**await _aside(self._look), **now}
+                    before, known = await _aside(self._look), {**self._near, **now}
+                    # What came while the file was read may be what it needs: it counts as changed.
+                    self._seen = {one: known.get(one, b"" if self._bad else found) for one, found in before.items()}
 
     def _look(self) -> Mapping[Path, bytes]:
         """What tells whether files have changed; what a bad file names, and is not there, may come beside it."""
         paths = self._files | self._sources
-        if self._bad:
-            paths.update(one for folder in {path.parent for path in self._files} for one in _written_in(folder))
-        return {path: _digest(path) for path in paths}
+        return {path: _digest(path) for path in paths} | (self._look_near() if self._bad else {})
+
+    def _look_near(self) -> dict[Path, bytes]:
+        folders = {path.parent for path in self._files}
+        return {path: _digest(path) for folder in folders for path in _written_in(folder)}
 
     async def _take(self, kernel: Kernel, log: Log, changed: Collection[Path]) -> None:
         """Do what these files ask for; what is wrong with them is told."""
@@ -96,6 +102,7 @@ class Watch:
             log.failed(error)
         if not (self._bad or self._files.intersection(changed)):
             return
+        self._near = await _aside(self._look_near)
         try:
             wanted = await _aside(self._wanted)
         except AiortsError as error:
