@@ -98,7 +98,7 @@ def ask(shell: str, path: str, before: tuple[str, ...], word: str) -> list[str]:
 
 
 def test_zsh_gets_commands_with_their_line_of_help(path: str) -> None:
-    answer = ask("zsh", path, (), "doc")
+    answer = ask("zsh", path, (), "doct")
     assert answer[:2] == ["plain", "doctor"]
     assert answer[2].startswith("Look at this machine")
     assert ask("zsh", path, ("flexifilter", "-o"), "TimedULongS")[:2] == ["plain", "TimedULongSeq"]

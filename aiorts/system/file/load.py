@@ -168,8 +168,8 @@ def setting(
     for name, values in entry.sets.items():
         checked: dict[str, Any] = {}
         for parameter, value in values.items():
+            where = (*key, "sets", name, parameter)
             try:
-                where = (*key, "sets", name, parameter)
                 value = in_folder(system, declared.specs.get(parameter), value, where)
                 checked |= validate(declared.specs, {parameter: value}, owner=entry.name)
             except ConfigurationError as error:
