@@ -467,7 +467,10 @@ class Kernel(Microkernel):
             wanted: as `aiorts.system.wanted` reads it from a system file.
             dry_run: return the plan, and change nothing.
             window: seconds of the kernel's clock for which the system after it is compared with the one before; 0 does
-                not compare.
+                not compare. When it does worse, all is taken back.
+
+        Returns:
+            The steps, whether they are in force, and the figure that all was taken back for.
 
         Raises:
             BusyError: another plan is being applied, or its window has not ended.

@@ -1,4 +1,4 @@
-"""What a running system would be as a system file: a kernel is read into `Wanted`, and that becomes TOML.
+"""A kernel is read into `Wanted`: that becomes a system file, or is compared with another one and made into it.
 
 It is a service of the kernel, which keeps what a system file said that nothing else in the kernel knows.
 """

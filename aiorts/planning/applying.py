@@ -1,8 +1,8 @@
 """Carries out a plan in a kernel: all of it, or nothing.
 
-One function for each class of step (`_Application`). A step that fails is taken back with those before it, by their
-reverse steps in reverse order. What a step takes out is parked and not ended: the reverse step puts the same object
-back. Only when all is over what is parked is ended.
+`Application` has a method for each class of step. A step that fails is taken back with those before it, by their
+reverse steps in reverse order. What a step takes out is parked and not ended, so that the reverse step puts the same
+object back. Only when all is over what is parked is ended.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.composites import parts_of
 from aiorts.errors import StateError, WiringError, format_error
 from aiorts.kernel.between_cycles import between_cycles
 from aiorts.kernel.commit import commit
@@ -390,7 +391,7 @@ class Application:
 
     def _activates(self, context: str, component: Component) -> bool:
         """Whether who comes into a context is to be active there."""
-        leaves = [one.name for one in _leaves(component)]
+        leaves = [one.name for one in parts_of(component)]
         known = [name for name in leaves if name in self._now.components]
         if self.goes_back and known:
             return any((context, name) in self._were_active for name in known)
@@ -406,15 +407,10 @@ class Application:
     def _hold(self, components: list[Component]) -> None:
         """Have open in-ports stay open, wherever their component is meanwhile: what is unread stays unread."""
         for component in components:
-            for one in _leaves(component):
+            for one in parts_of(component):
                 if one not in self._held and is_open(one):
                     cell(one).held_open = True
                     self._held.add(one)
-
-
-def _leaves(component: Component) -> list[Component]:
-    group = cell(component).stands_for
-    return [component] if group is None else [leaf for part in group.parts for leaf in _leaves(part)]  # type: ignore[arg-type]
 
 
 def _setting(entry: ComponentEntry) -> Setting:

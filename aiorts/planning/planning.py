@@ -1,11 +1,10 @@
-"""The service that describes a kernel's system as it would have to be wanted, and saves it."""
+"""The service that reads a kernel's system into `Wanted`, saves it, and makes a wanted system of it."""
 
 from __future__ import annotations
 
 import asyncio
 import math
 import os
-import sys
 from collections.abc import Collection, Generator
 from contextlib import ExitStack
 from importlib import import_module
@@ -18,10 +17,11 @@ from aiorts.health import Health
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.kernel.service import KernelService
 from aiorts.model.health.verdict import verdict
+from aiorts.model.stepwise import finished
 from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.plan import Plan, planning
 from aiorts.model.wanted.system_text import Saved, system_text
-from aiorts.planning.turns import finished, in_turns
+from aiorts.planning.turns import in_turns
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -35,13 +35,8 @@ if TYPE_CHECKING:
 _TRIES: Final = 3
 """How often a system that changes while it is read is read with turns of the loop in between."""
 
-_LOADED: Final = (
-    "aiorts.reload",
-    "aiorts.supervision",
-    "aiorts.planning.applying",
-    "aiorts.planning.reading",
-)
-"""What `apply` needs besides: loaded late and one by one, so that the loop has its turns in between."""
+_LATE: Final = ("aiorts.reload", "aiorts.supervision", "aiorts.planning.applying", "aiorts.planning.reading")
+"""What `apply` needs besides: imported late and one by one, so that the loop has its turns in between."""
 
 
 class Planning(KernelService):
@@ -138,10 +133,9 @@ class Planning(KernelService):
             task.exception()  # its caller may have been cancelled
 
     async def _apply(self, wanted: Wanted, window: float) -> Applied:
-        for name in _LOADED:
-            if name not in sys.modules:
-                import_module(name)
-                await asyncio.sleep(0)
+        for name in _LATE:
+            import_module(name)
+            await asyncio.sleep(0)
         async with self.kernel.registry.renewal:
             before = await self._before(wanted, window) if window else None
             with ExitStack() as making:

@@ -15,6 +15,7 @@ from aiorts.composites import Composite, group_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.stepwise import finished
 from aiorts.model.wanted.entries import (
     ClockEntry,
     ComponentEntry,
@@ -25,7 +26,7 @@ from aiorts.model.wanted.entries import (
 )
 from aiorts.planning.canon import Canon, service_connection, table, whole
 from aiorts.planning.planning import Planning
-from aiorts.planning.turns import finished
+from aiorts.planning.switching import tops
 from aiorts.supervision import Supervising
 
 if TYPE_CHECKING:
@@ -137,12 +138,7 @@ class _Reader:
     def _context(self, context: Context) -> ContextEntry:
         name = context.name
         members = context.runner.members
-        shown: dict[str, None] = {}
-        for member in members:
-            group = cell(member.component).group
-            root = None if group is None else group.root
-            runs_with = root is not None and context in root.component.contexts  # type: ignore[attr-defined]
-            shown[root.name if root is not None and runs_with else member.component.name] = None
+        shown = tuple(one.name for one in tops(context))
         own = [one for one in members if one.component.name not in self._rules]
         idle = [
             one.component.name
@@ -153,7 +149,7 @@ class _Reader:
         if activate and idle:
             names = ", ".join(idle[:_SHOWN])
             self._canon.notes.append(f"{name}: {names}: not active, and active in the saved system with the others")
-        return ContextEntry(name, context.kind, tuple(shown), activate, self._canon.context_options(context))
+        return ContextEntry(name, context.kind, shown, activate, self._canon.context_options(context))
 
     # -- connections -----------------------------------------------------------------------------------------------
 

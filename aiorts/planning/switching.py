@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from aiorts.composites import Composite, group_of, parts_of
+from aiorts.composites import Composite, group_of, outer_of, parts_of
 from aiorts.errors import ComponentError, StateError, format_error
 from aiorts.kernel.execution.cell import cell, flattened
 from aiorts.model.lifecycle import LifecycleState
@@ -28,10 +28,11 @@ if TYPE_CHECKING:
 def tops(context: Context) -> list[Component]:
     """The members of a context in order, a composite in the place of those that run with it."""
     found: dict[Component, None] = {}
-    for component in context.members:
-        group = cell(component).group
-        root = None if group is None else group.root.component  # type: ignore[attr-defined]
-        found[root if root is not None and context in root.contexts else component] = None  # type: ignore[index]
+    for member in context.runner.members:
+        component: Any = member.component
+        outer = outer_of(component)
+        root = None if outer is None else outer.root.component
+        found[root if root is not None and context in root.contexts else component] = None
     return list(found)
 
 
@@ -124,9 +125,9 @@ def _is_made_anew(there: Component | None, entry: CompositeEntry | None) -> bool
 
 def _outer_first(kernel: Microkernel, names: Iterable[str]) -> list[str]:
     def depth(name: str) -> int:
-        group, found = cell(kernel.components[name]).group, 0
+        group, found = outer_of(kernel.components[name]), 0
         while group is not None:
-            group, found = group.outer, found + 1  # type: ignore[attr-defined]
+            group, found = group.outer, found + 1
         return found
 
     return sorted(names, key=depth)

@@ -1,4 +1,4 @@
-"""Work that is done a little at a time, so that the loop has its turns in between."""
+"""Work that is done a few steps at a time, so that the loop has its turns in between."""
 
 from __future__ import annotations
 
@@ -11,18 +11,8 @@ T = TypeVar("T")
 _HOLD_SECONDS: Final = 0.001
 
 
-def finished(steps: Generator[None, None, T]) -> T:
-    """What it returns, in one go."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            found: T = end.value
-            return found
-
-
 async def in_turns(steps: Generator[None, None, T]) -> T:
-    """What it returns; after each millisecond the loop has a turn."""
+    """What the work returns; after each millisecond of it the loop has a turn."""
     until = perf_counter() + _HOLD_SECONDS
     while True:
         try:

@@ -10,7 +10,7 @@ from aiorts.late import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.reload.fresh_code import code_of, file_of
+    from aiorts.reload.fresh_code import code_of, file_of, forget_file
     from aiorts.reload.reload_events import ComponentReloaded, Dropped, Reloaded
     from aiorts.reload.reloading import check_replaceable, reload
     from aiorts.reload.trial import Trial
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _late(
     globals(),
     {
-        "aiorts.reload.fresh_code": "code_of file_of",
+        "aiorts.reload.fresh_code": "code_of file_of forget_file",
         "aiorts.reload.reload_events": "ComponentReloaded Dropped Reloaded",
         "aiorts.reload.reloading": "check_replaceable reload",
         "aiorts.reload.trial": "Trial",

@@ -59,13 +59,19 @@ class Origin:
 
 
 @dataclass(frozen=True, slots=True)
-class FreshCode:
-    """A module that was read anew and is not in use yet."""
+class Code:
+    """What an instance is made of that takes the place of another."""
 
     origin: Origin
-    module: ModuleType
     cls: type[Component]
     readings: int
+
+
+@dataclass(frozen=True, slots=True)
+class FreshCode(Code):
+    """A module that was read anew and is not in use yet."""
+
+    module: ModuleType
 
     def adopt(self) -> None:
         """From now on this is the module of that name: who imports it, or asks for one of its types, gets this one."""
@@ -161,7 +167,7 @@ def _origin(cls: type[Component]) -> Origin:
     return Origin(_key(cls)[0], name, path, readings_of(cls))
 
 
-def code_of(cls: type[Component]) -> FreshCode:
+def code_of(cls: type[Component]) -> Code:
     """The code of a class as it is, for a component that is to become an instance of it.
 
     Raises:
@@ -170,7 +176,7 @@ def code_of(cls: type[Component]) -> FreshCode:
     declarations(cls).hook_kinds |= further_kinds(cls, Component, {"on_reload": ("self", "old")})
     module, name = _key(cls)
     path = file_of(cls) or Path(cls.__module__)
-    return FreshCode(Origin(module, name, path, readings_of(cls)), sys.modules[cls.__module__], cls, readings_of(cls))
+    return Code(Origin(module, name, path, readings_of(cls)), cls, readings_of(cls))
 
 
 def _key(cls: type) -> tuple[str, str]:
@@ -181,6 +187,13 @@ def _key(cls: type) -> tuple[str, str]:
 def readings_of(cls: type) -> int:
     """How often the code of this very class had been read anew when it was made."""
     return next((_READ_ANEW[base][0] for base in cls.__mro__ if base in _READ_ANEW), 0)
+
+
+def forget_file(path: Path) -> None:
+    """Have a file read anew when one of its types is asked for next; it is for files of which there is no component."""
+    for name, module in list(sys.modules.items()):
+        if getattr(module, "__file__", None) == str(path):
+            del sys.modules[name]
 
 
 # -- reading it --------------------------------------------------------------------------------------------------------
@@ -285,7 +298,7 @@ def _fresh(origin: Origin, module: ModuleType) -> FreshCode:
     for value in vars(module).values():
         if _is_own(value, module):
             _READ_ANEW[value] = readings, origin.module
-    return FreshCode(origin, module, cls, readings)
+    return FreshCode(origin, cls, readings, module)
 
 
 def _is_own(value: object, module: ModuleType) -> bool:

@@ -18,7 +18,6 @@ from aiorts.errors import ComponentError, ConfigurationError, StateError
 from aiorts.health import Health
 from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.cell import cell
-from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task, kernel_task, owner_of
 from aiorts.model.health.verdict import verdict
 from aiorts.reload.fresh_code import FreshCode, find_type, read_anew
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.health.windows import Window
 
-_LOG = KernelLog()
 _LOOKS: Final = 50
 """How often within `seconds` it is looked whether enough cycles were done."""
 

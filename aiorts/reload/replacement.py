@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.member import Member
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.configuration.sets import ConfigurationState
-    from aiorts.reload.fresh_code import FreshCode
+    from aiorts.reload.fresh_code import Code
 
 Edit: TypeAlias = "Callable[[ConfigurationState], ConfigurationState]"
 _ON_LOOP: Final = ("on_initialize", "on_finalize")
@@ -64,7 +64,7 @@ _MISSING: Final[Any] = object()
 class Replacement:
     """The new instance, the old one, and each in the other's place."""
 
-    def __init__(self, kernel: Microkernel, old: Component, code: FreshCode, edit: Edit | None = None) -> None:
+    def __init__(self, kernel: Microkernel, old: Component, code: Code, edit: Edit | None = None) -> None:
         self.kernel = kernel
         self.old = old
         self.code = code

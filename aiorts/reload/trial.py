@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.execution.member import Member
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.model.configuration.sets import ConfigurationState
-    from aiorts.reload.fresh_code import FreshCode
+    from aiorts.reload.fresh_code import Code
     from aiorts.reload.reload_events import ComponentReloaded
 
 _LOG = KernelLog()
@@ -45,7 +45,7 @@ class Trial:
         self._unsubscribe: Callable[[], None] | None = None
 
     async def prepare(
-        self, old: Component, code: FreshCode, edit: Callable[[ConfigurationState], ConfigurationState] | None = None
+        self, old: Component, code: Code, edit: Callable[[ConfigurationState], ConfigurationState] | None = None
     ) -> None:
         """Make a new instance beside an old one, which goes on.
 

@@ -50,13 +50,14 @@ def plan_command(
     removed. What is equal in both is touched by no step. Component files and plugins are imported, no hook runs. Exit
     status: 0 when there is no difference, 1 when there is, 2 when it cannot be done while the system runs.
     """
-    if (live is None) is (new is None):
+    if live is not None and new is None:
+        found = planned_live(wanted_of(old, changes, choices, plugins), live, timeout)
+    elif live is None and new is not None:
+        before = wanted_of(old, (), AS_WRITTEN, plugins)
+        found = plan(before, wanted_of(new, changes, choices, plugins)).to_plain()
+    else:
         raise click.UsageError("give two files, or one file and --live KERNEL")
-    if live is not None:
-        return say_planned(planned_live(wanted_of(old, changes, choices, plugins), live, timeout), as_json=as_json)
-    assert new is not None  # noqa: S101 - one of both was given
-    before = wanted_of(old, (), AS_WRITTEN, plugins)
-    return say_planned(plan(before, wanted_of(new, changes, choices, plugins)).to_plain(), as_json=as_json)
+    return say_planned(found, as_json=as_json)
 
 
 def planned_live(system: Wanted, live: str, timeout: float) -> Mapping[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import sys
 from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping, Sequence
 from hashlib import sha256
 from itertools import islice
@@ -119,16 +118,14 @@ class Watch:
 
     async def _reload(self, kernel: Kernel, log: Log, path: Path) -> None:
         """Replace the code of all types of a file; where there is no component of it, it is imported when one comes."""
-        from aiorts.reload import file_of
+        from aiorts.reload import file_of, forget_file
 
         kinds = [one for one in dict.fromkeys(map(type, kernel.components.values())) if file_of(one) == path]
         for kind in kinds:
             done = await kernel.reload(kind, window=self._window)
             log.tell("", f"~ reload {done.kind}: {', '.join(one.component for one in done.components)}", level="info")
         if not kinds and path in self._sources:
-            for name, module in list(sys.modules.items()):
-                if getattr(module, "__file__", None) == str(path):
-                    del sys.modules[name]
+            forget_file(path)
 
     async def _apply(self, kernel: Kernel, log: Log, wanted: Wanted) -> None:
         while True:

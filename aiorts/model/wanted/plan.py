@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 from aiorts.late import dataclass
 from aiorts.model.numbering import Numbering
 from aiorts.model.options import CHANGEABLE
+from aiorts.model.stepwise import finished
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.model.wanted.steps import (
     Activate,
@@ -71,13 +72,7 @@ def plan(
         limited: paths of ports that take a limited number of connectors: one goes there before another comes.
         exclusive: names of components that hold what their replacement needs: they go before anything is made.
     """
-    steps = planning(now, wanted, limited, exclusive)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            found: Plan = end.value
-            return found
+    return finished(planning(now, wanted, limited, exclusive))
 
 
 def planning(

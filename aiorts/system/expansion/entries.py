@@ -87,7 +87,6 @@ class Document:
     """All other tables."""
     plugins: dict[str, Origin] = field(default_factory=dict)
     """Folders with plugins, counted from that of the file that was named."""
-    states_plugins: bool = False
 
 
 def renamed(document: Document, rename: Callable[[str], str]) -> Document:
@@ -101,7 +100,6 @@ def renamed(document: Document, rename: Callable[[str], str]) -> Document:
         {rename(name): [rename(one) for one in names] for name, names in document.families.items()},
         document.rest,
         document.plugins,
-        document.states_plugins,
     )
 
 
