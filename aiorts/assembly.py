@@ -456,7 +456,7 @@ class Kernel(Microkernel):
         return await self.service(Planning).save(path, overwrite=overwrite)
 
     async def apply(self, wanted: Wanted, *, dry_run: bool = False, window: float = 0.0) -> Applied:
-        """Make another system of the one that runs: all of it, or nothing.
+        """Change the running system into the wanted one: all of it, or nothing.
 
         What is new is made and connected first, then all that changes is switched over between two cycles, then what is
         not wanted any more goes. What is equal is not touched. Options of a connector are changed in place, samples

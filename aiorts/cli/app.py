@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _COMMANDS: Final = {
     "run": ("aiorts.cli.commands.run:run", "Run a system file, or one component."),
     "check": ("aiorts.cli.commands.check:check_command", "Check system files without running them."),
-    "plan": ("aiorts.cli.commands.planning:plan_command", "Show what makes one system of another."),
-    "apply": ("aiorts.cli.commands.applying:apply", "Make another system of one that runs."),
+    "plan": ("aiorts.cli.commands.planning:plan_command", "Show the steps from one system to another."),
+    "apply": ("aiorts.cli.commands.applying:apply", "Change a system that runs into that of a file."),
     "graph": ("aiorts.cli.commands.graph:graph_command", "Draw a system file: mermaid, dot or svg."),
     "schema": ("aiorts.cli.commands.schema:schema_command", "Print the JSON Schema of system files, for editors."),
     "plugins": ("aiorts.cli.commands.plugins:plugins", "List what plugins offer; --check imports each."),

@@ -1,4 +1,4 @@
-"""`aiorts apply`: the system of a file is made of one that runs, whole or not at all."""
+"""`aiorts apply`: a system that runs is changed into that of a file, whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from aiorts.cli.console.output import say, say_json
 from aiorts.system import Choices
 
 
-@click.command(short_help="Make another system of one that runs.")
+@click.command(short_help="Change a system that runs into that of a file.")
 @click.argument("file", metavar="SYSTEM.toml", type=click.Path(dir_okay=False, path_type=Path))
 @click.option(
     "--live", default="", metavar="KERNEL", help="The kernel, where several run.", shell_complete=complete_kernels
@@ -45,7 +45,7 @@ def apply(
     timeout: float,
     as_json: bool,
 ) -> int:
-    """Make the system of SYSTEM.toml of the one that runs in KERNEL, whole or not at all.
+    """Change the system that runs in KERNEL into that of SYSTEM.toml, whole or not at all.
 
     What is equal in both is not touched. A step that fails is taken back with those before it. With --window all is
     taken back when the system does worse afterwards: a component in error, overruns or drops more than before, rates

@@ -1,4 +1,4 @@
-"""`aiorts plan`: what would have to be done to make one system of another, or of one that runs."""
+"""`aiorts plan`: the steps that would change one system, or one that runs, into another."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST: Final = 500_000
 """Characters that a kernel takes at a time, in texts of so many."""
 
 
-@click.command("plan", short_help="Show what makes one system of another.")
+@click.command("plan", short_help="Show the steps from one system to another.")
 @click.argument("old", metavar="[OLD.toml]", type=_FILE)
 @click.argument("new", metavar="NEW.toml", type=_FILE, required=False)
 @click.option("--live", metavar="KERNEL", help="In place of OLD.toml: what runs.", shell_complete=complete_kernels)
@@ -44,7 +44,7 @@ def plan_command(
     timeout: float,
     as_json: bool,
 ) -> int:
-    """List the steps that make the system of NEW of a running one of OLD, or of KERNEL, in order.
+    """List the steps that change a running system of OLD, or the one in KERNEL, into that of NEW, in order.
 
     What is new is made and connected first; then what changes is switched over; then the rest is disconnected and
     removed. What is equal in both is touched by no step. Component files and plugins are imported, no hook runs. Exit

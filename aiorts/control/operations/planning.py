@@ -107,8 +107,14 @@ async def _read_aside(parts: tuple[str, ...]) -> Wanted:
 
 
 ROWS: Final = (
-    Operation("apply", "Make a wanted system of the one that runs.", Application, Changed, Right.CODE, _apply),
+    Operation("apply", "Change the system that runs into a wanted one.", Application, Changed, Right.CODE, _apply),
     Operation(
-        "plan", "What makes a wanted system of the one that runs.", Target, Planned, Right.VIEW, _plan, idempotent=True
+        "plan",
+        "The steps from the system that runs to a wanted one.",
+        Target,
+        Planned,
+        Right.VIEW,
+        _plan,
+        idempotent=True,
     ),
 )
