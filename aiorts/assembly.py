@@ -131,6 +131,11 @@ class Kernel(Microkernel):
         *more: PortDeclaration | str,
         **options: Unpack[ConnectOptions],
     ) -> Any:
+        if options.get("adapt"):
+            self.check_open("connect")
+            from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
+
+            return await connect_adapted(self, (one, two, *more), options)
         return await super().connect(one, two, *more, **options)
 
     connect.__doc__ = Microkernel.connect.__doc__

@@ -461,14 +461,17 @@ class Microkernel:
                 that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
             measure: n, time the last n sends (`Connector.timing`) and the last n reads (`statistics.latency`, `.age`).
             name: the connector's. allow_duplicate: a second connector between the same two ports.
+            adapt: True, where types, units or lengths differ, put the FlexiFilter between that `aiorts check` proposes,
+                before the reader in its context, active; the connector that is returned is the one to the reader.
             openrtm: OpenRTM's keys, whose dots no keyword has: `openrtm={"dataport.subscription_type": "new"}`.
         Of service ports: mapping: which provided interface answers a required one, by path or name, where its type
             does not tell. strict: False leaves unbound what no provider answers. name: the connector's.
 
         Raises:
             InvalidNameError: a text is no path.
-            WiringError: says which ports or options do not go together and why; nothing was connected.
-            PluginError: `convert` is a text that finds no converter.
+            WiringError: says which ports or options do not go together and why; nothing was connected. With `adapt`
+                also: there are several ways (it names them), or the reader is in no context.
+            PluginError: `convert` is a text that finds no converter, or no plugin offers one for `adapt`.
         """
         self.check_open("connect")
         if isinstance(text := options.get("convert"), str):

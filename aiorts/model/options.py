@@ -94,7 +94,7 @@ _AT_A_RENDEZVOUS: Final[Mapping[str, Any]] = {
 
 _ON_LOSS: Final = ("full", "length", "push")
 
-PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate")
+PORT_KEYS: Final = ("fan_in", "fan_out", "connection_limit", "allow_duplicate", "adapt")
 """Options that are about the ports, not about the connector."""
 
 SERVICE_KEYS: Final = ("mapping", "strict")
@@ -193,8 +193,9 @@ def connector_profile(
             limits[key] = get.integer(key, 1, MAX_LENGTH, 100)
     if "connection_limit" in limits:
         limits["connection_limit"] = get.integer("connection_limit", -1, MAX_LENGTH, -1)
-    if "allow_duplicate" in limits:
-        limits["allow_duplicate"] = is_yes(where, "allow_duplicate", limits["allow_duplicate"])
+    for key in ("allow_duplicate", "adapt"):
+        if key in limits:
+            limits[key] = is_yes(where, key, limits[key])
     return profile, limits
 
 

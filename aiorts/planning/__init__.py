@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from aiorts.planning.planning import Planning
     from aiorts.planning.reading import wanted_of
     from aiorts.planning.setting import ACTIVE, Setting, setting_alone
+    from aiorts.planning.switching import switch, tops
 
 _late(
     globals(),
@@ -21,5 +22,6 @@ _late(
         "aiorts.planning.planning": "Planning",
         "aiorts.planning.reading": "wanted_of",
         "aiorts.planning.setting": "ACTIVE Setting setting_alone",
+        "aiorts.planning.switching": "switch tops",
     },
 )

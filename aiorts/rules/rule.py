@@ -19,6 +19,7 @@ _OWN: Final = ("from", "to", "max")
 _REFUSED: Final = {
     "name": "each connector of a rule has the name of its ports; take it away",
     "convert": "a rule connects ports of one type; write the pair under [[connections]]",
+    "adapt": "a rule connects ports of one type; write the pair under [[connections]]",
     "allow_duplicate": "a rule connects two ports once; take it away",
 }
 _PART: Final = re.compile(r"(?:[A-Za-z0-9_*?-]|\[!?[A-Za-z0-9_-]+\])+")

@@ -27,6 +27,7 @@ from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
 from aiorts.planning import Planning, Setting
 from aiorts.supervision import in_order
+from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.check import of_draft
 from aiorts.system.checks.connection_checks import end_key
 from aiorts.system.file.families import inner_first, readers_first, root, unstartable
@@ -73,8 +74,11 @@ def prepare(
     _check_declared(found)
     for key, text in unstartable(system):
         found.say(key, SystemFileError(text), spelled(system.origins.known(key)) if system.text else "")
+    if not found.faults:
+        adapted(found)
     if found.faults:
         raise _refused(system, found.faults[0]) from found.faults[0].error.__cause__
+    system = found.system
     converters = {number: one.convert for number, (one, _) in found.profiles.items() if one.convert is not None}
     return Blueprint(system, found.types, found.settings, found.contexts, found.catalogue, found.services, converters)
 

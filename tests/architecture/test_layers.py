@@ -44,6 +44,7 @@ aiorts/composites aiorts/statemachines
 aiorts/supervision
 aiorts/reload
 aiorts/planning
+aiorts/adapting
 aiorts/control
 aiorts/control/operations
 aiorts/control/server
@@ -68,7 +69,7 @@ plugins/aiorts_foxglove
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
-    *("composites", "configuration", "control", "diagnostics", "functions", "health", "observe"),
+    *("adapting", "composites", "configuration", "control", "diagnostics", "functions", "health", "observe"),
     *("planning", "realtime", "reload", "rules", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""

@@ -10,10 +10,11 @@ from typing import Any
 
 import pytest
 
-from aiorts import Component, Kernel, Param, PeriodicContext
+from aiorts import Component, InPort, Kernel, Param, PeriodicContext
 from aiorts.composites import Composite
 from aiorts.control import Client
 from aiorts.errors import DeniedError
+from aiorts.types import TimedLong, TimedPoint2D
 from control_parts import Counter, Reader, commanded, controlled, with_client
 
 pytestmark = pytest.mark.anyio
@@ -113,6 +114,32 @@ async def test_connectors_are_made_with_options_and_ended(capsys: pytest.Capture
         assert (profile.length, profile.full) == (4, "reject")
         assert await commanded(capsys, "dis", "counter0.out-reader0.in") == (0, "")
         assert kernel.connectors == {}
+
+
+class Shorter(Component):
+    """Takes whole numbers, and two fields."""
+
+    whole = InPort(TimedLong)
+    point = InPort(TimedPoint2D)
+
+
+async def test_with_adapt_a_filter_is_put_between_and_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    async with controlled() as kernel:
+        shorter = await kernel.create(Shorter, "shorter")
+        status, text = await commanded(capsys, "con", "counter0.out", "shorter.whole", "--adapt")
+        assert (status, "shorter is in no context" in text) == (2, True), text
+        await kernel.contexts["loop"].add(shorter)
+        status, text = await commanded(capsys, "con", "counter0.out", "shorter.whole", "--adapt", "length=2")
+        assert status == 0, text
+        assert "  shorter.whole: length 2" in text
+        assert "  counter0_to_shorter_whole.input0: length 2" in text
+        filter_ = "through counter0_to_shorter_whole: FlexiFilter -i TimedDouble -o TimedLong -m '0>0'"
+        assert text.endswith(f"  {filter_}\n")
+        assert "counter0_to_shorter_whole" in (await commanded(capsys, "ls"))[1]
+        status, text = await commanded(capsys, "con", "counter0.out", "shorter.point", "--adapt")
+        assert (status, "types differ" in text) == (2, True), text
+        status, text = await commanded(capsys, "con", "counter0.out", "reader0.in", "adapt=true", "allow_duplicate=1")
+        assert (status, "through" in text) == (0, False), text
 
 
 @pytest.mark.parametrize(

@@ -289,6 +289,11 @@ CODES: Final[dict[str, Code]] = {
         "A reader is slower than the writer, or has stopped.",
         "Look at the reader that the line names; choose a longer timeout, or another policy.",
     ),
+    "N-ADAPT": Code(
+        "A FlexiFilter is put between two ports that do not fit: a note of aiorts check.",
+        "Their connection says adapt = true, and there is one way to make samples of one those of the other.",
+        "Ignore the note, or put a FlexiFilter of your own between them, which does it another way.",
+    ),
     "N-COPY": Code(
         "A port's type is mutable: aiorts check notes that each write makes a snapshot.",
         "The dataclass is not frozen.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -49,6 +49,8 @@ class Wire:
     service: ServiceConnectorProfile | None = None
     """Of service ports: who answers whom."""
     calls: ServiceStatistics | None = None
+    between: str = ""
+    """What `adapt` put before the reader just now, as a command line has it."""
 
 
 async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
@@ -59,7 +61,18 @@ async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
         raise WiringError(f"{', '.join(given.ports) or 'nothing'}: connect takes two ports at least")
     one, two, *more = given.ports
     made: Any = await kernel.connect(one, two, *more, **given.options)
-    return tuple(_wire(each) for each in (made if more else (made,)))
+    return tuple(wire for each in (made if more else (made,)) for wire in _wires(session, each, given))
+
+
+def _wires(session: Session, connector: Any, given: Wiring) -> tuple[Wire, ...]:
+    """A connector that was made, behind the one to what was put between."""
+    wire = _wire(connector)
+    if not given.options.get("adapt"):
+        return (wire,)
+    from aiorts.adapting import inserted  # late: few connectors have a filter between
+
+    found = inserted(session.kernel, connector, given.ports)
+    return (wire,) if found is None else (_wire(found[0]), replace(wire, between=found[1]))
 
 
 async def _disconnect(session: Session, given: Wires) -> tuple[str, ...]:

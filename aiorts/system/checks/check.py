@@ -13,6 +13,7 @@ from typing import Any
 from aiorts.errors import AiortsError, StateError, SystemFileError
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.model.wanted.entries import ComponentEntry
+from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
 from aiorts.system.checks.connection_checks import feature_findings, joint_findings
 from aiorts.system.checks.draft import Draft, drafts_of
@@ -69,19 +70,23 @@ def check_text(
         for one in system.notes
     ]
     found = survey(system, Catalogue(dict.fromkeys((*system.plugin_paths, *plugins))))
-    said += [
-        Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
-        for fault in found.faults
-    ]
     # Of a component that the file says too little of, ports are not asked for: that would be said twice.
     drafts = drafts_of(found, _marred(mistakes, "components"))
     composed = compositions(system, drafts, _marred(mistakes, "composites"))
     said += composed.said
     said += [of_draft(system, name, one.error) for name, one in drafts.items() if one.error is not None]
     every = {**drafts, **composed.drafts}
+    between = adapted(found, every)
+    said += between.said
+    said += [
+        Said("error", fault.error.code, fault.key, str(fault.error), fault.of_key, fault.where)
+        for fault in found.faults
+    ]
+    drafts |= between.drafts
+    every |= between.drafts
     said += joint_findings(found, every)
     # What is said of the whole is said of who runs, in the place of whom it is a part of.
-    found.system = with_parts(leaf_paths(system, every))
+    found.system = with_parts(leaf_paths(found.system, every))
     said += _of_members(found, drafts)
     said += feature_findings(found)
     # Of a composite whose ports are not known it is not known either which of its members' ports are connected.

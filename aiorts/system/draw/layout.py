@@ -10,6 +10,7 @@ from aiorts.late import dataclass
 from aiorts.model.policy import Dataflow, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
 from aiorts.services import ServicePort
+from aiorts.system.checks.adapting import adapted
 from aiorts.system.checks.composed_drafts import compositions, leaf_paths
 from aiorts.system.checks.draft import Draft, drafts_of
 from aiorts.system.file.families import owners, with_parts
@@ -84,6 +85,8 @@ class Picture:
 def picture(system: SystemFile, catalogue: Catalogue | None = None) -> Picture:
     """The picture of a system; a part that cannot be loaded is drawn as far as the file describes it."""
     found = survey(system, catalogue)
+    adapted(found)
+    system = found.system
     drafts = drafts_of(found)
     found.system = leaf_paths(system, {**drafts, **compositions(system, drafts).drafts})
     arrows = tuple(_arrows(found))

@@ -86,7 +86,7 @@ def survey(
     offer_from(catalogue)
     found = Survey(system, catalogue)
     for component in system.components.values():
-        _component(found, component)
+        survey_component(found, component)
     for connection in system.connections:
         _connection(found, connection)
     for context in system.contexts.values():
@@ -96,7 +96,8 @@ def survey(
     return found
 
 
-def _component(found: Survey, entry: ComponentEntry) -> None:
+def survey_component(found: Survey, entry: ComponentEntry) -> None:
+    """What can be had of one component."""
     key: Key = ("components", entry.name)
     try:
         cls = _class(found, entry)

@@ -21,7 +21,8 @@ _OF_THE_READER: Final = ("length", "full", "timeout", "empty", "keep_last", "lif
 
 def _with_options(command: Callable[..., int]) -> Callable[..., int]:
     """An option of the command for each option of `Kernel.connect`."""
-    for key in reversed((*OWN_KEYS, "strict")):
+    command = click.option("--adapt", is_flag=True, help="Put a FlexiFilter between ports that do not fit.")(command)
+    for key in reversed((*(one for one in OWN_KEYS if one != "adapt"), "strict")):
         command = click.option(f"--{key.replace('_', '-')}", key, metavar="X", help=f"The same as {key}=X.")(command)
     return command
 
@@ -31,13 +32,17 @@ def _with_options(command: Callable[..., int]) -> Callable[..., int]:
 @timeout_option(5.0, "Wait S seconds for the answer; --timeout is the connector's own", "--wait")
 @json_option()
 @_with_options
-def connect(words: tuple[str, ...], wait: float, as_json: bool, **given: str | None) -> int:
+def connect(words: tuple[str, ...], wait: float, as_json: bool, adapt: bool, **given: str | None) -> int:
     """Connect ports: COMPONENT.PORT COMPONENT.PORT, and the options of Kernel.connect as KEY=VALUE or --KEY VALUE.
 
-    It prints the options in force at both ends. Without ports, or with one, a component or a kernel, it lists the
-    connectors that are there, with their ledger.
+    It prints the options in force at both ends. With --adapt, where types, units or lengths differ, a FlexiFilter is
+    put between, which runs before the reader, and it is printed, too; where there are several ways, all are named and
+    nothing is done. Without ports, or with one, a component or a kernel, it lists the connectors that are there, with
+    their ledger.
     """
     paths, options = _split(words)
+    if adapt:
+        options["adapt"] = "true"
     for key, value in given.items():
         if value is not None:
             if key in options:
@@ -131,6 +136,7 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
         f"{one['name']}",
         f"  {one['ports'][0]}: {_said(options, _OF_THE_WRITER)}",
         f"  {one['ports'][1]}: {_said(options, _OF_THE_READER)}",
+        *([f"  through {one['between']}"] if one.get("between") else []),
     ]
     if ledger:
         counts = one["ledger"]

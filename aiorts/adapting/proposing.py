@@ -1,0 +1,257 @@
+"""The FlexiFilter that joins two ports which do not fit, worked out from their types, units and lengths alone.
+
+Scalars, sequences of known length, fields of the same name, units of one kind. Nothing is made here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from collections.abc import Container, Mapping
+from fractions import Fraction
+from types import MappingProxyType
+from typing import Any, Final, TypeAlias
+
+from aiorts.errors import AiortsError, WiringError
+from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.late import dataclass
+from aiorts.types import describe, type_name
+
+FILTER: Final = "FlexiFilter"
+"""The type of what is put between, as a plugin offers it."""
+_UNITS: Final[dict[str, tuple[str, Fraction]]] = {
+    unit: (what, Fraction(size))
+    for what, units in {
+        "length": {"m": "1", "mm": "1/1000", "cm": "1/100", "km": "1000", "um": "1/1000000"},
+        "time": {"s": "1", "ms": "1/1000", "us": "1/1000000", "ns": "1/1000000000", "min": "60", "h": "3600"},
+        "angle": {"rad": "1", "deg": "0.017453292519943295"},
+        "speed": {"m/s": "1", "mm/s": "1/1000", "cm/s": "1/100", "km/h": "10/36"},
+        "turning": {"rad/s": "1", "deg/s": "0.017453292519943295", "rpm": "0.10471975511965977"},
+        "acceleration": {"m/s^2": "1", "mm/s^2": "1/1000", "g": "9.80665"},
+        "frequency": {"Hz": "1", "kHz": "1000", "MHz": "1000000"},
+        "mass": {"kg": "1"},
+        "voltage": {"V": "1", "mV": "1/1000"},
+        "current": {"A": "1", "mA": "1/1000"},
+        "force": {"N": "1", "mN": "1/1000", "kN": "1000"},
+        "pressure": {"Pa": "1", "hPa": "100", "kPa": "1000", "bar": "100000"},
+    }.items()
+    for unit, size in units.items()
+}
+_PLAIN: Final = (bool, int, float, str)
+_MOST_PINS: Final = 64
+_LONGEST: Final = 90
+"""Characters of a filter's name before its number."""
+_NOTHING: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Between:
+    """What a FlexiFilter between two ports is told."""
+
+    source: str
+    """Its input, such as "TimedPose2D"."""
+    target: str
+    """Its output."""
+    entries: str
+    """Its map, such as "0:position.x>0:x"."""
+    guessed: tuple[str, ...] = ()
+    """Paths of the ports that do not say how many elements they have."""
+    several: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=lambda: _NOTHING)
+    """What of the in-port may be had in more than one way: the entries, or for "all" the maps, that would do it. The
+    map has none of them."""
+    unset: tuple[str, ...] = ()
+    """What of the in-port nothing is sent to; it keeps its default value."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """As the command line of a FlexiFilter has it."""
+        return ("-i", self.source, "-o", self.target, "-m", self.entries)
+
+    @property
+    def said(self) -> str:
+        """For people, in one line."""
+        left = f"; nothing is sent to {', '.join(self.unset)}" if self.unset else ""
+        return f"{FILTER} {shlex.join(self.options)}{left}"
+
+
+def between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
+    """What would join these two, with an empty map where all of it may be had in several ways; None: nothing would."""
+    factor = _factor(out.unit, in_.unit)
+    if factor is None:
+        return None
+    source, target = _end(out, _length(out, in_)), _end(in_, _length(in_, out))
+    if source is None or target is None:
+        return None
+    pairs, several = _pairs(source, target)
+    if not pairs and not several:
+        return None
+    pairs = pairs[:_MOST_PINS]
+    done = {other for _, other in pairs}
+    named = {pin: pin.removeprefix(":") or in_.name for pin, _ in target.pins}
+    return Between(
+        source.written,
+        target.written,
+        _entries(pairs, factor),
+        tuple(
+            port.path for port, end in ((out, source), (in_, target)) if end.form == "sequence" and not _stated(port)
+        ),
+        MappingProxyType(
+            {named.get(pin, pin): tuple(_entries(one, factor) for one in ways) for pin, ways in several.items()}
+        ),
+        tuple(name for pin, name in named.items() if pairs and pin not in done and pin not in several),
+    )
+
+
+def plain_between(out: OutPort[Any], in_: InPort[Any]) -> Between | None:
+    """What joins these two, without any doubt; None where nothing does.
+
+    Raises:
+        WiringError: there are several ways, and all of them are named; or a length is not known.
+    """
+    found = between(out, in_)
+    if found is None:
+        return None
+    where = f"{out.path} -> {in_.path}: adapt"
+    if found.several:
+        ways = "; ".join(f"{what} by {' or by '.join(one)}" for what, one in found.several.items())
+        raise WiringError(
+            f"{where}: it is not plain which value goes where: {ways}; choose, and put a {FILTER} of your own between "
+            f"them, with -i {found.source} -o {found.target}"
+        )
+    if found.guessed:
+        whose = " and ".join(found.guessed)
+        raise WiringError(
+            f"{where}: how many elements {whose} has is not known; declare a shape, such as shape=(3,), "
+            f"{_MOST_PINS} at the most, or put a {FILTER} of your own between them"
+        )
+    return found
+
+
+def filter_name(out: str, in_: str, taken: Container[str]) -> str:
+    """What a filter between two ports is called: free, and plain to whoever sees it. The ports are given as paths."""
+    base = f"{out.partition('.')[0]}_to_{in_.replace('.', '_')}"[:_LONGEST]
+    name, number = base, 2
+    while name in taken:
+        name, number = f"{base}{number}", number + 1
+    return name
+
+
+def is_accepted(catalogue: Catalogue, one: Between) -> bool:
+    """Whether FlexiFilter itself takes this map between these ports."""
+    try:
+        cls: Any = catalogue.find("components", FILTER).load()
+        cls.table(inputs=(one.source,), outputs=(one.target,), map=one.entries)
+    except (AiortsError, AttributeError):
+        return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """A port as FlexiFilter has it: how it is written, and its pins with the last part of their names."""
+
+    written: str
+    pins: tuple[tuple[str, str], ...]
+    form: str
+
+
+def _factor(unit: str | None, wanted: str | None) -> str | None:
+    """The factor as a map has it, "" for none; None where it is not known."""
+    if unit is None or wanted is None or unit == wanted:
+        return ""
+    if unit not in _UNITS or wanted not in _UNITS or _UNITS[unit][0] != _UNITS[wanted][0]:
+        return None
+    factor = _UNITS[unit][1] / _UNITS[wanted][1]
+    return str(factor.numerator) if factor.denominator == 1 else repr(float(factor))
+
+
+def _length(port: Port[Any], other: Port[Any]) -> int:
+    """How many pins a sequence has: what its shape says, else that of the other end, else one."""
+    for one in (port, other):
+        if (stated := _stated(one)) > 0:
+            return stated
+    if _form(other.type) == "record":
+        return len(_leaves(other.type))
+    return 1
+
+
+def _stated(port: Port[Any]) -> int:
+    """The length that a port says its sequences have; 0 where it says none."""
+    shape = port.shape
+    return shape[0] if shape is not None and len(shape) == 1 and 0 < shape[0] <= _MOST_PINS else 0
+
+
+def _end(port: Port[Any], length: int) -> _End | None:
+    name = type_name(port.type)
+    match _form(port.type):
+        case "scalar":
+            return _End(name, (("", port.name),), "scalar")
+        case "sequence":
+            return _End(f"{name}:{length}", tuple((f":{pin}", "") for pin in range(length)), "sequence")
+        case "record":
+            return _End(name, tuple((f":{path}", path.rpartition(".")[2]) for path in _leaves(port.type)), "record")
+    return None
+
+
+def _form(cls: type) -> str:
+    if cls in _PLAIN:
+        return "scalar"
+    try:
+        fields = [field for field in describe(cls).fields if field.name != "tm"]
+    except AiortsError:
+        return ""
+    if len(fields) == 1 and fields[0].name == "data" and fields[0].record is None:
+        return "sequence" if fields[0].spelling.startswith("seq[") else "scalar"
+    return "record"
+
+
+def _leaves(cls: type) -> tuple[str, ...]:
+    """Paths of the single values of a record, as pins name them: without `data` in front."""
+    paths: list[str] = []
+
+    def walk(kind: type, prefix: str) -> None:
+        for field in describe(kind).fields:
+            if field.name == "tm" and not prefix:
+                continue
+            if field.record is not None and not field.spelling.startswith("seq["):
+                walk(field.record, prefix if field.name == "data" and not prefix else f"{prefix}{field.name}.")
+            elif not field.kind.base.startswith(("seq[", "map", "ndarray")):
+                paths.append(f"{prefix}{field.name}")
+
+    walk(cls, "")
+    return tuple(paths)
+
+
+_Pairs: TypeAlias = list[tuple[str, str]]
+
+
+def _pairs(source: _End, target: _End) -> tuple[_Pairs, dict[str, list[_Pairs]]]:
+    """Which pin goes to which, and which could be several: fields by name, else all in order if equally many."""
+    pairs: _Pairs = []
+    several: dict[str, list[_Pairs]] = {}
+    forms = source.form, target.form
+    if forms in (("record", "record"), ("record", "scalar"), ("scalar", "record")):
+        for pin, name in target.pins:
+            same = [other for other, _ in source.pins if other == pin] or [
+                other for other, last in source.pins if last == name
+            ]
+            if len(same) == 1:
+                pairs.append((same[0], pin))
+            elif same or target.form == "scalar":
+                several[pin] = [[(other, pin)] for other in same or [one for one, _ in source.pins]]
+        return pairs, several
+    mine, theirs = ([pin for pin, _ in end.pins] for end in (source, target))
+    if len(mine) == len(theirs):
+        return list(zip(mine, theirs, strict=True)), several
+    if forms == ("sequence", "sequence") and len(mine) > len(theirs):  # these one after the other, from any on
+        several["all"] = [
+            list(zip(mine[first : first + len(theirs)], theirs, strict=True))
+            for first in range(len(mine) - len(theirs) + 1)
+        ]
+    return pairs, several
+
+
+def _entries(pairs: _Pairs, factor: str) -> str:
+    """The map of a filter with one input and one output."""
+    return ",".join(f"0{one}>{factor}>0{other}" if factor else f"0{one}>0{other}" for one, other in pairs)
