@@ -134,7 +134,9 @@ def _line(line: str, *, varies: bool) -> str:
     if line.strip() == "...":
         return r"(?:.*\n)*?"
     texts = [_numbers(text) if varies else re.escape(text) for text in line.rstrip().split("...")]
-    return ".*".join(texts) + r"\n"
+    # A busy machine may run a cycle between two activations: what is dropped then has its reason behind it.
+    reason = r"(?: inactive)?" if varies and "dropped" in texts[-1] else ""
+    return ".*".join(texts) + reason + r"\n"
 
 
 def _numbers(text: str) -> str:

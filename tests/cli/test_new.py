@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
 
@@ -24,6 +25,15 @@ WORDS = {
     "turning": ("--flexi",),
 }  # fmt: skip
 """Options by the name of what is made of them."""
+
+
+@pytest.fixture(autouse=True)
+def _forgotten() -> Iterator[None]:
+    """What a test has imported of its plugin is no package of the next one."""
+    yield
+    ours = {f"aiorts_{name}" for name in WORDS}
+    for name in [one for one in sys.modules if one.partition(".")[0] in ours]:
+        del sys.modules[name]
 
 
 def made(tmp_path: Path, name: str) -> Path:

@@ -169,10 +169,19 @@ async def _connected(kernel: Kernel, tool: subprocess.Popen[bytes]) -> None:
             await asyncio.sleep(0.01)
 
 
+def _all_stopped(pid: int) -> None:
+    """Wait until each of its threads has stopped, which is some time after the signal was sent."""
+    until = time.monotonic() + WAIT
+    while any(one.read_text().rpartition(")")[2].split()[0] != "T" for one in Path(f"/proc/{pid}/task").glob("*/stat")):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
 def test_a_process_that_is_stopped_delays_nobody_else_and_is_named() -> None:
     with running("stopped", SYSTEM) as stopped, running("alive", SYSTEM):
         stopped.send_signal(signal.SIGSTOP)
         try:
+            _all_stopped(stopped.pid)
             began = time.monotonic()
             opened, silent = open_all(entries(), "names", timeout=WAIT, grace=0.25)
             took = time.monotonic() - began
