@@ -198,7 +198,7 @@ async def test_the_ledger_balances_while_two_threads_hammer_the_connector(full: 
                 assert ledger.balanced
                 assert 0 <= ledger.buffered <= 16
                 assert ledger.delivered >= 0
-            await asyncio.sleep(0)
+            await asyncio.sleep(0.0002)  # a loop that never waits hands the interpreter over every 5 ms only
         await reached(lambda: unread_of(one) == unread_of(two) == 0)
         await asyncio.sleep(0.01)
         ledgers = [one.statistics, two.statistics]
