@@ -466,7 +466,7 @@ class Kernel(Microkernel):
         What is new is made and connected first, then all that changes is switched over between two cycles, then what is
         not wanted any more goes. What is equal is not touched. Options of a connector are changed in place, samples
         that wait in it stay, in order. A step that fails is taken back with all before it. A caller that is cancelled
-        ends nothing: it is done, or taken back.
+        while the system before is measured gives it up; later it ends nothing: it is done, or taken back.
 
         Args:
             wanted: as `aiorts.system.wanted` reads it from a system file.

@@ -51,6 +51,8 @@ class Planning(KernelService):
         self.health = Health(kernel)
         """What the windows of `apply` are measured by."""
         self._applying: asyncio.Task[Applied] | None = None
+        self._measuring = False
+        """Whether it measures before the change yet."""
 
     def text(self, folder: Path) -> Saved:
         """The system at this moment, as a system file in this folder.
@@ -110,7 +112,12 @@ class Planning(KernelService):
         renewing.add(task)
         task.add_done_callback(renewing.discard)
         task.add_done_callback(self._ended)
-        return await asyncio.shield(task)
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if self._measuring:
+                task.cancel()
+            raise
 
     def parks(self, component: Component) -> bool:
         """Whether a component that a plan takes out is kept whole for its return."""
@@ -146,7 +153,13 @@ class Planning(KernelService):
     async def _before(self, wanted: Wanted, window: float) -> Window | None:
         """What is counted before anything is read to be changed, so that the plan is of the system then."""
         planned = await self._plan(await self._wanted([]), wanted)
-        return None if planned.refused or planned.empty else await self.health.before(window)
+        if planned.refused or planned.empty:
+            return None
+        self._measuring = True
+        try:
+            return await self.health.before(window)
+        finally:
+            self._measuring = False
 
     async def _carried_out(self, wanted: Wanted, before: Window | None, window: float, making: ExitStack) -> Applied:
         from aiorts.planning.applying import Application

@@ -82,3 +82,12 @@ def test_what_cannot_be_done_and_what_is_wrong_is_status_2(old: Path, capsys: py
     new.write_text(SYSTEM.replace("FlexiDump", "FlexiDmp"))
     assert run_command(["plan", str(old), str(new)]) == 2
     assert "new.toml:6:8: components.dump.type" in capsys.readouterr().err
+
+
+def test_what_cannot_run_at_all_is_no_plan(old: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (new := old.with_name("new.toml")).write_text(SYSTEM.replace('"dump.input0"', '"dump.input7"'))
+    assert run_command(["plan", str(old), str(new)]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert "new.toml:10:6: connections[1].to: " in said.err
+    assert "input7" in said.err

@@ -162,6 +162,19 @@ def test_code_that_was_changed_while_no_component_was_of_it_is_the_new_one(tmp_p
         one.says("- remove other", "+ create other (other.py:Ramp)\n", "done\n")
 
 
+def test_what_cannot_run_is_told_with_its_place_and_the_code_that_runs_is_not_read_again(tmp_path: Path) -> None:
+    with watched(tmp_path, "0") as run:
+        run.write('"meter.inp"', '"meter.inq"')
+        run.says("system.toml:8:6: connections[1].to: ", "inq")
+        run.write("class Ramp", "clas Ramp", "parts.py")
+        run.says("parts.py")
+        run.write("clas Ramp", "class Ramp", "parts.py")
+        run.write('"meter.inq"', '"meter.inp"')
+        run.write("step: float = Param(1.0)", "step: float = Param(1.0)  # a comment", "parts.py")
+        run.says("~ reload parts.py:Ramp: ramp", "done", "~ reload parts.py:Meter: meter", "done")
+        assert run.said.count("~ reload parts.py:Ramp") == 1
+
+
 def test_of_what_changes_during_a_window_the_newest_is_applied(tmp_path: Path) -> None:
     with watched(tmp_path, "3") as one:
         one.write("length = 100", "length = 1")

@@ -216,3 +216,18 @@ async def test_what_others_change_in_the_window_before_is_planned_too() -> None:
         assert (await applying).done
         assert "stranger" not in kernel.components  # it is not wanted
         assert plan(wanted_of(kernel), wanted).empty
+
+
+@pytest.mark.fault("G05")
+@simulated
+async def test_who_is_cancelled_while_the_system_before_is_measured_gives_it_up() -> None:
+    async with Kernel() as kernel:
+        before = await start(kernel)
+        after = with_params(before, "filter", at_once=5)
+        task = asyncio.ensure_future(kernel.apply(after, window=WINDOW))
+        await kernel.sleep(WINDOW / 2)
+        task.cancel()
+        await asyncio.wait([task])
+        await kernel.sleep(3 * WINDOW)
+        assert wanted_of(kernel) == before
+        assert (await kernel.apply(after, window=WINDOW)).done

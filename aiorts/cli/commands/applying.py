@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, timeout_option
 from aiorts.cli.commands.live.target import complete_kernels, kernels
-from aiorts.cli.commands.planning import parts_of, planned_live, say_planned, say_steps, wanted_of
+from aiorts.cli.commands.planning import check_steps, parts_of, say_planned, say_steps, wanted_of
 from aiorts.cli.commands.unrun import plugins_option
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.output import say, say_json
 from aiorts.system import Choices
+
+_LEFT_OFF: Final = (
+    "interrupted: a change that has not begun is given up, one that has begun goes on; "
+    "`aiorts plan {file} --live KERNEL` shows which"
+)
 
 
 @click.command(short_help="Change a system that runs into that of a file.")
@@ -52,12 +58,22 @@ def apply(
     lower; the figure is named. Exit status: 0 when the system is that of the file, 1 when it was taken back, 2 when it
     was refused and nothing was done. With --dry-run it is that of aiorts plan.
     """
-    system = wanted_of(file, changes, choices, plugins)
-    if dry_run:
-        return say_planned(planned_live(system, live, timeout), as_json=as_json)
-    with kernels(changing=True) as found:
+    parts = parts_of(wanted_of(file, changes, choices, plugins))
+    with kernels(changing=not dry_run) as found:
         client = found.kernel(live.rstrip("/")).client
-        done = client.call("apply", timeout + 2 * window, wanted=parts_of(system), window=window)
+        planned = client.call("plan", timeout, wanted=parts)
+        check_steps(planned["steps"], file, changes, choices, plugins)
+        if dry_run or planned["refused"]:
+            return say_planned(planned, as_json=as_json)
+        if window and planned["steps"]:
+            click.echo(
+                f"aiorts: it is measured for {window:g} s before the change and for {window:g} s after it", err=True
+            )
+        try:
+            done = client.call("apply", timeout + 2 * window, wanted=parts, window=window)
+        except KeyboardInterrupt:
+            click.echo(f"aiorts: {_LEFT_OFF.format(file=file)}", err=True)
+            raise
     if as_json:
         say_json(done)
     else:

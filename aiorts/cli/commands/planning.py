@@ -13,11 +13,12 @@ from aiorts.cli.commands.live.showing import timeout_option
 from aiorts.cli.commands.live.target import complete_kernels, kernels
 from aiorts.cli.commands.unrun import catalogue_of, plugins_option, quietly
 from aiorts.cli.console.choices_option import choices_options
+from aiorts.cli.console.finding import text_of
 from aiorts.cli.console.output import say, say_json
 from aiorts.errors import LimitError, SystemFileError
 from aiorts.model.wanted.carried import carried
 from aiorts.model.wanted.plan import plan
-from aiorts.system import AS_WRITTEN, Choices, Wanted, load, prepare, wanted
+from aiorts.system import AS_WRITTEN, Choices, Wanted, check, load, prepare, wanted
 
 _FILE: Final = click.Path(dir_okay=False, path_type=Path)
 _PART: Final = 60_000
@@ -51,20 +52,39 @@ def plan_command(
     status: 0 when there is no difference, 1 when there is, 2 when it cannot be done while the system runs.
     """
     if live is not None and new is None:
-        found = planned_live(wanted_of(old, changes, choices, plugins), live, timeout)
+        file = old
+        parts = parts_of(wanted_of(file, changes, choices, plugins))
+        with kernels() as running:
+            found = running.kernel(live.rstrip("/")).client.call("plan", timeout, wanted=parts)
     elif live is None and new is not None:
+        file = new
         before = wanted_of(old, (), AS_WRITTEN, plugins)
-        found = plan(before, wanted_of(new, changes, choices, plugins)).to_plain()
+        found = plan(before, wanted_of(file, changes, choices, plugins)).to_plain()
     else:
         raise click.UsageError("give two files, or one file and --live KERNEL")
+    check_steps(found["steps"], file, changes, choices, plugins)
     return say_planned(found, as_json=as_json)
 
 
-def planned_live(system: Wanted, live: str, timeout: float) -> Mapping[str, Any]:
-    """The steps that make this system of one that runs, in plain form."""
-    with kernels() as found:
-        done: Mapping[str, Any] = found.kernel(live.rstrip("/")).client.call("plan", timeout, wanted=parts_of(system))
-        return done
+def check_steps(
+    steps: Iterable[Mapping[str, Any]],
+    file: Path,
+    changes: tuple[str, ...],
+    choices: Choices,
+    plugins: tuple[Path, ...],
+) -> None:
+    """Look whether the file can run at all, as `aiorts check` does, where more than parameters is to be changed.
+
+    Raises:
+        SystemFileError: the first thing that is wrong with it.
+    """
+    if all(step["step"] == "Configure" for step in steps):
+        return
+    with quietly():
+        wrong = [one for one in check(file, changes, plugins, choices) if one.severity == "error"]
+    if wrong:
+        more = f" ({len(wrong) - 1} more, see aiorts check {file})" if wrong[1:] else ""
+        raise SystemFileError(text_of(wrong[0]) + more)
 
 
 def say_planned(found: Mapping[str, Any], *, as_json: bool) -> int:

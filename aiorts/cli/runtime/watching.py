@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import aiorts
-from aiorts.errors import AiortsError, BusyError, ClosedError
+from aiorts.errors import AiortsError, BusyError, ClosedError, SystemFileError
 
 if TYPE_CHECKING:
     from aiorts import Component, Kernel
@@ -52,6 +52,8 @@ class Watch:
         """What lay beside the file when it was read last."""
         self._seen = self._look()
         """The files as they were when something was done about them last."""
+        self._code = {path: self._seen[path] for path in self._sources}
+        """The files of components as the code that runs was read from them."""
 
     @contextlib.asynccontextmanager
     async def beside(self, kernel: Kernel, log: Log) -> AsyncIterator[None]:
@@ -74,10 +76,13 @@ class Watch:
                 now = await _aside(self._look)
                 settled, before = now == before, now
                 if settled and now != self._seen:
-                    await self._take(kernel, log, {path for path in now if now[path] != self._seen.get(path)})
+                    await self._take(
+                        kernel, log, {path: now[path] for path in now if now[path] != self._seen.get(path)}
+                    )
                     self._measure(kernel)
                     self._sources |= _sources(map(type, kernel.components.values()))
                     before, known = await _aside(self._look), {**self._near, **now}
+                    self._code = {path: before[path] for path in self._sources} | self._code
                     # What came while the file was read may be what it needs: it counts as changed.
                     self._seen = {one: known.get(one, b"" if self._bad else found) for one, found in before.items()}
 
@@ -90,11 +95,13 @@ class Watch:
         folders = {path.parent for path in self._files}
         return {path: _digest(path) for folder in folders for path in _written_in(folder)}
 
-    async def _take(self, kernel: Kernel, log: Log, changed: Collection[Path]) -> None:
-        """Do what these files ask for; what is wrong with them is told."""
+    async def _take(self, kernel: Kernel, log: Log, changed: Mapping[Path, bytes]) -> None:
+        """Do what these files, which are such now, ask for; what is wrong with them is told."""
         try:
-            for path in changed:
-                await self._reload(kernel, log, path)
+            for path, digest in changed.items():
+                if digest != self._code.get(path):
+                    await self._reload(kernel, log, path)
+                    self._code[path] = digest
         except ClosedError:
             raise
         except AiortsError as error:
@@ -107,6 +114,10 @@ class Watch:
         except AiortsError as error:
             self._bad = True
             log.refused(error, await _aside(self._errors))
+            return
+        if wrong := await _aside(self._errors):
+            self._bad = True
+            log.refused(SystemFileError(wrong[0].cause), wrong)
             return
         self._bad = False
         try:
@@ -124,6 +135,7 @@ class Watch:
         for kind in kinds:
             done = await kernel.reload(kind, window=self._window)
             log.tell("", f"~ reload {done.kind}: {', '.join(one.component for one in done.components)}", level="info")
+            log.tell("", "kept" if self._window else "done", level="info")
         if not kinds and path in self._sources:
             forget_file(path)
 

@@ -36,6 +36,8 @@ def save(name: str, output: str, force: bool, timeout: float, as_json: bool) -> 
     """
     if output != "-" and not force and os.path.lexists(output):
         raise ConfigurationError(f"{output}: is there already; --force overwrites it")
+    if output != "-" and not os.path.isdir(os.path.dirname(os.path.abspath(output))):
+        raise ConfigurationError(f"{output}: cannot be written: its folder is not there")
     with kernels() as found:
         folder = os.getcwd() if output == "-" else os.path.dirname(os.path.abspath(output))
         saved = found.kernel(name.rstrip("/")).client.call("save", timeout, folder=folder)
