@@ -2,6 +2,7 @@
 
 Each line names a slow test and the quick one that keeps its promise; `first` says that nothing quicker does, and that
 the first case of the test itself is run with the quick ones. A test is slow when a case of it takes longer than LIMIT.
+Of a quick test with many cases the first CASES are quick; each of its cases is run with one tier or the other.
 
     python -m pytest -q -n 2 --tier all --durations 0 --durations-min 0.05 > all.log; python tests/tiers.py all.log
 
@@ -12,12 +13,15 @@ from __future__ import annotations
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 LIMIT = 0.25
 """Seconds that the longest case of a quick test takes, its fixtures included."""
+CASES = 4
+"""Cases of a test that are run with the quick ones."""
 USUAL = 0.022
 """Seconds that a quick test takes on average on the machine that LIMIT was chosen on: 130 s for 5,986 of them."""
 LIST = Path(__file__).with_name("SLOW.txt")
@@ -48,11 +52,12 @@ def is_slow(name: str) -> bool:
 
 def are_slow(nodeids: Iterable[str]) -> list[bool]:
     """Of each case, in the order of collection, whether it is left to the slow tier."""
-    seen: set[str] = set()
+    seen: Counter[str] = Counter()
     found = []
     for name in map(name_of, nodeids):
-        found.append(is_slow(name) or (name in table() and name in seen))
-        seen.add(name)
+        quick = 1 if name in table() else CASES
+        found.append(is_slow(name) or (seen[name] >= quick and not name.startswith(ALWAYS)))
+        seen[name] += 1
     return found
 
 
