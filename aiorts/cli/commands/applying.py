@@ -66,9 +66,7 @@ def apply(
         if dry_run or planned["refused"]:
             return say_planned(planned, as_json=as_json)
         if window and planned["steps"]:
-            click.echo(
-                f"aiorts: it is measured for {window:g} s before the change and for {window:g} s after it", err=True
-            )
+            click.echo(f"aiorts: measured for {window:g} s before the change, and after it", err=True)
         try:
             done = client.call("apply", timeout + 2 * window, wanted=parts, window=window)
         except KeyboardInterrupt:
