@@ -26,6 +26,7 @@ from aiorts.kernel.extensions.loading import load_aside
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.ports import InPort
 from aiorts.kernel.ports.in_port import set_open
+from aiorts.kernel.ports.port import host_of
 from aiorts.kernel.service import owned_by
 from aiorts.model.configuration.sets import DEFAULT, ConfigurationState
 from aiorts.model.lifecycle import LifecycleState
@@ -81,6 +82,8 @@ class Application:
         self._parked: dict[str, Component] = {}
         self._connectors: list[Connector] = []
         """Those that are parked, in order."""
+        self._of_services: list[Connector] = []
+        """Those of services that are parked: no step is about them, they come back with their ports."""
         self._trials: dict[str, Trial] = {}
         """Those that are instances of another type now, by name."""
         self._held: set[Component] = set()
@@ -194,8 +197,9 @@ class Application:
     async def settle(self) -> None:
         """It is final: what is parked ends."""
         kernel = self._kernel
-        connectors, self._connectors = self._connectors, []
-        kernel.connections.end_each(tuple(connectors))
+        connectors, self._connectors, self._of_services = [*self._connectors, *self._of_services], [], []
+        with self._planning.services_wait():  # whose they were looks at what has become free
+            kernel.connections.end_each(tuple(connectors))
         trials, self._trials = self._trials, {}
         for trial in trials.values():
             await trial.settle()
@@ -213,6 +217,7 @@ class Application:
         component = self._parked.pop(entry.name, None)
         if component is not None:
             kernel.registry.unpark(component)
+            self._put_back()
         else:
             component = await setting.create(kernel, cls, entry.name)
         self._supervise_as(component, entry)
@@ -226,7 +231,8 @@ class Application:
             await kernel.remove(component)
         else:
             for port in component.ports.values():  # what is left are connectors of services, not of the plan
-                kernel.connections.end_each(port.connectors)
+                for connector in port.connectors:
+                    self._set_aside(connector)
             kernel.registry.park(component)
             self._parked[name] = component
 
@@ -292,7 +298,26 @@ class Application:
         port: Any = self._kernel.find(paths[0]) if owned is not None else None
         for connector in getattr(port, "connectors", ()):
             if owned is not None and connector.profile.ports == paths and owned(connector):
-                self._kernel.connections.end(connector)
+                self._set_aside(connector)
+
+    def _set_aside(self, connector: Any) -> None:
+        """A connector of a service: parked, or ended where there is nothing to come back to."""
+        connections = self._kernel.connections
+        there = connections.connectors.get(connector.name)
+        if self.goes_back or there is None or there is not connector:
+            connections.end_each((connector,))
+        else:
+            connections.park(there)
+            self._of_services.append(there)
+
+    def _put_back(self) -> None:
+        """The connectors of services whose ports are both there again, and whose names are free."""
+        connections, parked = self._kernel.connections, self._kernel.registry.parked
+        for connector in tuple(self._of_services):
+            owners = {host_of(connector.out), host_of(connector.in_)}
+            if not owners & parked and connector.name not in connections.connectors:
+                self._of_services.remove(connector)
+                connections.unpark(connector)
 
     def _parked_connector(self, name: str, paths: set[str]) -> Connector | None:
         """The one of this name, if its ports are those that have these paths now."""
@@ -313,6 +338,8 @@ class Application:
         else:
             connections.park(connector)
             self._connectors.append(connector)
+        if self.goes_back:
+            self._put_back()
 
     async def _change(self, step: Change) -> None:
         connector = self._kernel.connectors[step.name]

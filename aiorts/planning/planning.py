@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import os
-from collections.abc import Collection, Generator
-from contextlib import ExitStack
+from collections.abc import Collection, Generator, Iterator
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -123,6 +123,14 @@ class Planning(KernelService):
         """Whether a component that a plan takes out is kept whole for its return."""
         return type(component).parks and component.name not in self.exclusive
 
+    @contextmanager
+    def services_wait(self) -> Iterator[None]:
+        """Services that connect by themselves wait meanwhile, and look afterwards."""
+        with ExitStack() as making:
+            for service in self.kernel.services:
+                making.enter_context(service.making())
+            yield
+
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         components = self.kernel.components.values()
         limited = {port.path for one in components for port in one.ports.values() if _is_limited(port)}
@@ -146,8 +154,7 @@ class Planning(KernelService):
         async with self.kernel.registry.renewal:
             before = await self._before(wanted, window) if window else None
             with ExitStack() as making:
-                for service in self.kernel.services:
-                    making.enter_context(service.making())
+                making.enter_context(self.services_wait())
                 return await self._carried_out(wanted, before, window, making)
 
     async def _before(self, wanted: Wanted, window: float) -> Window | None:

@@ -140,8 +140,10 @@ class ConnectingRules(KernelService):
         pair = connector.out.path, connector.in_.path
         for one in self._rules:
             made = one.made.get(pair)
-            if made is not None and made.name == connector.name:
+            if made is connector:
                 return True
+            if made is not None and made.name == connector.name and (is_removed(made.out) or is_removed(made.in_)):
+                return True  # a component was restarted, and the next look takes it over
         return self._gone.get(pair) == connector.name
 
     @contextmanager
