@@ -136,6 +136,11 @@ class Kernel(Microkernel):
             from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
 
             return await connect_adapted(self, (one, two, *more), options)
+        if any(isinstance(port, str) and "/" in port for port in (one, two, *more)):
+            self.check_open("connect")
+            from aiorts.links.connecting import Links  # late: few systems have links
+
+            return await self.service(Links).connect(super().connect, (one, two, *more), options)
         return await super().connect(one, two, *more, **options)
 
     connect.__doc__ = Microkernel.connect.__doc__

@@ -254,7 +254,7 @@ class CompositeGroup:
                 "disconnected %s: its port is exported no more; %d written, %d delivered, %d dropped",
                 connector.name,
                 counts.written,
-                counts.delivered,
+                counts.arrived,
                 sum(counts.dropped.values()),
             )
         outer = self.outer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import StateError, WiringError
 from aiorts.kernel.execution.apart import check_connection
@@ -35,6 +35,7 @@ from aiorts.model.profile import ConnectorProfile
 if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection
     from aiorts.kernel.execution.cell import KernelSide
+    from aiorts.kernel.ports.far import FarPorts
     from aiorts.kernel.ports.in_port import InPort
     from aiorts.kernel.ports.out_port import OutPort
     from aiorts.kernel.service import KernelService
@@ -55,6 +56,8 @@ class Connections:
         self.losses = Losses(kernel)
         self.gaps = Gaps(kernel)
         self.unconverted = Unconverted(kernel)
+        self.far: FarPorts | None = None
+        """Who makes what stands for ports of other kernels; None: there are no other kernels."""
         self._numbering = Numbering(self._taken)
         self._idle: set[str] = set()
         """Warnings of options that choose nothing, each given once."""
@@ -69,7 +72,7 @@ class Connections:
             WiringError: says which ports or options do not go together; nothing was connected.
         """
         options = with_openrtm(options)
-        ports = [self._kernel.registry.port(one) if isinstance(one, str) else one for one in ports]
+        ports, options = self._resolve(ports, options)
         for port in ports:
             connecting = port.connecting if isinstance(port, PortDeclaration) else None
             if connecting is not None:
@@ -94,6 +97,20 @@ class Connections:
         for connector in made:
             self._notify_made(connector)
         return made
+
+    def _resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
+        """The ports of paths, and the options with what is usual where one is in another kernel."""
+        far = self.far
+        is_far = [far is not None and isinstance(one, str) and far.is_far(one) for one in ports]
+        found = [
+            self._kernel.registry.port(one) if isinstance(one, str) and not beyond else one
+            for one, beyond in zip(ports, is_far, strict=True)
+        ]
+        if far is not None and any(is_far):
+            return far.resolve(found, options)
+        if options.get("on_link_lost") is not None:
+            raise WiringError("on_link_lost: both ports are in this kernel; there is no link that could be lost")
+        return found, options
 
     def change(self, connector: Connector, options: Mapping[str, Any]) -> None:
         """See `Connector.change`."""
@@ -263,9 +280,9 @@ class Connections:
         """
         if not isinstance(profile, ConnectorProfile):
             return self._renew_other(profile)
-        out, in_ = (self._kernel.registry.find(path) for path in profile.ports[:2])
-        options = {"allow_duplicate": True, "convert": profile.convert}
-        ((writer, reader, planned),) = wiring.plan(self._kernel, cast("Any", (out, in_)), options)
+        given = {"allow_duplicate": True, "convert": profile.convert, "on_link_lost": profile.on_link_lost}
+        ends, options = self._resolve(profile.ports[:2], given)
+        ((writer, reader, planned),) = wiring.plan(self._kernel, ends, options)
         wiring.check_features(writer, reader, profile)
         if not profile.length:
             check_connection(writer, reader)

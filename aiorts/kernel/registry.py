@@ -104,6 +104,15 @@ class Registry:
         ports = ", ".join(f"{path}.{name}" for name in found.ports)
         raise WiringError(f"{path}: is a component; {f'give one of its ports: {ports}' if ports else 'it has no port'}")
 
+    def is_here(self, where: Path) -> bool:
+        """Whether a path means this kernel: by its name, or by that of its address."""
+        import platform  # late: as below
+
+        kernel = self._kernel
+        names = (kernel.name, kernel.address.rpartition("/")[2] or kernel.name)
+        host = where.host.lower()
+        return where.kernel in ("", *names) and host in ("", "localhost", platform.node().lower())
+
     def _check_here(self, path: str, where: Path) -> None:
         """Raise WiringError when a path that names its kernel, or its host too, means another one than this."""
         import platform  # late: 1.5 ms that few kernels need

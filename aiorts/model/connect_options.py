@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, Protocol, TypedDict
 
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
-from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription
 
 
 class Converter(Protocol):
@@ -54,6 +54,8 @@ class ConnectOptions(TypedDict, total=False):
     """Seconds of the kernel's clock after which a sample that was not read is dropped as expired."""
     max_gap: float | None
     """Seconds between two writes at the most; a longer gap is an event and a line in the log."""
+    on_link_lost: Literal["wait", "error", "disconnect"] | OnLinkLost
+    """Of a port in another kernel: what happens when the link to that kernel is lost; by default it waits."""
     name: str
     """The connector's."""
     fan_in: int

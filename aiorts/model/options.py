@@ -20,7 +20,7 @@ from typing import Any, Final, TypeVar
 from aiorts.errors import InvalidNameError, WiringError
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.names import check_name
-from aiorts.model.policy import Dataflow, Push, Stamp, Subscription, default_push
+from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription, default_push
 from aiorts.model.profile import ConnectorProfile
 
 DEFAULT_LENGTH: Final = 8
@@ -120,6 +120,7 @@ OWN_KEYS: Final = (
     "keep_last",
     "lifespan",
     "max_gap",
+    "on_link_lost",
     "name",
     *PORT_KEYS,
 )
@@ -184,6 +185,7 @@ def connector_profile(
         lifespan=get.number("lifespan", SHORTEST_TIME, LONGEST_TIME, None, may_be_none=True),
         max_gap=get.number("max_gap", SHORTEST_GAP, LONGEST_TIME, None, may_be_none=True),
         extra=MappingProxyType(extra) if extra else _NO_EXTRA,
+        on_link_lost=get.choice("on_link_lost", OnLinkLost, None),
     )
     if rendezvous:
         _check_rendezvous(where, options, profile, rendezvous)
@@ -199,9 +201,33 @@ def connector_profile(
     return profile, limits
 
 
+def link_options(where: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a connector to another kernel, with what is usual there where they do not say it.
+
+    Without a subscription it is new/all: a flush waits for a round trip at each write, which a hook does not expect.
+
+    Raises:
+        WiringError: an option that a link does not have, or as `connector_profile`.
+    """
+    own, _ = _translate(where, options)
+    get = _Reader(where, own)
+    if _rendezvous_by(where, own, get):
+        raise WiringError(f"{where}: length = 0: the reader is in another kernel; subscription = flush waits for it")
+    if own.get("convert") is not None:
+        raise WiringError(f"{where}: convert: the reader is in another kernel; convert in a component of this one")
+    usual: dict[str, Any] = {}
+    if "subscription" not in own and get.choice("dataflow", Dataflow, Dataflow.PUSH) is Dataflow.PUSH:
+        usual["subscription"] = Subscription.NEW
+        if "push" not in own:
+            usual["push"] = Push.ALL
+    if own.get("on_link_lost") is None:
+        usual["on_link_lost"] = OnLinkLost.WAIT
+    return {**options, **usual}
+
+
 _CHOSEN: Final = (
     *("subscription", "push_rate", "dataflow", "push", "skip", "length", "out_length", "full", "empty", "timeout"),
-    *("stamp", "measure", "keep_last", "lifespan", "max_gap"),
+    *("stamp", "measure", "keep_last", "lifespan", "max_gap", "on_link_lost"),
 )
 """Options that are chosen, each after those that its default follows from."""
 

@@ -41,6 +41,17 @@ class Stamp(StrEnum):
     READ = "read"
 
 
+class OnLinkLost(StrEnum):
+    """What a connector to another kernel does when the link to it is lost."""
+
+    WAIT = "wait"
+    """Goes on when the link is back."""
+    ERROR = "error"
+    """Moves the component at this end to error, too."""
+    DISCONNECT = "disconnect"
+    """Ends."""
+
+
 class Choice(Enum):
     """What becomes of one sample of a backlog when a period is over."""
 

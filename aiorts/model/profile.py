@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 from aiorts.late import dataclass
 from aiorts.model.blame import Blame
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
-from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription
 from aiorts.model.rates import Counted
 from aiorts.model.timing import Spans
 
@@ -63,16 +63,22 @@ class ConnectorProfile:
     """Seconds without a write after which the writer counts as silent, while both ends are active; None never."""
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """Options that aiorts keeps and reports but does not act on."""
+    on_link_lost: OnLinkLost | None = None
+    """What happens when the link to the reader's kernel is lost; None where both ends are in one kernel."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectorStatistics(Counted):
-    """The ledger of a connector at one moment: written = delivered + sum(dropped.values()) + buffered."""
+    """The ledger of a connector at one moment: written = delivered + sum(dropped.values()) + buffered.
+
+    Where the reader is in another kernel, the writer's end cannot know what was read: there `delivered` is None and
+    written = acknowledged + sum(dropped.values()) + buffered + in_flight.
+    """
 
     written: int
     """Samples that the writer sent."""
-    delivered: int
-    """Samples that the reader read."""
+    delivered: int | None
+    """Samples that the reader read; None at the writer's end of a link."""
     buffered: int
     """Samples that wait to be read."""
     dropped: Mapping[str, int]
@@ -90,12 +96,21 @@ class ConnectorStatistics(Counted):
     age: Spans | None = field(default=None, compare=False, repr=False)
     """How old these were when they were read: the kernel's time less their stamp `tm`; a `tm` of 0 is none. None
     without `measure`, and for a type without `tm`."""
+    acknowledged: int | None = None
+    """At the writer's end of a link: samples that are in the reader's buffer, or were; else None."""
+    in_flight: int = 0
+    """At the writer's end of a link: samples that were sent and are not acknowledged yet."""
     counted: ClassVar[str] = "written"
 
     @property
     def balanced(self) -> bool:
         """Whether the sum is right; it always is."""
-        return self.written == self.delivered + sum(self.dropped.values()) + self.buffered
+        return self.written == self.arrived + sum(self.dropped.values()) + self.buffered + self.in_flight
+
+    @property
+    def arrived(self) -> int:
+        """Samples that this end knows to have arrived: delivered, or at the writer's end of a link acknowledged."""
+        return (self.acknowledged or 0) if self.delivered is None else self.delivered
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ def kernel_html(kernel: Microkernel) -> str:
                 connector.in_.path,
                 f"{options.subscription}/{options.push}",
                 ledger.written,
-                ledger.delivered,
+                ledger.arrived,
                 ", ".join(f"{count} {reason}" for reason, count in ledger.dropped.items()) or "0",
                 ledger.buffered,
             )

@@ -229,10 +229,10 @@ class ListenedTransport(Transport):
         self._note(ConnectorEventKind.RECEIVER_FULL, sample)
         return super().queue_up(sample, future)
 
-    def time_out(self, sample: Any) -> None:
-        super().time_out(sample)
-        self._note(ConnectorEventKind.BUFFER_WRITE_TIMEOUT, sample)
-        self._note(ConnectorEventKind.RECEIVER_TIMEOUT, sample)
+    def time_out(self, entry: Waiting) -> None:
+        super().time_out(entry)
+        self._note(ConnectorEventKind.BUFFER_WRITE_TIMEOUT, entry.sample)
+        self._note(ConnectorEventKind.RECEIVER_TIMEOUT, entry.sample)
         self._note(ConnectorEventKind.SENDER_TIMEOUT)
 
     def take(self) -> Any:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 _LEDGER: Final[Mapping[str, Callable[[Connector], Any]]] = {
     "written": lambda connector: connector.statistics.written,
-    "delivered": lambda connector: connector.statistics.delivered,
+    "delivered": lambda connector: connector.statistics.arrived,
     "buffered": lambda connector: connector.statistics.buffered,
     "dropped": lambda connector: sum(connector.statistics.dropped.values()),
     "rate": lambda connector: connector.statistics,

@@ -137,7 +137,7 @@ class LockFreeTransport(Transport):
         return self.written, self.buffered, dropped
 
     def delivered(self) -> int:
-        return self.statistics().delivered
+        return self.statistics().arrived
 
     @property
     def direct(self) -> bool:
@@ -167,7 +167,7 @@ class LockFreeTransport(Transport):
         finally:
             sides.writing = False
 
-    def time_out(self, sample: Any) -> None:
+    def time_out(self, entry: Waiting) -> None:
         self.extra.writing = True
         self.written += 1
         self.drop("timeout")

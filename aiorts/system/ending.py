@@ -185,7 +185,7 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
     while True:
         buffered = [c for c in kernel.connectors.values() if unread_of(c) or c.statistics.buffered]
         waiting = tuple(c for c in buffered if c.in_ is not None and not look.is_off(c.in_.path.partition(".")[0]))
-        moved = sum(connector.statistics.delivered for connector in kernel.connectors.values())
+        moved = sum(connector.statistics.arrived for connector in kernel.connectors.values())
         if waiting or moved != seen:
             cycles = {context: context.ticks for context in kernel.contexts.values() if _repeats(context)}
         busy = any(_is_busy(one) and one.ticks <= cycles.get(one, one.ticks) for one in kernel.contexts.values())

@@ -136,7 +136,7 @@ def _count(result: _Result, kernel: Kernel, loop: Context) -> None:
     ledgers = [connector.statistics for connector in kernel.connectors.values()]
     result.ledger = (
         sum(one.written for one in ledgers),
-        sum(one.delivered for one in ledgers),
+        sum(one.arrived for one in ledgers),
         sum(sum(one.dropped.values()) for one in ledgers),
         sum(one.buffered for one in ledgers),
     )

@@ -227,7 +227,7 @@ def figures_of(kernel: Kernel) -> Figures:
         in_error += LifecycleState.ERROR in states
     for connector in kernel.connectors.values():
         ledger = connector.statistics
-        delivered += ledger.delivered
+        delivered += ledger.arrived
         silent += ledger.silent
         dropped += sum(ledger.dropped.values())
     for context in kernel.contexts.values():

@@ -116,9 +116,10 @@ def _chosen(known: Mapping[str, T], names: tuple[str, ...] | None) -> Iterable[t
 
 def _counted(connector: Connector) -> tuple[int, int, int, Mapping[str, int], int]:
     transport, measure = transport_of(connector), connector.profile.measure
-    if not transport.listenable:  # a real-time thread is at it: only its statistics fit together
+    # Of a real-time thread and of a link only the statistics fit together.
+    if not transport.listenable or connector.profile.on_link_lost is not None:
         ledger = connector.statistics
-        return ledger.written, ledger.delivered, ledger.buffered, dict(ledger.dropped), measure
+        return ledger.written, ledger.arrived, ledger.buffered, dict(ledger.dropped), measure
     with transport.guard():
         written, buffered, dropped = transport.glance()
     return written, written - buffered - sum(dropped.values()), buffered, dropped, measure

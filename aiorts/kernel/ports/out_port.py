@@ -231,7 +231,7 @@ class OutPort(Port[T]):
                 if not entry.done:
                     _give_up_all(entries, bool(late))
         _raise_late(self.path, late)
-        return done
+        return done and not any(entry.refused for entry in entries)
 
     def write_from_thread(self, sample: T, full: Literal["reject", "block"] = "reject") -> bool:
         """Write from any thread, such as the callback thread of a device's SDK: the loop passes the sample on soon.
@@ -367,6 +367,8 @@ class OutPort(Port[T]):
                     _give_up(entry, isinstance(entries, _Others))
         elif entries:
             await self._wait_for(entries)
+        if (entries and entries[0].refused) or (len(entries) > 1 and any(entry.refused for entry in entries)):
+            return False
         return done
 
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
@@ -560,7 +562,7 @@ def _time_out(entry: Waiting) -> bool:
         if not _give_up(entry, True):
             return False
         missed = transport.missed == transport.position
-        transport.time_out(entry.sample)
+        transport.time_out(entry)
         if missed:
             transport.missed = transport.position
         return True

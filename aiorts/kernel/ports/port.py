@@ -114,6 +114,8 @@ class Port(PortDeclaration, Generic[T]):
     )
 
     direction: ClassVar[str] = ""
+    is_far: ClassVar[bool] = False
+    """Whether it stands for a port of another kernel."""
 
     def __init__(
         self,

@@ -85,6 +85,8 @@ class Waiting:
     sample: Any
     future: asyncio.Future[None] | None
     done: bool = False
+    refused: bool = False
+    """Whether the reader had no room for it after all: the write returns False."""
 
 
 class Transport:
@@ -378,11 +380,11 @@ class Transport:
                 return True
             return self.store(sample)
 
-    def time_out(self, sample: Any) -> None:
+    def time_out(self, entry: Waiting) -> None:
         """Count a sample that was written and had no room in time."""
         with self.guard():
             if (now := self.connector._transport) is not self:
-                return now.time_out(sample)
+                return now.time_out(entry)
             self.written += 1
             self.drop("timeout")
 

@@ -71,7 +71,7 @@ async def measure(count: int, messages: int, *, trace: bool = False) -> dict[str
     few = await _write(nodes[:: max(1, count // _FEW)], messages)
     every = await _write(nodes, messages)
     faults = [f"{one.profile.name}: the ledger does not balance" for one in connectors if not one.statistics.balanced]
-    delivered = sum(one.statistics.delivered for one in connectors)
+    delivered = sum(one.statistics.arrived for one in connectors)
     if delivered != count + 2 * messages:
         faults.append(f"{count + 2 * messages} written, {delivered} delivered")
     stopping = perf_counter_ns()

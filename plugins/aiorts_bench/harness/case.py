@@ -153,7 +153,7 @@ class Ledger:
         """The ledger of `connector`, whose reader took `received` samples."""
         counts = connector.statistics
         dropped = {str(reason): count for reason, count in counts.dropped.items() if count}
-        return cls(counts.written, counts.delivered, counts.buffered, received, dropped)
+        return cls(counts.written, counts.arrived, counts.buffered, received, dropped)
 
     def __add__(self, other: Ledger) -> Ledger:
         reasons = dict.fromkeys((*self.dropped, *other.dropped))

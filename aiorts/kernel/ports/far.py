@@ -1,0 +1,66 @@
+"""Far ports: what stands in this kernel for a port of another one, as one end of an ordinary connector.
+
+A service drains a far in-port and sends on what it reads, or writes at a far out-port what it received. The connector
+is a part of the system like any other: it is in `Kernel.connectors`, in profiles, and has its options and its ledger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+from aiorts.kernel.ports.host import PortHost
+from aiorts.kernel.ports.in_port import InPort
+from aiorts.kernel.ports.out_port import OutPort
+from aiorts.kernel.ports.port import Port, Turns
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.host import KernelSide
+    from aiorts.model.names import Path
+
+
+class FarInPort(InPort[Any]):
+    """Stands for an in-port of another kernel: what is written to it is sent there."""
+
+    __slots__ = ()
+    is_far = True
+
+
+class FarOutPort(OutPort[Any]):
+    """Stands for an out-port of another kernel: what is received from there is written at it."""
+
+    __slots__ = ()
+    is_far = True
+
+
+class FarPorts(Protocol):
+    """Who makes far ports of paths."""
+
+    def is_far(self, path: str) -> bool:
+        """Whether this is the path of a port in another kernel."""
+        ...
+
+    def resolve(
+        self, ports: Sequence[Port[Any] | str], options: Mapping[str, Any]
+    ) -> tuple[list[Port[Any]], Mapping[str, Any]]:
+        """The ports with a far one for each path of another kernel, and the options with what is usual there.
+
+        Raises:
+            WiringError: they do not go together.
+        """
+        ...
+
+
+def far_port(
+    kernel: KernelSide, like: Port[Any], path: Path, unit: str | None, shape: tuple[int, ...] | None
+) -> FarInPort | FarOutPort:
+    """What stands for the port of this path at the other end of a connector of `like`, a port of this kernel."""
+    host = PortHost(str(replace(path, port="")), Turns())
+    host.kernel = kernel
+    kind = FarInPort if isinstance(like, OutPort) else FarOutPort
+    port = kind(like.type, unit=unit, shape=shape)
+    host.ports[path.port] = port
+    port._attach(host, path.port)
+    port._refresh()
+    return port

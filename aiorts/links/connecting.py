@@ -1,0 +1,580 @@
+"""The service of links: connectors whose other end is in another kernel.
+
+A connector with a far port is made at once, and its link then looks for the other kernel: the kernel of the writer
+offers, the kernel of the reader answers, and both open a channel. A link that has no channel, since the other kernel or
+component is not there, is offered again when it comes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
+from aiorts.links.transports import find_transport
+
+from aiorts.errors import AiortsError, LinkError, WiringError, format_error
+from aiorts.kernel.connection import Connection
+from aiorts.kernel.loop.bus import Disconnected
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
+from aiorts.kernel.service import KernelService, setting
+from aiorts.late import dataclass
+from aiorts.links.messages import Answer, Wish
+from aiorts.links.reader_link import ReaderLink
+from aiorts.links.writer_link import WINDOW, WriterLink
+from aiorts.model.buffer import FullPolicy
+from aiorts.model.names import Path
+from aiorts.model.options import chosen_options, link_options
+from aiorts.model.policy import OnLinkLost, Push, Stamp, Subscription
+from aiorts.types import type_name
+from aiorts.wire import MsgpackCodec
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.loop.deadlines import StopBudget
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.profile import ConnectorProfile
+
+Link: TypeAlias = "WriterLink | ReaderLink"
+_LOG: Final = KernelLog()
+_PROTOCOL: Final = (1, 1)
+_WINDOW_BYTES: Final = 8 << 20
+_ASK_SECONDS: Final = 2.0
+_RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
+"""Seconds until an offer without an answer is made again."""
+_LAST_SECONDS: Final = 1.0
+"""How long a kernel that ends waits for acknowledgements."""
+_AWAITED: Final = 10_000
+"""Ports that are not there whose coming other kernels are told of."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinksSettings:
+    """Whether other kernels can connect to ports of this one, and how they reach it."""
+
+    transport: str = setting("unix", "What carries links: unix, or the name of a transport that a plugin offers.")
+    name: str = setting("", "The name by which other kernels reach this one; by default that of its address.")
+
+
+class Links(KernelService):
+    """The links of one kernel. See `aiorts help links`."""
+
+    name = "links"
+    settings = LinksSettings
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self._settings = LinksSettings()
+        self._transport: Transport | None = None
+        self._opening: asyncio.Task[None] | None = None
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._peers: dict[Peer, None] = {}
+        self._writers: dict[Connector, WriterLink] = {}
+        self._readers: dict[Connector, ReaderLink] = {}
+        self._asking: set[Link] = set()
+        self._tried: dict[Link, int] = {}
+        """How often a link was offered in vain since it was up last."""
+        self._first: dict[Link, asyncio.Future[None]] = {}
+        """Done with the first answer, or with what refused it."""
+        self._awaited: dict[str, set[Peer]] = {}
+        """Ports that are not there, and the kernels that want to connect to them."""
+        self._expected: dict[tuple[str, str], ReaderLink] = {}
+        """Reader's ends whose writer was asked to offer, by writer and reader."""
+        self._offers: dict[tuple[str, str], ReaderLink] = {}
+        """Reader's ends by the writer's kernel and its name of the link."""
+        self._number = int.from_bytes(os.urandom(3), "big")
+        self._accepting = False
+        kernel.connections.far = self
+        kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
+
+    # -- opening ---------------------------------------------------------------------------------------------------
+
+    def configure(self, settings: LinksSettings) -> None:
+        self._settings = settings
+        self._open_soon()
+
+    async def opened(self) -> None:
+        """Wait until other kernels can be reached.
+
+        Raises:
+            LinkError: the transport cannot be opened.
+        """
+        await asyncio.shield(self._open_soon())
+
+    @property
+    def reached_as(self) -> str:
+        """The name by which other kernels reach this one."""
+        return self._settings.name or self.kernel.address.rpartition("/")[2] or self.kernel.name
+
+    def use(self, transport: Transport) -> None:
+        """Carry links with this transport, which is not open yet; before anything else is done."""
+        self._transport = transport
+
+    def _open_soon(self) -> asyncio.Task[None]:
+        if self._opening is None:
+            self._opening = kernel_task(self.kernel.loop, self._open(), f"aiorts links {self.kernel.name}")
+            self._opening.add_done_callback(self._report_opening)
+        return self._opening
+
+    async def _open(self) -> None:
+        transport = self._transport = self._transport or find_transport(self._settings.transport, self.kernel.plugins)
+        transport.answer("offer", self._offered)
+        transport.answer("wish", self._wished)
+        transport.answer("come", self._come)
+        await transport.open(_Face(self))
+        transport.presence(self._present)
+
+    def _report_opening(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _LOG.error("links: other kernels cannot be reached: %s", format_error(error))
+
+    # -- the ports of other kernels ------------------------------------------------------------------------------------
+
+    def is_far(self, path: str) -> bool:
+        """Whether this is the path of a port in another kernel."""
+        if "/" not in path:
+            return False
+        where = Path.parse(path)
+        return where.kernel != self._settings.name and not self.kernel.registry.is_here(where)
+
+    def resolve(
+        self, ports: Sequence[Port[Any] | str], options: Mapping[str, Any]
+    ) -> tuple[list[Port[Any]], Mapping[str, Any]]:
+        """See `FarPorts.resolve`."""
+        near = [port for port in ports if not isinstance(port, str)]
+        where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
+        if not near:
+            raise WiringError(f"{where}: one of the ports must be of this kernel; connect them from one of theirs")
+        if len({isinstance(port, OutPort) for port in near}) > 1:
+            raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
+        like = near[0]
+        if not isinstance(like, InPort | OutPort):
+            raise WiringError(f"{where}: only data ports can be connected with other kernels")
+        found = [
+            far_port(self.kernel, like, self._port_path(port), like.unit, like.shape) if isinstance(port, str) else port
+            for port in ports
+        ]
+        return found, link_options(where, options)
+
+    @staticmethod
+    def _port_path(text: str) -> Path:
+        path = Path.parse(text)
+        if not path.port:
+            raise WiringError(f"{text}: is a component; give one of its ports")
+        return path
+
+    def connector_made(self, connector: Connector) -> None:
+        if isinstance(connector.in_, FarInPort):
+            self._start(self._write_end(connector))
+        elif isinstance(connector.out, FarOutPort) and not self._accepting:
+            link = self._read_end(connector)
+            self._expected[self._here(connector.out), self._here(connector.in_)] = link
+            self._start(link)
+
+    async def connect(
+        self, connect: Callable[..., Awaitable[Any]], ports: Sequence[Any], options: Mapping[str, Any]
+    ) -> Any:
+        """Connect with `connect`; return when the other kernel, if it is there, has answered.
+
+        Raises:
+            LinkError: the transport cannot be opened.
+            WiringError: as `Kernel.connect`, or the other kernel refused a connector; those of this call were ended.
+        """
+        if any(isinstance(port, str) and self.is_far(port) for port in ports):
+            await self.opened()
+        made = await connect(*ports, **options)
+        connectors = made.connectors if isinstance(made, Connection) else (made,)
+        waits = [self._first[link] for one in connectors if (link := self._link(one)) in self._first]
+        try:
+            for wait in waits:
+                await asyncio.shield(wait)
+        except WiringError:
+            for one in connectors:
+                self.kernel.connections.end(one)
+            raise
+        return made
+
+    def _link(self, connector: Connector) -> Any:
+        return self._writers.get(connector) or self._readers.get(connector)
+
+    # -- one end of a link ---------------------------------------------------------------------------------------------
+
+    def _write_end(self, connector: Connector) -> WriterLink:
+        codec = MsgpackCodec()
+        link = self._writers[connector] = WriterLink(
+            self.kernel,
+            connector,
+            _epoch(),
+            lambda sample: (codec.encode(sample), ()),
+            lost=self._lost,
+            ended=self._ended,
+            report=_report,
+        )
+        return link
+
+    def _read_end(self, connector: Connector) -> ReaderLink:
+        codec, kind = MsgpackCodec(), connector.in_.type
+        link = self._readers[connector] = ReaderLink(
+            self.kernel,
+            connector,
+            _epoch(),
+            lambda head, _parts: codec.decode(bytes(head), kind),
+            lost=self._lost,
+            ended=self._ended,
+            report=_report,
+        )
+        return link
+
+    def _start(self, link: Link) -> None:
+        self._first[link] = self.kernel.loop.create_future()
+        self._open_soon()
+        self._try(link)
+        if link not in self._asking:
+            self._answer_first(link, None)
+            _LOG.warning("W-LINK: %s: waits: there is no kernel %r yet", link.connector.name, self._far(link).kernel)
+
+    def _far(self, link: Link) -> Path:
+        port = link.connector.in_ if isinstance(link, WriterLink) else link.connector.out
+        return Path.parse(port.path)
+
+    def _lost(self, link: Link, why: str) -> None:
+        connector = link.connector
+        policy = connector.profile.on_link_lost
+        _LOG.warning("W-LINK: %s: lost the link: %s", connector.name, why)
+        if policy is OnLinkLost.DISCONNECT:
+            self.kernel.connections.end(connector)
+        elif isinstance(link, WriterLink):
+            self._retry(link)
+
+    def _ended(self, link: Link) -> None:
+        """The other end was disconnected."""
+        _LOG.warning("W-LINK: %s: was disconnected by %s", link.connector.name, self._far(link))
+        self.kernel.connections.end(link.connector)
+
+    def _end_closed(self) -> None:
+        for connector in [one for one in (*self._writers, *self._readers) if one.closed]:
+            link = self._writers.pop(connector, None) or self._readers.pop(connector)
+            link.close()
+            self._answer_first(link, None)
+            self._tried.pop(link, None)
+            for table in (self._expected, self._offers):
+                for key in [key for key, one in table.items() if one is link]:
+                    del table[key]
+
+    def _answer_first(self, link: Link, error: AiortsError | None) -> None:
+        first = self._first.pop(link, None)
+        if first is not None and not first.done():
+            if error is None:
+                first.set_result(None)
+            else:
+                first.set_exception(error)
+                first.exception()  # whoever did not wait for it has read it in the log
+
+    # -- offering ------------------------------------------------------------------------------------------------------
+
+    def _present(self, peer: Peer, up: bool) -> None:
+        if not up:
+            self._peers.pop(peer, None)
+            for path in [path for path, peers in self._awaited.items() if peer in peers]:
+                self._awaited[path].discard(peer)
+            return
+        self._peers[peer] = None
+        for link in (*self._writers.values(), *self._readers.values()):
+            if self._peer(link) == peer:
+                self._try(link)
+
+    def _peer(self, link: Link) -> Peer | None:
+        far = self._far(link)
+        found = [
+            peer
+            for peer in self._peers
+            if peer.kernel == far.kernel and far.host.lower() in ("", "localhost", peer.host.lower())
+        ]
+        return found[-1] if found else None
+
+    def _try(self, link: Link) -> None:
+        """Offer it, or ask the writer's kernel to, unless that is under way, or the other kernel is not there."""
+        if link.is_connected or link in self._asking:
+            return
+        peer = self._peer(link)
+        opening = self._opening is not None and not self._opening.done()
+        if peer is None and not opening:
+            return
+        self._asking.add(link)
+        self._run(self._ask(link), f"aiorts link {link.connector.name}")
+
+    async def _ask(self, link: Link) -> None:
+        try:
+            await self.opened()
+            peer = self._peer(link)
+            if peer is None or self._link(link.connector) is not link:
+                return
+            if isinstance(link, WriterLink):
+                await self._offer(link, peer)
+            else:
+                await self._wish(link, peer)
+        except LinkError as error:
+            link.why = str(error)
+            self._retry(link)
+        finally:
+            self._asking.discard(link)
+            self._answer_first(link, None)
+
+    def _retry(self, link: Link) -> None:
+        tried = self._tried[link] = self._tried.get(link, 0) + 1
+        self.kernel.call_later(_RETRY[min(tried, len(_RETRY)) - 1], lambda: self._try_again(link))
+
+    def _try_again(self, link: Link) -> None:
+        if self._link(link.connector) is link:
+            self._try(link)
+
+    async def _offer(self, link: WriterLink, peer: Peer) -> None:
+        assert self._transport is not None  # noqa: S101 - it is open
+        connector = link.connector
+        out = connector.out
+        offer = LinkOffer(
+            protocol=_PROTOCOL,
+            link=connector.name,
+            writer=self._path(out),
+            reader=self._far(link),
+            writer_epoch=link.end.epoch,
+            reader_epoch=0,
+            number=0,
+            schema=b"",
+            type_text=type_name(out.type),
+            unit=out.unit,
+            shape=out.shape,
+            profile=connector.profile,
+            window=WINDOW,
+            window_bytes=_WINDOW_BYTES,
+        )
+        answer = Answer.from_bytes(await self._transport.ask(peer, "offer", offer.to_bytes(), within=_ASK_SECONDS))
+        if not answer.number:
+            return self._not_now(link, answer)
+        agreed = replace(offer, reader_epoch=answer.epoch, number=answer.number)
+        channel = await self._transport.channel(agreed, link)
+        if self._writers.get(connector) is not link:
+            channel.close()
+            return None
+        self._tried.pop(link, None)
+        link.connect(channel, answer.number, answer.epoch)
+        return None
+
+    async def _wish(self, link: ReaderLink, peer: Peer) -> None:
+        assert self._transport is not None  # noqa: S101 - it is open
+        connector = link.connector
+        wish = Wish(self._here(connector.out), self._here(connector.in_), chosen_options(connector.profile))
+        answer = Answer.from_bytes(await self._transport.ask(peer, "wish", wish.to_bytes(), within=_ASK_SECONDS))
+        if answer.absent or answer.refused:
+            self._not_now(link, answer)
+
+    def _not_now(self, link: Link, answer: Answer) -> None:
+        connector = link.connector
+        link.why = answer.refused or answer.absent
+        if answer.absent:
+            _LOG.warning("W-LINK: %s: waits: %s", connector.name, answer.absent)
+            return
+        self._answer_first(link, WiringError(f"{connector.out.path} -> {connector.in_.path}: {answer.refused}"))
+        _LOG.error("%s: refused by %s: %s", connector.name, self._far(link).kernel, answer.refused)
+        self.kernel.connections.end(connector)
+
+    # -- answering -------------------------------------------------------------------------------------------------
+
+    async def _offered(self, body: bytes, caller: Caller) -> bytes:
+        """The answer to an offer of another kernel."""
+        offer = LinkOffer.from_bytes(body)
+        try:
+            answer, link = self._accept(offer, caller)
+        except WiringError as error:
+            return Answer(refused=str(error)).to_bytes()
+        if link is not None:
+            self._run(self._join(link, replace(offer, reader_epoch=answer.epoch, number=answer.number)), "aiorts link")
+        return answer.to_bytes()
+
+    def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
+        low, high = offer.protocol
+        if low > _PROTOCOL[1] or high < _PROTOCOL[0]:
+            raise WiringError(f"{offer.writer.kernel} speaks {_range(offer.protocol)}, this speaks {_range(_PROTOCOL)}")
+        found = self._there(offer.reader, caller)
+        if isinstance(found, Answer):
+            return found, None
+        if not isinstance(found, InPort):
+            raise WiringError(f"{offer.reader}: is no in-port")
+        if offer.type_text != type_name(found.type):
+            raise WiringError(
+                f"types differ: {offer.writer} sends {offer.type_text}, {offer.reader} takes {type_name(found.type)}"
+            )
+        key = (offer.writer.kernel, offer.link)
+        link = self._offers.get(key) or self._expected.get((str(offer.writer), str(offer.reader)))
+        if link is None or link.connector.in_ is not found:
+            link = self._new_reader(offer, found)
+        self._offers[key] = link
+        self._number = self._number % 0xFFFFFFFF + 1
+        return Answer(number=self._number, epoch=link.end.epoch), link
+
+    def _new_reader(self, offer: LinkOffer, in_: InPort[Any]) -> ReaderLink:
+        out = far_port(self.kernel, in_, offer.writer, offer.unit, offer.shape)
+        self._accepting = True
+        try:
+            (connector,) = self.kernel.connections.make((out, in_), _reader_options(offer.profile))
+        finally:
+            self._accepting = False
+        return self._read_end(connector)
+
+    async def _join(self, link: ReaderLink, offer: LinkOffer) -> None:
+        assert self._transport is not None  # noqa: S101 - it is open
+        try:
+            channel = await self._transport.channel(offer, link)
+        except LinkError as error:
+            link.why = str(error)
+            return
+        if self._readers.get(link.connector) is not link:
+            channel.close()
+            return
+        link.connect(channel, offer.number, offer.writer_epoch)
+
+    async def _wished(self, body: bytes, caller: Caller) -> bytes:
+        """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
+        wish = Wish.from_bytes(body)
+        writer = Path.parse(wish.writer)
+        found = self._there(writer, caller)
+        if isinstance(found, Answer):
+            return found.to_bytes()
+        if not isinstance(found, OutPort):
+            return Answer(refused=f"{wish.writer}: is no out-port").to_bytes()
+        for connector, link in self._writers.items():
+            if connector.out is found and connector.in_.path == wish.reader:
+                self._try(link)
+                return Answer().to_bytes()
+        try:
+            self.kernel.connections.make((found, wish.reader), wish.options)
+        except AiortsError as error:
+            return Answer(refused=str(error)).to_bytes()
+        return Answer().to_bytes()
+
+    def _there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
+        """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
+        try:
+            return self.kernel.registry.port(str(replace(path, kernel="", host="")))
+        except WiringError as error:
+            if path.component in self.kernel.components or caller.peer is None or len(self._awaited) >= _AWAITED:
+                raise
+            self._awaited.setdefault(path.component, set()).add(caller.peer)
+            return Answer(absent=str(error))
+
+    def component_added(self, component: Component) -> None:
+        for peer in self._awaited.pop(component.name, ()):
+            self._run(self._tell(peer, component.name), "aiorts link")
+
+    async def _tell(self, peer: Peer, component: str) -> None:
+        assert self._transport is not None  # noqa: S101 - a peer has asked
+        try:
+            await self._transport.ask(peer, "come", component.encode(), within=_ASK_SECONDS)
+        except LinkError:
+            return  # it has gone, and asks anew when it comes back
+
+    async def _come(self, body: bytes, caller: Caller) -> bytes:
+        """A component has come that links of this kernel waited for."""
+        component = body.decode(errors="replace")
+        for link in (*self._writers.values(), *self._readers.values()):
+            if self._far(link).component == component and self._peer(link) == caller.peer:
+                self._try(link)
+        return b""
+
+    # -- ending --------------------------------------------------------------------------------------------------------
+
+    async def ending(self, budget: StopBudget) -> None:
+        """Wait until what was written is acknowledged, for a short time."""
+        until = self.kernel.loop.time() + min(_LAST_SECONDS, budget.rest)
+        while any(one.is_connected and one.busy for one in self._writers.values()):
+            if self.kernel.loop.time() >= until:
+                return
+            await asyncio.sleep(0.005)
+
+    def stopped(self) -> None:
+        for link in (*self._writers.values(), *self._readers.values()):
+            link.close()
+        for task in self._tasks:
+            task.cancel()
+        if self._opening is not None:
+            self._opening.cancel()
+        if self._transport is not None:
+            closing = kernel_task(self.kernel.loop, self._transport.close(), "aiorts links close")
+            closing.add_done_callback(_observed)
+
+    # -- helpers -------------------------------------------------------------------------------------------------------
+
+    def _run(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
+        task = kernel_task(self.kernel.loop, coroutine, name)
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+        return task
+
+    def _done(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _LOG.error("links: %s failed: %s", task.get_name(), format_error(error), exc_info=error)
+
+    def _path(self, port: Port[Any]) -> Path:
+        """Of a port of this kernel, as others know it."""
+        return replace(Path.parse(port.path), kernel=self.reached_as)
+
+    def _here(self, port: Port[Any]) -> str:
+        return port.path if port.is_far else str(self._path(port))
+
+
+class _Face:
+    """What a transport sees of the kernel."""
+
+    def __init__(self, links: Links) -> None:
+        self._links = links
+        self.name = links.reached_as
+        self.epoch = links.kernel.epoch or _epoch()
+
+    def run_in_background(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
+        return self._links._run(coroutine, name)
+
+    def report(self, text: str) -> None:
+        _report(text)
+
+
+def _observed(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _LOG.error("links: the transport did not close: %s", format_error(error))
+
+
+def _report(text: str) -> None:
+    _LOG.warning("W-LINK: %s", text)
+
+
+def _epoch() -> int:
+    return int.from_bytes(os.urandom(8), "big")
+
+
+def _range(protocol: tuple[int, int]) -> str:
+    low, high = protocol
+    return str(low) if low == high else f"{low}-{high}"
+
+
+def _reader_options(profile: ConnectorProfile) -> dict[str, Any]:
+    """The options of the connector at the reader's end, by those that the link was made with.
+
+    A link loses nothing inside its window: what finds the reader's buffer full waits at the reader's end, and when the
+    window is used up the writer's buffer decides. With flush the writer waits for the answer, so the policy of the full
+    buffer is the reader's own.
+    """
+    options: dict[str, Any] = {"length": profile.length, "timeout": None, "allow_duplicate": True}
+    if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
+        options["stamp"] = profile.stamp
+    if profile.subscription is Subscription.FLUSH:
+        return {**options, "full": profile.full}
+    if profile.push is Push.NEW:
+        return {**options, "subscription": Subscription.NEW, "push": Push.NEW}
+    return {**options, "full": FullPolicy.BLOCK}

@@ -1,0 +1,153 @@
+"""Transports at the writer's end of a link: what the link has taken of them belongs to their ledger.
+
+A link drains the queue of such a connector while its window has room. With subscription flush a write waits until the
+reader's end has acknowledged its sample; these samples go past the queue, behind what lies there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final, Protocol
+
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.features import Feature, FeaturedTransport, offer
+from aiorts.kernel.ports.transport import Waiting
+from aiorts.late import dataclass
+from aiorts.model.buffer import FullPolicy
+from aiorts.model.policy import Dataflow, Subscription
+from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
+
+LINK: Final = "on_link_lost"
+"""The option that makes a connector one of a link, and the key of the link in `extra`."""
+
+
+class Drain(Protocol):
+    """The link, as far as its transport needs it."""
+
+    def drained(self) -> tuple[int, int, Mapping[str, int]]:
+        """Of what was taken from the queue: acknowledged, in flight, dropped by reason."""
+        ...
+
+    def pump(self) -> None:
+        """Take what the window has room for, and send."""
+        ...
+
+
+@dataclass(eq=False, slots=True)
+class Confirmation(Waiting):
+    """A sample whose writer waits until the reader's end has acknowledged it."""
+
+    number: int = 0
+    """Under which it was sent; 0: it was not."""
+
+
+class Linked(FeaturedTransport):
+    """A transport whose reader is a link. See `Transport`."""
+
+    __slots__ = ()
+
+    def statistics(self) -> ConnectorStatistics:
+        found = super().statistics()
+        acknowledged, in_flight, dropped = self._link.drained() if self._link is not None else (0, 0, {})
+        return replace(
+            found,
+            delivered=None,
+            acknowledged=acknowledged,
+            in_flight=in_flight,
+            dropped=MappingProxyType(added(found.dropped, dropped)),
+        )
+
+    @property
+    def _link(self) -> Drain | None:
+        link: Drain | None = self.extra.get(LINK)
+        return link
+
+
+class Confirmed(Linked):
+    """A transport whose writes wait until the reader's end has acknowledged the sample. See `Transport`."""
+
+    __slots__ = ()
+
+    def must_wait(self) -> bool:
+        return not self.closed and self.receiver.open and not self.retired
+
+    @property
+    def is_awaited(self) -> bool:
+        """A write that must not wait goes into the queue, unless that is full and keeps what it has."""
+        return self.connector.profile.full is not FullPolicy.BLOCK or len(self.queue) < self.length
+
+    def queue_up(self, sample: Any, future: asyncio.Future[None] | None) -> Waiting:
+        entry = Confirmation(self.connector, self.stamp_in(sample), future)
+        if self.waiting is None:
+            self.waiting = deque()
+        self.waiting.append(entry)
+        self.receiver.on_loop(self._pump)
+        return entry
+
+    def _pump(self) -> None:
+        if self._link is not None:
+            self._link.pump()
+
+    def next_waiting(self) -> Confirmation | None:
+        """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
+        if self.queue or not self.waiting:
+            return None
+        entry = self.waiting.popleft()
+        assert isinstance(entry, Confirmation)  # noqa: S101 - `queue_up` makes no others
+        self.written += 1
+        self.last = entry.sample
+        return entry
+
+    def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:
+        """The reader's end has said what became of it: its writer goes on."""
+        with self.guard():
+            entry.refused = refused
+            self.resolve(entry)
+            self.receiver.room_made()
+
+    def give_up(self, entry: Waiting) -> bool:
+        with self.guard():
+            if (now := transport_of(self.connector)) is not self:
+                return now.give_up(entry)
+            if entry.done:
+                return False
+            if self.waiting and entry in self.waiting:
+                self.waiting.remove(entry)
+            return True  # sent: it stays in flight, and nobody waits for it any more
+
+    def time_out(self, entry: Waiting) -> None:
+        if isinstance(entry, Confirmation) and entry.number:
+            return  # sent: it is written already, and in flight
+        super().time_out(entry)
+
+    def admit_waiting(self) -> None:
+        """Who waits goes to the link, not into the queue."""
+        self.receiver.room_made()
+
+
+def added(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
+    """The sums, by reason."""
+    return {reason: one.get(reason, 0) + other.get(reason, 0) for reason in dict.fromkeys((*one, *other))}
+
+
+def _confirms(profile: ConnectorProfile) -> bool:
+    return profile.subscription is Subscription.FLUSH and profile.dataflow is Dataflow.PUSH
+
+
+def _linked() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    return Linked, Linked
+
+
+def _confirmed() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    return Confirmed, Confirmed  # of which none is periodic
+
+
+FEATURES: Final = (
+    Feature(LINK, lambda profile: profile.on_link_lost is not None and not _confirms(profile), _linked),
+    Feature(LINK, lambda profile: profile.on_link_lost is not None and _confirms(profile), _confirmed),
+)
+offer(*FEATURES)

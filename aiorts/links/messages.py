@@ -1,0 +1,81 @@
+"""What kernels say to each other about links, beside the offer: small maps of plain values, bounded."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import LinkError
+from aiorts.late import dataclass
+
+_LARGEST: Final = 65_536
+_LONGEST: Final = 2_000
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What becomes of an offer, or of a wish for one."""
+
+    number: int = 0
+    """That the frames of the link carry; 0 where nothing came of it."""
+    epoch: int = 0
+    """Of the reader's end."""
+    absent: str = ""
+    """Why it is not possible yet: what has to come."""
+    refused: str = ""
+    """Why it is not possible."""
+
+    def to_bytes(self) -> bytes:
+        """The answer as one frame."""
+        return packed([self.number, self.epoch, self.absent[:_LONGEST], self.refused[:_LONGEST]])
+
+    @classmethod
+    def from_bytes(cls, body: bytes) -> Answer:
+        """The answer of a frame. LinkError: it is none."""
+        number, epoch, absent, refused = fields(body, (int, int, str, str))
+        if not 0 <= number < 2**32 or not 0 <= epoch < 2**64:
+            raise LinkError(f"an answer with the number {number} and the epoch {epoch}")
+        return cls(number, epoch, absent, refused)
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """Asks a kernel to connect one of its out-ports with an in-port of the kernel that asks."""
+
+    writer: str
+    reader: str
+    options: dict[str, Any]
+
+    def to_bytes(self) -> bytes:
+        """The wish as one frame."""
+        return packed([self.writer, self.reader, self.options])
+
+    @classmethod
+    def from_bytes(cls, body: bytes) -> Wish:
+        """The wish of a frame. LinkError: it is none."""
+        writer, reader, options = fields(body, (str, str, dict))
+        if not all(isinstance(key, str) for key in options):
+            raise LinkError("a wish whose options are not named by texts")
+        return cls(writer, reader, options)
+
+
+def packed(values: list[Any]) -> bytes:
+    """These plain values as one frame."""
+    frame: bytes = msgpack.packb(values)
+    return frame
+
+
+def fields(body: bytes, kinds: tuple[type, ...]) -> list[Any]:
+    """The values of a frame, of these kinds. LinkError: they are others, or it is no frame."""
+    if len(body) > _LARGEST:
+        raise LinkError(f"a message of {len(body)} bytes; at most {_LARGEST} are allowed")
+    try:
+        values = msgpack.unpackb(body, strict_map_key=False, max_ext_len=0)
+    except (ValueError, TypeError, msgpack.UnpackException) as error:
+        raise LinkError(f"no message of this protocol: {type(error).__name__}") from None
+    if type(values) is not list or len(values) != len(kinds):
+        raise LinkError("no message of this protocol: another number of fields")
+    if any(type(value) is not kind for value, kind in zip(values, kinds, strict=True)):
+        raise LinkError("no message of this protocol: fields of other kinds")
+    return values

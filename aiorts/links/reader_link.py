@@ -1,0 +1,140 @@
+"""The reader's end of a link in its kernel: writes what is received at a far out-port, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from aiorts.model.links import ReaderEnd
+
+from aiorts.errors import AiortsError
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.links.timing import Wakening
+
+if TYPE_CHECKING:
+    from aiorts.links.transport import Channel
+    from aiorts.model.links import Buffer
+
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+
+
+class ReaderLink:
+    """Writes what another kernel sends to one connector of this one.
+
+    Args:
+        decode: makes the sample of bytes and what travelled beside them.
+        lost: called when the channel went down, with the reason.
+        ended: called when the writer's end has disconnected.
+        report: warns of what cannot be decoded.
+    """
+
+    def __init__(
+        self,
+        kernel: Microkernel,
+        connector: Connector,
+        epoch: int,
+        decode: Callable[[Buffer, Sequence[Buffer]], Any],
+        *,
+        lost: Callable[[ReaderLink, str], None],
+        ended: Callable[[ReaderLink], None],
+        report: Callable[[str], None],
+    ) -> None:
+        self.connector = connector
+        self.end = ReaderEnd(0, epoch)
+        self.why = "not connected yet"
+        """Why it is not up; "" while it is."""
+        self._kernel, self._decode, self._lost, self._report, self._gone = kernel, decode, lost, report, ended
+        self._now: Callable[[], int] = kernel.clock.monotonic_ns
+        self._channel: Channel | None = None
+        self._wakening = Wakening(kernel, self._poll)
+        self._waits = 0
+        """The number of the sample that waits for room in the reader's buffer; 0: none does."""
+        self._undecodable = False
+        self._ended = False
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it has a channel."""
+        return self._channel is not None
+
+    def connect(self, channel: Channel, peer_epoch: int) -> None:
+        """Receive over this channel from now on."""
+        self._channel, self.why = channel, ""
+        self.end.channel_up(self._now(), peer_epoch)
+        self._poll()
+
+    def on_frames(self, frames: Sequence[tuple[Buffer, tuple[Buffer, ...]]]) -> None:
+        now, end = self._now(), self.end
+        for head, parts in frames:
+            end.receive(now, head, parts)
+        self._deliver()
+        self._poll()
+        if end.peer_ended and not self._ended:
+            self._gone(self)
+
+    def on_room(self) -> None:
+        self.end.on_room(self._now())
+        self._poll()
+
+    def on_state(self, up: bool, why: str) -> None:
+        if up or self._channel is None:
+            return
+        self._channel, self.why = None, why
+        self.end.channel_down(self._now())
+        self._lost(self, why)
+
+    def close(self) -> None:
+        """The connector has ended: say so to the writer's end. Idempotent."""
+        if self._ended:
+            return
+        self._ended = True
+        self._wakening.cancel()
+        channel, self._channel = self._channel, None
+        if channel is not None:
+            self.end.end(self._now(), channel.send)
+            channel.close()
+
+    def _poll(self) -> None:
+        channel = self._channel
+        if channel is not None:
+            self._wakening.at(self.end.poll(self._now(), channel.send))
+
+    def _deliver(self) -> None:
+        """Write what came, as long as the reader has room; what has none is not acknowledged."""
+        end, out, decode = self.end, self.connector.out, self._decode
+        transport = transport_of(self.connector)
+        while not self._waits and not self._ended:
+            sample = end.take()
+            if sample is None:
+                return
+            try:
+                record = decode(sample.head, sample.parts)
+            except AiortsError as error:
+                end.done(self._now(), sample.number, "undecodable")
+                if not self._undecodable:
+                    self._undecodable = True
+                    self._report(f"{self.connector.name}: dropped what cannot be decoded: {error}")
+                continue
+            if transport.must_wait():
+                self._wait(sample.number, record)
+            else:
+                taken = out.write_nowait(record)
+                end.done(self._now(), sample.number, "" if taken else "rejected")
+
+    def _wait(self, number: int, record: Any) -> None:
+        """Have the connector say when the reader has made room for this sample, which is in the buffer then."""
+        future = self._kernel.loop.create_future()
+        if transport_of(self.connector).wait_for_room(record, future) is None:
+            self.end.done(self._now(), number)
+            return
+        self._waits = number
+        future.add_done_callback(self._room_made)
+
+    def _room_made(self, _future: object) -> None:
+        number, self._waits = self._waits, 0
+        if self._ended:
+            return
+        self.end.done(self._now(), number)
+        self._deliver()
+        self._poll()

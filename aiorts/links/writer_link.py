@@ -1,0 +1,209 @@
+"""The writer's end of a link in its kernel: drains a far in-port into the protocol, and sends."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.model.links import WriterEnd
+
+from aiorts.errors import AiortsError
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.in_port import InPort, receiver_of
+from aiorts.links.linked import LINK, Confirmation, Confirmed, Linked, added
+from aiorts.links.timing import Wakening
+from aiorts.model.policy import Push
+
+if TYPE_CHECKING:
+    from aiorts.links.transport import Channel
+    from aiorts.model.links import Buffer
+
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports.connector import Connector
+
+WINDOW: Final = 256
+"""Samples that may be unacknowledged."""
+_NEWEST: Final = 2
+"""The same where only the newest sample counts: one on its way and one behind it."""
+_ACKNOWLEDGED: Final = "acknowledged"
+
+
+class WriterLink:
+    """Sends what is written to one connector into another kernel.
+
+    Args:
+        encode: makes the bytes of a sample, with what travels beside them.
+        lost: called when the channel went down, with the reason.
+        ended: called when the reader's end has disconnected.
+        report: warns of what cannot be sent.
+    """
+
+    def __init__(
+        self,
+        kernel: Microkernel,
+        connector: Connector,
+        epoch: int,
+        encode: Callable[[Any], tuple[bytes, Sequence[memoryview]]],
+        *,
+        lost: Callable[[WriterLink, str], None],
+        ended: Callable[[WriterLink], None],
+        report: Callable[[str], None],
+    ) -> None:
+        self.connector = connector
+        profile = connector.profile
+        self.end = WriterEnd(0, epoch, window=_NEWEST if profile.push is Push.NEW else WINDOW)
+        self.why = "not connected yet"
+        """Why it is not up; "" while it is."""
+        self._kernel, self._encode, self._lost, self._report, self._gone = kernel, encode, lost, report, ended
+        self._now: Callable[[], int] = kernel.clock.monotonic_ns
+        self._channel: Channel | None = None
+        self._wakening = Wakening(kernel, self._poll)
+        self._turn_due = False
+        self._acknowledged = 0
+        self._dropped: dict[str, int] = {}
+        self._confirmations: deque[Confirmation] = deque()
+        self._unsendable = False
+        self._ended = False
+        self._transport().extra[LINK] = self
+        receiver_of(connector.in_).add_callback(self._written)
+
+    # -- the connector ---------------------------------------------------------------------------------------------
+
+    def drained(self) -> tuple[int, int, Mapping[str, int]]:
+        return self._acknowledged, self.end.ledger.in_flight, self._dropped
+
+    def pump(self) -> None:
+        """Take from the connector what the window has room for, and send."""
+        if self._ended or self._channel is None:
+            return
+        self._take()
+        self._poll()
+
+    def _written(self, _port: InPort[Any]) -> bool:
+        # The first sample leaves in the write itself; what follows in the same turn of the loop travels together.
+        if not self._turn_due:
+            self._turn_due = True
+            self._kernel.loop.call_soon(self._turn)
+            self.pump()
+        return True
+
+    def _turn(self) -> None:
+        self._turn_due = False
+        self.pump()
+
+    def _take(self) -> None:
+        far, end, encode = self.connector.in_, self.end, self._encode
+        transport = self._transport()
+        transport.settle()
+        now = self._now()
+        while end.room > 0:
+            if transport.queue:
+                try:
+                    head, parts = encode(far.read_nowait())
+                except AiortsError as error:
+                    self._not_sent(error)
+                    continue
+                end.offer(now, head, parts)
+            else:
+                entry = transport.next_waiting() if isinstance(transport, Confirmed) else None
+                if entry is None:
+                    return
+                try:
+                    head, parts = encode(entry.sample)
+                except AiortsError as error:
+                    self._not_sent(error)
+                    transport.settle_fate(entry, refused=True)
+                    continue
+                entry.number = end.offer(now, head, parts, confirm=True)
+                self._confirmations.append(entry)
+
+    def _not_sent(self, error: AiortsError) -> None:
+        self._count("unsendable", 1)
+        if not self._unsendable:
+            self._unsendable = True
+            self._report(f"{self.connector.name}: dropped what cannot be sent: {error}")
+
+    def _transport(self) -> Linked:
+        found = transport_of(self.connector)
+        assert isinstance(found, Linked)  # noqa: S101 - its profile has `on_link_lost`
+        return found
+
+    # -- the channel -----------------------------------------------------------------------------------------------
+
+    def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
+        """Send over this channel from now on; frames carry `number`."""
+        self._channel, self.why = channel, ""
+        self.end.renumber(number)
+        self.end.channel_up(self._now(), peer_epoch)
+        self._settle()
+        self.pump()
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it has a channel."""
+        return self._channel is not None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is on its way, or waits to be sent."""
+        transport = self._transport()
+        return self.end.ledger.in_flight > 0 or bool(transport.queue) or bool(transport.waiting)
+
+    def on_frames(self, frames: Sequence[tuple[Buffer, tuple[Buffer, ...]]]) -> None:
+        now, end = self._now(), self.end
+        for head, _ in frames:
+            end.receive(now, head)
+        self._settle()
+        self.pump()
+        if end.peer_ended and not self._ended:
+            self._gone(self)
+
+    def on_room(self) -> None:
+        self.end.on_room(self._now())
+        self.pump()
+
+    def on_state(self, up: bool, why: str) -> None:
+        if up or self._channel is None:
+            return
+        self._channel, self.why = None, why
+        self.end.channel_down(self._now())
+        self._lost(self, why)
+
+    def close(self) -> None:
+        """The connector has ended: say so to the reader's end; whoever waits goes on. Idempotent."""
+        if self._ended:
+            return
+        self._ended = True
+        self._wakening.cancel()
+        channel, self._channel = self._channel, None
+        self.end.end(self._now(), channel.send if channel is not None else _nowhere)
+        self._settle()
+        if channel is not None:
+            channel.close()
+
+    def _poll(self) -> None:
+        channel = self._channel
+        if channel is not None:
+            self._wakening.at(self.end.poll(self._now(), channel.send))
+
+    def _settle(self) -> None:
+        """Count what became of samples, and let those go on who wait for it."""
+        for first, last, fate in self.end.fates():
+            if fate == _ACKNOWLEDGED:
+                self._acknowledged += last - first + 1
+            else:
+                self._count(fate.removeprefix("dropped:"), last - first + 1)
+            confirmations = self._confirmations
+            while confirmations and confirmations[0].number <= last:
+                entry = confirmations.popleft()
+                transport = self._transport()
+                if isinstance(transport, Confirmed) and not entry.done:
+                    transport.settle_fate(entry, refused=fate == "rejected")
+
+    def _count(self, reason: str, count: int) -> None:
+        self._dropped = added(self._dropped, {reason: count})
+
+
+def _nowhere(_head: bytes, _parts: Sequence[memoryview]) -> bool:
+    return True
