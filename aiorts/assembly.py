@@ -136,7 +136,7 @@ class Kernel(Microkernel):
             from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
 
             return await connect_adapted(self, (one, two, *more), options)
-        if any(isinstance(port, str) and "/" in port for port in (one, two, *more)):
+        if any(isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)):
             self.check_open("connect")
             from aiorts.links.connecting import Links  # late: few systems have links
 

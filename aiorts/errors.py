@@ -145,6 +145,12 @@ class WiringError(AiortsError, ValueError):
     code = "E-CONNECT"
 
 
+class LinkError(AiortsError, ConnectionError):
+    """Another kernel cannot be reached, or does not say what was expected."""
+
+    code = "E-LINK"
+
+
 class PortTypeError(AiortsError, TypeError):
     """A value of the wrong type or shape was written to a port; nothing was sent."""
 

@@ -104,14 +104,16 @@ class Registry:
         ports = ", ".join(f"{path}.{name}" for name in found.ports)
         raise WiringError(f"{path}: is a component; {f'give one of its ports: {ports}' if ports else 'it has no port'}")
 
-    def is_here(self, where: Path) -> bool:
-        """Whether a path means this kernel: by its name, or by that of its address."""
+    def is_elsewhere(self, path: str) -> bool:
+        """Whether a path means another kernel than this, which has its own name and that of its address."""
+        if "/" not in path:
+            return False
         import platform  # late: as below
 
-        kernel = self._kernel
-        names = (kernel.name, kernel.address.rpartition("/")[2] or kernel.name)
-        host = where.host.lower()
-        return where.kernel in ("", *names) and host in ("", "localhost", platform.node().lower())
+        where, kernel = Path.parse(path), self._kernel
+        if where.kernel not in (kernel.name, kernel.address.rpartition("/")[2]):
+            return True
+        return where.host.lower() not in ("", "localhost", platform.node().lower())
 
     def _check_here(self, path: str, where: Path) -> None:
         """Raise WiringError when a path that names its kernel, or its host too, means another one than this."""

@@ -139,10 +139,7 @@ class Links(KernelService):
 
     def is_far(self, path: str) -> bool:
         """Whether this is the path of a port in another kernel."""
-        if "/" not in path:
-            return False
-        where = Path.parse(path)
-        return where.kernel != self._settings.name and not self.kernel.registry.is_here(where)
+        return self.kernel.registry.is_elsewhere(path) and Path.parse(path).kernel != self._settings.name
 
     def resolve(
         self, ports: Sequence[Port[Any] | str], options: Mapping[str, Any]

@@ -41,6 +41,7 @@ class Drain(Protocol):
 class Confirmation(Waiting):
     """A sample whose writer waits until the reader's end has acknowledged it."""
 
+    refused: bool = False  # type: ignore[misc] # the kind that a reader far away may refuse later
     number: int = 0
     """Under which it was sent; 0: it was not."""
 

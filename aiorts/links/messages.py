@@ -74,6 +74,11 @@ def fields(body: bytes, kinds: tuple[type, ...]) -> list[Any]:
         values = msgpack.unpackb(body, strict_map_key=False, max_ext_len=0)
     except (ValueError, TypeError, msgpack.UnpackException) as error:
         raise LinkError(f"no message of this protocol: {type(error).__name__}") from None
+    return checked(values, kinds)
+
+
+def checked(values: Any, kinds: tuple[type, ...]) -> list[Any]:
+    """These values, a list of exactly these kinds. LinkError: they are something else."""
     if type(values) is not list or len(values) != len(kinds):
         raise LinkError("no message of this protocol: another number of fields")
     if any(type(value) is not kind for value, kind in zip(values, kinds, strict=True)):

@@ -58,9 +58,10 @@ class ReaderLink:
         """Whether it has a channel."""
         return self._channel is not None
 
-    def connect(self, channel: Channel, peer_epoch: int) -> None:
-        """Receive over this channel from now on."""
+    def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
+        """Receive over this channel from now on the frames that carry `number`."""
         self._channel, self.why = channel, ""
+        self.end.renumber(number)
         self.end.channel_up(self._now(), peer_epoch)
         self._poll()
 

@@ -89,7 +89,7 @@ async def test_a_kernel_attaches_what_it_was_given_by_name(catalogue: Catalogue)
         (
             {"zenoh": {}},
             PluginError,
-            "named 'zenoh'; there are control, fence, openrtm, record, rules, supervision, watch_loop",
+            "named 'zenoh'; there are control, fence, links, openrtm, record, rules, supervision, watch_loop",
         ),
         ({"fence": {"lo": 1}}, ConfigurationError, "service 'fence': lo: unknown key 'lo'; did you mean 'low'?"),
         ({"fence": {"low": "x"}}, ConfigurationError, "service 'fence': low: expected a number, got 'x'"),

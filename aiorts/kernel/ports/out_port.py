@@ -354,22 +354,21 @@ class OutPort(Port[T]):
         host = self._bound()
         if host.realtime:  # its thread never waits
             return self._write_general(sample)
-        if self._blocking and len(self._connectors) == 1:
-            done, entries = True, [self._blocking[0][4].queue_up(sample, host.loop.create_future())]
-        else:
+        if not self._blocking or len(self._connectors) > 1:
             done, entries = self._offer(sample, host.loop)
-        if len(entries) == 1 and entries[0].connector.profile.timeout is None:
-            entry = entries[0]
-            try:
-                await entry.future  # type: ignore[misc] # made by the loop
-            finally:
-                if not entry.done:  # else the reader has moved it in: nothing is left to give up
-                    _give_up(entry, isinstance(entries, _Others))
-        elif entries:
-            await self._wait_for(entries)
-        if (entries and entries[0].refused) or (len(entries) > 1 and any(entry.refused for entry in entries)):
-            return False
-        return done
+            if entries:
+                await self._wait_for(entries)
+            return done and not any(entry.refused for entry in entries)
+        entry = self._blocking[0][4].queue_up(sample, host.loop.create_future())
+        if entry.connector.profile.timeout is not None:
+            await self._wait_for([entry])
+            return True
+        try:
+            await entry.future  # type: ignore[misc] # made by the loop
+        finally:
+            if not entry.done:  # else the reader has moved it in: nothing is left to give up
+                _give_up(entry, False)
+        return True
 
     def _offer(self, sample: T, loop: asyncio.AbstractEventLoop | None) -> tuple[bool, list[Waiting]]:
         """Deliver where there is room and queue up where there is none; without a loop a thread is to wait."""

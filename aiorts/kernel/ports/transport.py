@@ -85,8 +85,8 @@ class Waiting:
     sample: Any
     future: asyncio.Future[None] | None
     done: bool = False
-    refused: bool = False
-    """Whether the reader had no room for it after all: the write returns False."""
+    refused: ClassVar[bool] = False
+    """Whether the reader had no room for it after all, so that the write returns False."""
 
 
 class Transport:
