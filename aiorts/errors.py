@@ -151,6 +151,12 @@ class LinkError(AiortsError, ConnectionError):
     code = "E-LINK"
 
 
+class LinkTimeout(LinkError, TimeoutError):
+    """Another kernel has not answered in time."""
+
+    code = "E-LINK-TIMEOUT"
+
+
 class PortTypeError(AiortsError, TypeError):
     """A value of the wrong type or shape was written to a port; nothing was sent."""
 

@@ -110,7 +110,7 @@ class Microkernel:
         """When it was opened, on its clock."""
         self.registry = Registry(self)
         """Its components, and what is known of them: for services."""
-        self.connections = Connections(self)
+        self.connections: Connections = Connections(self)
         """Its connectors, made and ended: for services. Applications call `connect` and `disconnect`."""
         self._contexts: dict[str, Context] = {}
         self._numbering = Numbering(lambda name: name in self.registry.components or name in self._contexts)

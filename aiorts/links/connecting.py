@@ -13,9 +13,6 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
-from aiorts.links.transports import find_transport
-
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
 from aiorts.kernel.connection import Connection
 from aiorts.kernel.loop.bus import Disconnected
@@ -27,6 +24,8 @@ from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links.messages import Answer, Wish
 from aiorts.links.reader_link import ReaderLink
+from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
+from aiorts.links.transports import find_transport
 from aiorts.links.writer_link import WINDOW, WriterLink
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import Path
@@ -198,6 +197,9 @@ class Links(KernelService):
             raise
         return made
 
+    def _all(self) -> list[Link]:
+        return [*self._writers.values(), *self._readers.values()]
+
     def _link(self, connector: Connector) -> Any:
         return self._writers.get(connector) or self._readers.get(connector)
 
@@ -247,8 +249,18 @@ class Links(KernelService):
         _LOG.warning("W-LINK: %s: lost the link: %s", connector.name, why)
         if policy is OnLinkLost.DISCONNECT:
             self.kernel.connections.end(connector)
-        elif isinstance(link, WriterLink):
+        elif policy is OnLinkLost.ERROR:
+            self._fail(connector, why)
+        if isinstance(link, WriterLink):
             self._retry(link)
+
+    def _fail(self, connector: Connector, why: str) -> None:
+        """Move the component at this end to error."""
+        port = connector.out if connector.in_.is_far else connector.in_
+        component = self.kernel.components.get(port.path.partition(".")[0])
+        if component is not None:
+            error = LinkError(f"{connector.name}: lost the link: {why}")
+            self.kernel.registry.task_failed(component, connector.name, error)
 
     def _ended(self, link: Link) -> None:
         """The other end was disconnected."""
@@ -283,7 +295,7 @@ class Links(KernelService):
                 self._awaited[path].discard(peer)
             return
         self._peers[peer] = None
-        for link in (*self._writers.values(), *self._readers.values()):
+        for link in self._all():
             if self._peer(link) == peer:
                 self._try(link)
 
@@ -480,7 +492,7 @@ class Links(KernelService):
     async def _come(self, body: bytes, caller: Caller) -> bytes:
         """A component has come that links of this kernel waited for."""
         component = body.decode(errors="replace")
-        for link in (*self._writers.values(), *self._readers.values()):
+        for link in self._all():
             if self._far(link).component == component and self._peer(link) == caller.peer:
                 self._try(link)
         return b""
@@ -496,7 +508,7 @@ class Links(KernelService):
             await asyncio.sleep(0.005)
 
     def stopped(self) -> None:
-        for link in (*self._writers.values(), *self._readers.values()):
+        for link in self._all():
             link.close()
         for task in self._tasks:
             task.cancel()

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aiorts.model.links import ReaderEnd
-
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.links.timing import Wakening
+from aiorts.model.links import ReaderEnd
 
 if TYPE_CHECKING:
-    from aiorts.links.transport import Channel
-    from aiorts.model.links import Buffer
-
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.transport import Channel
+    from aiorts.model.links import Buffer
 
 
 class ReaderLink:
@@ -112,16 +110,16 @@ class ReaderLink:
             try:
                 record = decode(sample.head, sample.parts)
             except AiortsError as error:
-                end.done(self._now(), sample.number, "undecodable")
+                end.done(self._now(), sample.ticket, "undecodable")
                 if not self._undecodable:
                     self._undecodable = True
                     self._report(f"{self.connector.name}: dropped what cannot be decoded: {error}")
                 continue
             if transport.must_wait():
-                self._wait(sample.number, record)
+                self._wait(sample.ticket, record)
             else:
                 taken = out.write_nowait(record)
-                end.done(self._now(), sample.number, "" if taken else "rejected")
+                end.done(self._now(), sample.ticket, "" if taken else "rejected")
 
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""

@@ -108,8 +108,20 @@ class LinkOffer:
         try:
             profile, _ = connector_profile(f"{writer} -> {reader}", chosen, name, (writer, reader))
             return cls(
-                (low, high), link, Path.parse(writer), Path.parse(reader), writer_epoch, reader_epoch, number,
-                schema, type_text, unit or None, tuple(shape) or None, profile, window, window_bytes,
+                (low, high),
+                link,
+                Path.parse(writer),
+                Path.parse(reader),
+                writer_epoch,
+                reader_epoch,
+                number,
+                schema,
+                type_text,
+                unit or None,
+                tuple(shape) or None,
+                profile,
+                window,
+                window_bytes,
             )
         except AiortsError as error:
             raise LinkError(f"an offer that cannot be read: {error}") from None

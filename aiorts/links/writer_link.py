@@ -6,21 +6,19 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.model.links import WriterEnd
-
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.links.linked import LINK, Confirmation, Confirmed, Linked, added
 from aiorts.links.timing import Wakening
+from aiorts.model.links import WriterEnd
 from aiorts.model.policy import Push
 
 if TYPE_CHECKING:
-    from aiorts.links.transport import Channel
-    from aiorts.model.links import Buffer
-
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.transport import Channel
+    from aiorts.model.links import Buffer
 
 WINDOW: Final = 256
 """Samples that may be unacknowledged."""
@@ -59,7 +57,7 @@ class WriterLink:
         self._now: Callable[[], int] = kernel.clock.monotonic_ns
         self._channel: Channel | None = None
         self._wakening = Wakening(kernel, self._poll)
-        self._turn_due = False
+        self._turn_due = self._taking = False
         self._acknowledged = 0
         self._dropped: dict[str, int] = {}
         self._confirmations: deque[Confirmation] = deque()
@@ -75,9 +73,14 @@ class WriterLink:
 
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
-        if self._ended or self._channel is None:
+        if self._ended or self._taking or self._channel is None:
             return
-        self._take()
+        # What is read makes room for a writer that waits, whose sample notifies: it is taken in its turn.
+        self._taking = True
+        try:
+            self._take()
+        finally:
+            self._taking = False
         self._poll()
 
     def _written(self, _port: InPort[Any]) -> bool:
@@ -106,8 +109,7 @@ class WriterLink:
                     continue
                 end.offer(now, head, parts)
             else:
-                entry = transport.next_waiting() if isinstance(transport, Confirmed) else None
-                if entry is None:
+                if not isinstance(transport, Confirmed) or (entry := transport.next_waiting()) is None:
                     return
                 try:
                     head, parts = encode(entry.sample)

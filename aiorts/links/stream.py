@@ -1,0 +1,214 @@
+"""Messages over a stream socket that never blocks: what arrives is cut into messages, what does not fit waits.
+
+A message is a head of 12 bytes (bytes that follow, kind, parts, a number), the length of each part, its body, its
+parts. A message of 64 KiB or more is received straight into a buffer of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+from aiorts.model.links import Buffer
+
+_HEAD: Final = struct.Struct("<IBBHI")
+_LARGE: Final = 65_536
+_AT_ONCE: Final = 262_144
+"""Bytes that are received at once."""
+_LARGEST: Final = 80 << 20
+"""Bytes of one message at the most."""
+_FULL: Final = 4 << 20
+"""Bytes that wait to be sent beyond which no more is taken."""
+_VECTORS: Final = 64
+"""Buffers of one system call."""
+
+
+class Message(NamedTuple):
+    """A message that has arrived; body and parts are views that nothing writes to any more."""
+
+    kind: int
+    number: int
+    body: memoryview
+    parts: tuple[memoryview, ...]
+
+
+class Stream:
+    """One connected socket.
+
+    Args:
+        arrived: called with the messages that came together.
+        drained: called when `send` takes messages again.
+        ended: called once, with the reason, when the connection is over.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        sock: socket.socket,
+        arrived: Callable[[list[Message]], None],
+        drained: Callable[[], None],
+        ended: Callable[[str], None],
+    ) -> None:
+        self._loop, self._socket = loop, sock
+        self._arrived, self._drained, self._ended = arrived, drained, ended
+        self._rest = b""
+        self._large: bytearray | None = None
+        self._filled = 0
+        self._waiting: deque[memoryview] = deque()
+        self._waits = 0
+        """Bytes in `_waiting`."""
+        self._refused = False
+        self.closed = False
+        sock.setblocking(False)
+        loop.add_reader(sock.fileno(), self._readable)
+
+    # -- sending ---------------------------------------------------------------------------------------------------
+
+    def send(self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = ()) -> bool:
+        """Send a message; False: it was not taken, since too much waits or the connection is over."""
+        if self.closed:
+            return False
+        if self._waits >= _FULL:
+            self._refused = True
+            return False
+        if parts:
+            flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
+            sizes = [part.nbytes for part in flat]
+            head = struct.pack(f"<{len(sizes)}I", *sizes)
+            length = len(head) + len(body) + sum(sizes)
+            vectors = [memoryview(_HEAD.pack(length, kind, len(sizes), 0, number) + head), memoryview(body), *flat]
+        else:
+            vectors = [memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)]
+        if not self._waiting:
+            vectors = self._send_now(vectors)
+            if not vectors or self.closed:
+                return not self.closed
+            self._loop.add_writer(self._socket.fileno(), self._writable)
+        self._waiting.extend(vectors)
+        self._waits += sum(map(len, vectors))
+        return True
+
+    def _send_now(self, vectors: list[memoryview]) -> list[memoryview]:
+        """Send what the socket takes; returns what is left."""
+        while vectors:
+            try:
+                sent = self._socket.sendmsg(vectors[:_VECTORS])
+            except (BlockingIOError, InterruptedError):
+                return vectors
+            except OSError as error:
+                self._end(error.strerror or "broken")
+                return []
+            place = 0
+            while place < len(vectors) and sent >= len(vectors[place]):
+                sent -= len(vectors[place])
+                place += 1
+            vectors = vectors[place:]
+            if sent:
+                vectors[0] = vectors[0][sent:]
+        return vectors
+
+    def _writable(self) -> None:
+        waiting = self._waiting
+        while waiting:
+            vectors = [waiting.popleft() for _ in range(min(_VECTORS, len(waiting)))]
+            left = self._send_now(vectors)
+            if self.closed:
+                return
+            waiting.extendleft(reversed(left))
+            if left:
+                break
+        self._waits = sum(map(len, waiting))
+        if not waiting:
+            self._loop.remove_writer(self._socket.fileno())
+        if self._refused and self._waits < _FULL // 2:
+            self._refused = False
+            self._drained()
+
+    # -- receiving -------------------------------------------------------------------------------------------------
+
+    def _readable(self) -> None:
+        try:
+            if self._large is not None:
+                count = self._socket.recv_into(memoryview(self._large)[self._filled :])
+                data = b""
+            else:
+                data = self._socket.recv(_AT_ONCE)
+                count = len(data)
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError as error:
+            return self._end(error.strerror or "broken")
+        if not count:
+            return self._end("it has ended")
+        messages: list[Message] = []
+        try:
+            if self._large is None:
+                self._cut(self._rest + data if self._rest else data, messages)
+            else:
+                self._filled += count
+                if self._filled == len(self._large):
+                    messages.append(_message(memoryview(self._large).toreadonly()))
+                    self._large = None
+        except ValueError as error:
+            return self._end(f"it does not speak this protocol: {error}")
+        if messages:
+            self._arrived(messages)
+        return None
+
+    def _cut(self, data: bytes, messages: list[Message]) -> None:
+        """The messages in what has come, and what is left of the next one."""
+        view, place, end = memoryview(data), 0, len(data)
+        while end - place >= _HEAD.size:
+            size = _HEAD.size + _HEAD.unpack_from(data, place)[0]
+            if size > _LARGEST:
+                raise ValueError(f"a message of {size} bytes")
+            if size > end - place:
+                if size >= _LARGE:
+                    self._large = bytearray(size)
+                    self._filled = end - place
+                    self._large[: self._filled] = view[place:]
+                    place = end
+                break
+            messages.append(_message(view[place : place + size]))
+            place += size
+        self._rest = data[place:]
+
+    def close(self) -> None:
+        """End the connection; nothing is called any more. Idempotent."""
+        if self.closed:
+            return
+        self.closed = True
+        for remove in (self._loop.remove_reader, self._loop.remove_writer):
+            with contextlib.suppress(ValueError, OSError, RuntimeError):
+                remove(self._socket.fileno())
+        self._socket.close()
+        self._waiting.clear()
+
+    def _end(self, why: str) -> None:
+        if not self.closed:
+            self.close()
+            self._ended(why)
+
+
+def _message(view: memoryview) -> Message:
+    _, kind, count, _, number = _HEAD.unpack_from(view)
+    place = _HEAD.size
+    if not count:
+        return Message(kind, number, view[place:], ())
+    if len(view) < place + 4 * count:
+        raise ValueError("a message that is too short")
+    sizes = struct.unpack_from(f"<{count}I", view, place)
+    place += 4 * count
+    start = len(view) - sum(sizes)
+    if start < place:
+        raise ValueError("parts that are longer than their message")
+    body, parts = view[place:start], []
+    for size in sizes:
+        parts.append(view[start : start + size])
+        start += size
+    return Message(kind, number, body, tuple(parts))

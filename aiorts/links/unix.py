@@ -1,0 +1,374 @@
+"""The transport of one host: kernels of one user find each other by their sockets in the run-time folder.
+
+Each kernel listens at a socket of its own. One that opens connects to all that are there, so nobody has to look again;
+the end of a connection is the end of that kernel. A socket that nobody listens at was left by a kernel that is gone:
+the next that opens removes it. Who connects must be of the same user, which the system says.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import os
+import platform
+import socket
+import struct
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts.control.folder import is_supported, made
+from aiorts.errors import AiortsError, LinkError, LinkTimeout
+from aiorts.links.messages import fields, packed
+from aiorts.links.stream import Message, Stream
+from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer
+from aiorts.model.links import Buffer
+
+_HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER = range(1, 7)
+_SUFFIX: Final = ".link"
+_GREETING_SECONDS: Final = 1.0
+_ASKED: Final = 1_000
+"""Questions of one peer that are being answered at the same time, at the most."""
+_LONGEST: Final = 2_000
+
+Handler = Callable[[bytes, Caller], Awaitable[bytes]]
+
+
+class UnixTransport:
+    """Carries links between kernels of one user on one host. See `Transport`."""
+
+    def __init__(self) -> None:
+        self._handlers: dict[str, Handler] = {}
+        self._tells: list[Callable[[Peer, bool], None]] = []
+        self._peers: dict[Peer, list[_Connection]] = {}
+        self._connections: set[_Connection] = set()
+        self._channels: dict[tuple[Peer, int, int], _UnixChannel] = {}
+        """By peer, what its end of the link is (`_BY_WRITER` or `_BY_READER`), and number."""
+        self._listener: socket.socket | None = None
+        self._path = Path()
+        self.kernel: KernelFace
+        self.loop: asyncio.AbstractEventLoop
+        self.greeting = b""
+
+    async def open(self, kernel: KernelFace) -> None:
+        """Listen, and connect to the kernels that are there.
+
+        Raises:
+            LinkError: a kernel of that name is there already, or the socket cannot be made.
+        """
+        if not is_supported():
+            raise LinkError("this system has no Unix sockets; choose another transport")
+        self.kernel, self.loop = kernel, asyncio.get_running_loop()
+        self.greeting = packed([_host(), kernel.name, kernel.epoch])
+        try:
+            folder = made()
+            others = sorted(folder.glob(f"*{_SUFFIX}"))
+            self._listen(folder / f"{_hashed(kernel.name)}-{kernel.epoch:016x}{_SUFFIX}")
+        except (AiortsError, OSError) as error:
+            raise LinkError(f"other kernels of this host cannot be reached: {error}") from None
+        found = [connection for path in others if (connection := self._connect(path)) is not None]
+        if found:
+            await asyncio.wait([one.greeted for one in found], timeout=_GREETING_SECONDS)
+        if any(peer.kernel == kernel.name for peer in self._peers):
+            await self.close()
+            raise LinkError(f"a kernel named {kernel.name!r} runs already; give this one another name")
+
+    def _listen(self, path: Path) -> None:
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            listener.setblocking(False)
+            listener.bind(str(path))
+            listener.listen(128)
+        except BaseException:
+            listener.close()
+            raise
+        self._path, self._listener = path, listener
+        self.loop.add_reader(listener.fileno(), self._accept)
+
+    def _connect(self, path: Path) -> _Connection | None:
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            sock.setblocking(False)
+            sock.connect(str(path))
+        except OSError as error:
+            sock.close()
+            if isinstance(error, ConnectionRefusedError):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+            return None
+        return self._take(sock)
+
+    def _accept(self) -> None:
+        assert self._listener is not None  # noqa: S101 - it listens
+        try:
+            sock, _ = self._listener.accept()
+        except OSError:
+            return  # it went away again, or there are no descriptors left
+        if _user_of(sock) != os.geteuid():
+            sock.close()
+            return
+        self._take(sock)
+
+    def _take(self, sock: socket.socket) -> _Connection:
+        connection = _Connection(self, sock)
+        self._connections.add(connection)
+        return connection
+
+    async def close(self) -> None:
+        """Give up everything."""
+        if self._listener is not None:
+            self.loop.remove_reader(self._listener.fileno())
+            self._listener.close()
+            self._listener = None
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+        self._tells.clear()
+        self._channels.clear()
+        for connection in tuple(self._connections):
+            connection.close()
+        self._connections.clear()
+        self._peers.clear()
+
+    # -- other kernels ---------------------------------------------------------------------------------------------
+
+    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
+        """Tell of each kernel that is there or comes, and of each that goes; until the returned function is called."""
+        self._tells.append(tell)
+        for peer in tuple(self._peers):
+            tell(peer, True)
+        return lambda: self._tells.remove(tell)
+
+    def greeted(self, connection: _Connection, peer: Peer) -> None:
+        """A connection has said whose it is."""
+        there = self._peers.setdefault(peer, [])
+        there.append(connection)
+        if len(there) == 1:
+            for tell in tuple(self._tells):
+                tell(peer, True)
+
+    def ended(self, connection: _Connection, why: str) -> None:
+        """A connection is over."""
+        self._connections.discard(connection)
+        peer = connection.peer
+        if peer is None or connection not in self._peers.get(peer, ()):
+            return
+        self._peers[peer].remove(connection)
+        if self._peers[peer]:
+            return
+        del self._peers[peer]
+        lost = [key for key in self._channels if key[0] == peer]
+        for tell in tuple(self._tells):
+            tell(peer, False)
+        for key in lost:
+            if (channel := self._channels.pop(key, None)) is not None:
+                channel.events.on_state(False, f"{peer.kernel}: {why}")
+
+    def _to(self, peer: Peer) -> _Connection:
+        there = self._peers.get(peer)
+        if not there:
+            raise LinkError(f"{peer.kernel}: is gone")
+        return there[0]
+
+    # -- channels --------------------------------------------------------------------------------------------------
+
+    async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Channel:
+        """The channel of an offer, which both ends have agreed on.
+
+        Raises:
+            LinkError: the other kernel is gone.
+        """
+        writes = offer.writer.kernel == self.kernel.name
+        far = offer.reader if writes else offer.writer
+        peer = next((one for one in self._peers if one.kernel == far.kernel), None)
+        if peer is None:
+            raise LinkError(f"{far.kernel}: is gone")
+        key = (peer, _BY_READER if writes else _BY_WRITER, offer.number)
+        channel = self._channels[key] = _UnixChannel(
+            self._to(peer), _BY_WRITER if writes else _BY_READER, offer.number, events, partial(self._forget, key)
+        )
+        return channel
+
+    def _forget(self, key: tuple[Peer, int, int]) -> None:
+        self._channels.pop(key, None)
+
+    def arrived(self, peer: Peer, frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]]) -> None:
+        """Frames of channels have come from a peer."""
+        for (kind, number), those in frames.items():
+            channel = self._channels.get((peer, kind, number))
+            if channel is not None:
+                channel.events.on_frames(those)
+
+    def drained(self, connection: _Connection) -> None:
+        """A connection takes frames again."""
+        for channel in tuple(self._channels.values()):
+            if channel.connection is connection:
+                channel.events.on_room()
+
+    # -- questions -------------------------------------------------------------------------------------------------
+
+    async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
+        """The answer of another kernel.
+
+        Raises:
+            LinkTimeout: there was none within so many seconds.
+            LinkError: the kernel is gone, or refuses to answer.
+        """
+        return await self._to(peer).ask(what, body, within)
+
+    def answer(self, what: str, handler: Handler) -> None:
+        """Answer such questions with `handler` from now on."""
+        self._handlers[what] = handler
+
+    def handler(self, what: str) -> Handler | None:
+        """Who answers such questions."""
+        return self._handlers.get(what)
+
+
+class _UnixChannel:
+    """One end of a link over the connection of its kernels."""
+
+    def __init__(
+        self, connection: _Connection, kind: int, number: int, events: ChannelEvents, closed: Callable[[], None]
+    ) -> None:
+        self.connection, self.events = connection, events
+        self._kind, self._number, self._closed = kind, number, closed
+        self._send = connection.stream.send
+
+    def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
+        return self._send(self._kind, self._number, head, parts)
+
+    def close(self) -> None:
+        self._closed()
+
+
+class _Connection:
+    """A connection with another kernel: its greeting, questions, and the frames of all channels."""
+
+    def __init__(self, transport: UnixTransport, sock: socket.socket) -> None:
+        self._transport = transport
+        self.peer: Peer | None = None
+        self.greeted: asyncio.Future[None] = transport.loop.create_future()
+        """Done when it has said whose it is, or is over."""
+        self._asked: dict[int, asyncio.Future[bytes]] = {}
+        self._last = 0
+        self._answering = 0
+        self._identity = f"user {_user_of(sock)}"
+        self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
+        self._silent = transport.loop.call_later(_GREETING_SECONDS, self._never_greeted)
+        self.stream.send(_HELLO, 0, transport.greeting)
+
+    def close(self) -> None:
+        """End it."""
+        self.stream.close()
+        self._over("this kernel ends")
+
+    def _never_greeted(self) -> None:
+        if self.peer is None:
+            self.close()
+
+    def _over(self, why: str) -> None:
+        self._silent.cancel()
+        if not self.greeted.done():
+            self.greeted.set_result(None)
+        name = self.peer.kernel if self.peer is not None else "another kernel"
+        for future in self._asked.values():
+            if not future.done():
+                future.set_exception(LinkError(f"{name}: {why}"))
+        self._asked.clear()
+        self._transport.ended(self, why)
+
+    def _drained(self) -> None:
+        self._transport.drained(self)
+
+    def _arrived(self, messages: list[Message]) -> None:
+        frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]] = {}
+        for kind, number, body, parts in messages:
+            if kind in (_BY_WRITER, _BY_READER):
+                frames.setdefault((kind, number), []).append((body, parts))
+                continue
+            try:
+                self._control(kind, number, bytes(body))
+            except LinkError as error:
+                self._transport.kernel.report(f"ended the connection with {self.peer or 'a process'}: {error}")
+                return self.close()
+        if frames and self.peer is not None:
+            self._transport.arrived(self.peer, frames)
+        return None
+
+    def _control(self, kind: int, number: int, body: bytes) -> None:
+        if kind == _HELLO:
+            if self.peer is None:
+                host, name, epoch = fields(body, (str, str, int))
+                self.peer = Peer(host, name, epoch)
+                self._silent.cancel()
+                self._transport.greeted(self, self.peer)
+                if not self.greeted.done():
+                    self.greeted.set_result(None)
+        elif self.peer is None:
+            raise LinkError("it did not say who it is")
+        elif kind == _ASK:
+            what, question = fields(body, (str, bytes))
+            if self._answering >= _ASKED:
+                self.stream.send(_REFUSAL, number, b"too many questions at the same time")
+                return
+            self._answering += 1
+            self._transport.kernel.run_in_background(self._answer(number, what, question), f"aiorts answer {what:.20}")
+        elif kind in (_ANSWER, _REFUSAL):
+            future = self._asked.pop(number, None)
+            if future is None or future.done():
+                return  # it came too late
+            if kind == _ANSWER:
+                future.set_result(body)
+            else:
+                text = body[:_LONGEST].decode(errors="replace")
+                future.set_exception(LinkError(f"{self.peer.kernel}: {text}"))
+
+    async def ask(self, what: str, body: bytes, within: float) -> bytes:
+        """See `UnixTransport.ask`."""
+        self._last = number = self._last % 0xFFFFFFFF + 1
+        future: asyncio.Future[bytes] = self._transport.loop.create_future()
+        self._asked[number] = future
+        try:
+            if not self.stream.send(_ASK, number, packed([what, body])):
+                raise LinkError(f"{self._name}: takes nothing any more")
+            async with asyncio.timeout(within):
+                return await future
+        except TimeoutError:
+            raise LinkTimeout(f"{self._name}: no answer within {within:g} s") from None
+        finally:
+            self._asked.pop(number, None)
+
+    @property
+    def _name(self) -> str:
+        return self.peer.kernel if self.peer is not None else "another kernel"
+
+    async def _answer(self, number: int, what: str, question: bytes) -> None:
+        try:
+            handler = self._transport.handler(what)
+            if handler is None:
+                raise LinkError(f"does not know the question {what!r:.60}")
+            kind, body = _ANSWER, await handler(question, Caller(self.peer, self._identity))
+        except AiortsError as error:
+            kind, body = _REFUSAL, str(error).encode()[:_LONGEST]
+        finally:
+            self._answering -= 1
+        self.stream.send(kind, number, body)
+
+
+def _user_of(sock: socket.socket) -> int:
+    """The user at the other end; ours where the system does not say: the folder lets nobody else in."""
+    option: Any = getattr(socket, "SO_PEERCRED", None)
+    if option is None:
+        return os.geteuid()
+    _, user, _ = struct.unpack("3i", sock.getsockopt(socket.SOL_SOCKET, option, struct.calcsize("3i")))
+    return int(user)
+
+
+def _hashed(name: str) -> str:
+    return hashlib.sha256(name.encode()).hexdigest()[:16]
+
+
+def _host() -> str:
+    return platform.node() or "host"

@@ -1,0 +1,198 @@
+"""The reader's end of a link: gives samples out in order, each once, and says what became of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+from aiorts.late import dataclass
+from aiorts.model.links import frames
+from aiorts.model.links.frames import BadFrame, Buffer, Send
+from aiorts.model.links.state import LinkState
+
+_ERA: Final = 1 << 64
+ACK_NS: Final = 50_000_000
+"""How long an acknowledgement may be kept back."""
+
+
+class Received(NamedTuple):
+    """A sample that has come."""
+
+    ticket: int
+    """What `done` is told: the number, with which writer's end it is of in the upper bits."""
+    head: Buffer
+    parts: Sequence[Buffer]
+
+
+@dataclass(slots=True)
+class ReaderLedger:
+    """What the reader's end received, and what became of it: received = delivered + dropped + held."""
+
+    received: int = 0
+    delivered: int = 0
+    """Given to the reader's buffer."""
+    dropped: int = 0
+    held: int = 0
+    duplicates: int = 0
+    """Samples that came again."""
+    ahead: int = 0
+    """Samples that came before one that is missing: they come again."""
+    bad_frames: int = 0
+
+
+class ReaderEnd:
+    """The reader's end of one link. See `aiorts.model.links`.
+
+    Args:
+        number: that frames carry (`renumber`). epoch: of this end.
+        window: samples that the writer's end may have unacknowledged: what is beyond that is not taken.
+    """
+
+    def __init__(self, number: int, epoch: int, *, window: int = 256) -> None:
+        self.number, self.epoch = number, epoch
+        self.ledger = ReaderLedger()
+        self.peer_ended = False
+        """Whether the writer's end was disconnected."""
+        self._window = window
+        self._peer_epoch = 0
+        self._era = 0
+        """Counts the writer's ends: what one sent that is no more is given out and never acknowledged."""
+        self._received = 0
+        self._done = 0
+        self._told = 0
+        """The acknowledgement sent last was up to this number."""
+        self._held: deque[Received] = deque()
+        self._fates: dict[int, str] = {}
+        """Of samples that are not in the buffer, until the writer's end has been told for certain."""
+        self._confirm = 0
+        """Acknowledge at once when this number is done."""
+        self._ack_ns: int | None = None
+        self._up = self._was_up = self._hello = self._ended = False
+
+    def renumber(self, number: int) -> None:
+        """Frames carry this number from now on."""
+        self.number = number
+
+    def channel_up(self, now: int, peer_epoch: int) -> None:
+        """There is a channel. With another writer's end than before numbers begin anew; what came before stays."""
+        if peer_epoch != self._peer_epoch:
+            self._received = self._done = self._told = self._confirm = 0
+            self._fates.clear()
+            self._era += _ERA
+        self._peer_epoch, self._up, self._was_up, self._hello = peer_epoch, True, True, True
+        self._ack_ns = now
+
+    def channel_down(self, now: int) -> None:
+        """The channel is gone; all is kept."""
+        self._up = False
+
+    def state(self, now: int) -> LinkState:
+        """How far the link is."""
+        if self._ended or self.peer_ended:
+            return LinkState.ENDED
+        if self._up:
+            return LinkState.UP
+        return LinkState.DOWN if self._was_up else LinkState.CONNECTING
+
+    def receive(self, now: int, head: Buffer, parts: Sequence[Buffer] = ()) -> None:
+        """Take a frame of the writer's end; what is none is counted."""
+        try:
+            kind, flags, count = frames.head_of(head, self.number)
+            if kind == frames.DATA:
+                first, oldest = frames.numbers_of(head)
+                self._take_in(now, first, oldest, frames.samples_of(head, count), parts, bool(flags & frames.CONFIRM))
+            elif kind == frames.HELLO:
+                if frames.numbers_of(head)[0] != self._peer_epoch:
+                    raise BadFrame("of another end")
+                self._hello, self._ack_ns = True, now
+            elif kind == frames.BYE:
+                self.peer_ended = True
+            else:
+                raise BadFrame("of an unknown kind")
+        except BadFrame:
+            self.ledger.bad_frames += 1
+
+    def _take_in(
+        self, now: int, first: int, oldest: int, samples: list[memoryview], parts: Sequence[Buffer], confirm: bool
+    ) -> None:
+        if parts and len(samples) != 1:
+            raise BadFrame("parts of several samples")
+        if self._fates and oldest > min(self._fates):
+            self._fates = {number: fate for number, fate in self._fates.items() if number >= oldest}
+        last, ledger, held = first + len(samples) - 1, self.ledger, self._held
+        if last <= self._received:
+            ledger.duplicates += len(samples)
+            self._ack_ns = now  # the acknowledgement was lost
+            return
+        if first > self._received + 1:
+            ledger.ahead += len(samples)
+            return
+        fresh = samples[self._received + 1 - first :]
+        ledger.duplicates += len(samples) - len(fresh)
+        fresh = fresh[: max(0, 2 * self._window - len(held))]
+        for sample in fresh:
+            self._received += 1
+            held.append(Received(self._era + self._received, sample, parts))
+        ledger.received += len(fresh)
+        ledger.held += len(fresh)
+        if confirm:
+            self._confirm = self._received
+        elif self._ack_ns is None:
+            self._ack_ns = now + ACK_NS
+
+    def take(self) -> Received | None:
+        """The next sample in order; None where there is none. `done` says what became of it, one after the other."""
+        return self._held.popleft() if self._held else None
+
+    @property
+    def held(self) -> int:
+        """Samples that have come and were not taken."""
+        return len(self._held)
+
+    def done(self, now: int, ticket: int, what: str = "") -> None:
+        """A sample is in the reader's buffer, or `what` became of it: "rejected", or another reason."""
+        ledger = self.ledger
+        ledger.held -= 1
+        if what:
+            ledger.dropped += 1
+        else:
+            ledger.delivered += 1
+        number = ticket - self._era
+        if number <= 0:
+            return  # of an end that is no more
+        self._done = number
+        if what:
+            self._fates[number] = what
+        if (self._confirm and number >= self._confirm) or number - self._told >= self._window // 2:
+            self._ack_ns = now
+        elif self._ack_ns is None:
+            self._ack_ns = now + ACK_NS
+
+    def on_room(self, now: int) -> None:
+        """The channel takes frames again: `poll` goes on."""
+
+    def poll(self, now: int, send: Send) -> int | None:
+        """Send what is due; returns when it is to be called at the latest, None: when something happens."""
+        if not self._up or self._ended:
+            return None
+        if self._hello:
+            if not send(frames.hello(self.number, self.epoch, self._received), ()):
+                return None
+            self._hello = False
+        if self._ack_ns is None or now < self._ack_ns:
+            return self._ack_ns
+        if send(frames.acknowledgement(self.number, self._done, self._received, self._fates), ()):
+            self._told, self._ack_ns = self._done, None
+            if self._done >= self._confirm:
+                self._confirm = 0
+        return None
+
+    def end(self, now: int, send: Send) -> None:
+        """This end was disconnected: say so."""
+        if not self._ended and self._up:
+            if self._ack_ns is not None:
+                self._ack_ns = now
+                self.poll(now, send)
+            send(frames.bye(self.number), ())
+        self._ended = True

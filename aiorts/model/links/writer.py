@@ -1,0 +1,276 @@
+"""The writer's end of a link: numbers, keeps and sends samples until each is acknowledged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from aiorts.late import dataclass
+from aiorts.model.links import frames
+from aiorts.model.links.frames import BATCH, BATCH_BYTES, BadFrame, Buffer, Send
+from aiorts.model.links.state import LinkState
+
+_MS: Final = 1_000_000
+FIRST_NS: Final = 200 * _MS
+"""After this time without an answer a frame is sent again, as long as no round trip was measured."""
+LEAST_NS: Final = 100 * _MS
+"""The same at the least: the reader's end may keep an acknowledgement back for 50 ms."""
+LONGEST_NS: Final = 2_000 * _MS
+"""Each time it doubles, up to this."""
+STALLED_NS: Final = 2_000 * _MS
+_KEPT_BACK_NS: Final = 50 * _MS
+
+
+@dataclass(slots=True)
+class WriterLedger:
+    """What the writer's end took, and what became of it: offered = acknowledged + dropped + in_flight."""
+
+    offered: int = 0
+    acknowledged: int = 0
+    dropped: int = 0
+    """What the reader's end did not put into the buffer, with those of unknown fate and those withdrawn."""
+    in_flight: int = 0
+    sent_again: int = 0
+    bad_frames: int = 0
+
+
+class WriterEnd:
+    """The writer's end of one link. See `aiorts.model.links`.
+
+    Args:
+        number: that frames carry; the reader's end chooses it for each channel (`renumber`).
+        epoch: of this end.
+        window: samples that may be unacknowledged. window_bytes: the same in bytes; one larger sample goes alone.
+    """
+
+    def __init__(self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20) -> None:
+        self.number, self.epoch = number, epoch
+        self.ledger = WriterLedger()
+        self.peer_ended = False
+        """Whether the reader's end was disconnected."""
+        self._window, self._window_bytes = window, window_bytes
+        self._peer_epoch = 0
+        self._kept: dict[int, tuple[bytes, Sequence[memoryview], bool]] = {}
+        """What is not acknowledged, by number, without a gap."""
+        self._bytes = 0
+        self._oldest = 1
+        """The number of the first that is kept, or of the next one."""
+        self._next = 1
+        self._sent = 0
+        """Sent on this channel up to this number."""
+        self._highest = 0
+        """Ever sent up to this number."""
+        self._received = 0
+        """The reader's end has received up to this number."""
+        self._fates: list[tuple[int, int, str]] = []
+        self._up = self._was_up = self._greeted = self._ended = False
+        self._hello_ns = 0
+        """When hello is to be said (again)."""
+        self._pause_ns = FIRST_NS
+        self._again_ns = 0
+        """When what was not received is sent again."""
+        self._heard_ns = 0
+        self._trip_ns = 0
+        """The round trip, smoothed; 0: not measured."""
+        self._timed: tuple[int, int] = (0, 0)
+        """A number whose round trip is being measured, and when it was sent."""
+
+    # -- the channel -----------------------------------------------------------------------------------------------
+
+    def renumber(self, number: int) -> None:
+        """Frames carry this number from now on."""
+        self.number = number
+
+    def channel_up(self, now: int, peer_epoch: int) -> None:
+        """There is a channel. The same reader's end as before goes on where it was; what another one was sent before
+        is of unknown fate, and numbers begin anew."""
+        if self._peer_epoch and peer_epoch != self._peer_epoch:
+            self._begin_anew()
+        self._peer_epoch, self._up, self._was_up, self._greeted = peer_epoch, True, True, False
+        self._hello_ns = self._heard_ns = now
+        self._pause_ns, self._timed = FIRST_NS, (0, 0)
+
+    def channel_down(self, now: int) -> None:
+        """The channel is gone; all is kept."""
+        self._up = self._greeted = False
+
+    def _begin_anew(self) -> None:
+        unsent = [self._kept[number] for number in range(self._highest + 1, self._next)]
+        self._give_up("unknown_fate", self._highest)
+        self._kept = dict(enumerate(unsent, 1))
+        self._oldest, self._next = 1, 1 + len(unsent)
+        self._sent = self._highest = self._received = 0
+
+    def state(self, now: int) -> LinkState:
+        """How far the link is."""
+        if self._ended or self.peer_ended:
+            return LinkState.ENDED
+        if not self._up:
+            return LinkState.DOWN if self._was_up else LinkState.CONNECTING
+        if not self._greeted:
+            return LinkState.CONNECTING
+        waits = self._sent >= self._oldest and now - self._heard_ns > STALLED_NS
+        return LinkState.STALLED if waits else LinkState.UP
+
+    # -- samples ---------------------------------------------------------------------------------------------------
+
+    @property
+    def room(self) -> int:
+        """Samples that `offer` takes now, as far as their bytes allow."""
+        kept = len(self._kept)
+        if not self._up or (kept and self._bytes >= self._window_bytes):
+            return 0
+        return self._window - kept
+
+    def offer(self, now: int, head: bytes, parts: Sequence[memoryview] = (), *, confirm: bool = False) -> int:
+        """Take one sample; returns its number. There is room. `confirm`: have it acknowledged at once."""
+        number = self._next
+        self._next += 1
+        self._kept[number] = (head, parts, confirm)
+        self._bytes += len(head) if not parts else len(head) + sum(part.nbytes for part in parts)
+        self.ledger.offered += 1
+        self.ledger.in_flight += 1
+        return number
+
+    def fates(self) -> list[tuple[int, int, str]]:
+        """What became of samples since the last call: first and last number, and "acknowledged", "unknown_fate" or
+        why it is not in the reader's buffer ("rejected" and others)."""
+        found, self._fates = self._fates, []
+        return found
+
+    # -- frames ----------------------------------------------------------------------------------------------------
+
+    def receive(self, now: int, head: Buffer) -> None:
+        """Take a frame of the reader's end; what is none is counted."""
+        try:
+            kind, _, count = frames.head_of(head, self.number)
+            if kind == frames.ACK:
+                done, received = frames.numbers_of(head)
+                self._acknowledge(now, done, received, frames.fates_of(head, count) if count else {})
+            elif kind == frames.HELLO:
+                epoch, received = frames.numbers_of(head)
+                if epoch != self._peer_epoch or received > self._highest:
+                    raise BadFrame("of another end")
+                if not self._greeted:
+                    self._greeted = True
+                    self._received = max(self._received, received)
+                    self._sent = max(self._received, self._oldest - 1)
+                    self._heard_ns = now
+            elif kind == frames.BYE:
+                self.peer_ended = True
+            else:
+                raise BadFrame("of an unknown kind")
+        except BadFrame:
+            self.ledger.bad_frames += 1
+
+    def _acknowledge(self, now: int, done: int, received: int, fates: dict[int, str]) -> None:
+        if not done <= received <= self._highest:
+            raise BadFrame("acknowledges what was never sent")
+        number, sent_ns = self._timed
+        if number and received >= number:
+            trip = now - sent_ns
+            self._trip_ns = trip if not self._trip_ns else (7 * self._trip_ns + trip) // 8
+            self._timed = (0, 0)
+        if received > self._received or done >= self._oldest:
+            self._heard_ns = now
+            self._pause_ns = self._first_pause()
+            self._again_ns = now + self._pause_ns
+        self._received = max(self._received, received)
+        self._sent = max(self._sent, self._received)
+        first = self._oldest
+        if done < first:
+            return
+        for number in sorted(number for number in fates if first <= number <= done):
+            self._settle(self._oldest, number - 1, "acknowledged")
+            self._settle(number, number, fates[number])
+        self._settle(self._oldest, done, "acknowledged")
+
+    def _settle(self, first: int, last: int, fate: str) -> None:
+        if last < first:
+            return
+        kept = self._kept
+        for number in range(first, last + 1):
+            head, parts, _ = kept.pop(number)
+            self._bytes -= len(head) if not parts else len(head) + sum(part.nbytes for part in parts)
+        self._oldest = last + 1
+        count = last - first + 1
+        ledger = self.ledger
+        ledger.in_flight -= count
+        if fate == "acknowledged":
+            ledger.acknowledged += count
+        else:
+            ledger.dropped += count
+        if self._fates and self._fates[-1][2] == fate and self._fates[-1][1] == first - 1:
+            first = self._fates.pop()[0]
+        self._fates.append((first, last, fate))
+
+    def _give_up(self, fate: str, last: int) -> None:
+        self._settle(self._oldest, last, fate)
+
+    def _first_pause(self) -> int:
+        return min(max(3 * self._trip_ns + _KEPT_BACK_NS, LEAST_NS), LONGEST_NS) if self._trip_ns else FIRST_NS
+
+    def on_room(self, now: int) -> None:
+        """The channel takes frames again: `poll` goes on."""
+
+    def poll(self, now: int, send: Send) -> int | None:
+        """Send what is due; returns when it is to be called at the latest, None: when something happens."""
+        if not self._up or self._ended:
+            return None
+        if not self._greeted:
+            if now >= self._hello_ns:
+                send(frames.hello(self.number, self.epoch, 0), ())
+                self._hello_ns = now + self._pause_ns
+                self._pause_ns = min(2 * self._pause_ns, LONGEST_NS)
+            return self._hello_ns
+        if self._sent >= self._oldest and now >= self._again_ns:
+            self._timed = (0, 0)
+            self._pause_ns = min(2 * self._pause_ns, LONGEST_NS)
+            self._again_ns = now + self._pause_ns
+            if self._sent > self._received:
+                self.ledger.sent_again += self._sent - self._received
+                self._sent = max(self._received, self._oldest - 1)
+            else:
+                # All has come, and the reader has no room, or its acknowledgement was lost: hello asks for another.
+                send(frames.hello(self.number, self.epoch, 0), ())
+        if self._sent + 1 < self._next:
+            self._send(now, send)
+        return self._again_ns if self._sent >= self._oldest else None
+
+    def _send(self, now: int, send: Send) -> None:
+        if self._sent < self._oldest:
+            # Nothing was on its way: the time until it is sent again begins now.
+            self._pause_ns = self._first_pause()
+            self._again_ns = now + self._pause_ns
+            self._heard_ns = now
+        kept, last = self._kept, self._next - 1
+        while self._sent < last:
+            first = self._sent + 1
+            head, parts, confirm = kept[first]
+            heads, size, number = [head], len(head), first
+            while not parts and number < last and len(heads) < BATCH:
+                head, more, confirms = kept[number + 1]
+                size += len(head)
+                if more or size > BATCH_BYTES:
+                    break
+                confirm |= confirms
+                heads.append(head)
+                number += 1
+            if not send(frames.data(self.number, first, self._oldest, heads, confirm=confirm), parts):
+                return
+            self._sent = number
+            if number > self._highest:
+                self._highest = number
+                if not self._timed[0]:
+                    self._timed = (number, now)
+
+    def end(self, now: int, send: Send) -> None:
+        """This end was disconnected: say so. What was sent and is not acknowledged is of unknown fate, the rest is
+        dropped as disconnected."""
+        if self._ended:
+            return
+        self._ended = True
+        if self._up:
+            send(frames.bye(self.number), ())
+        self._give_up("unknown_fate", self._highest)
+        self._give_up("disconnected", self._next - 1)

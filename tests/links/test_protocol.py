@@ -1,0 +1,227 @@
+"""The two ends of a link: whatever a transport does, each sample is there once, in order, and accounted for."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+from campaign import cases
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from links.link_pair import MS, Pair
+
+from aiorts.model.links import LinkState, ReaderEnd, WriterEnd
+
+
+def finish(pair: Pair) -> None:
+    """Let a pair settle on a good transport."""
+    pair.loss = pair.double = pair.jitter_ms = 0
+    pair.buffer = 10**9
+    if not pair.up:
+        pair.connect()
+    pair.step(pair.now + 20_000 * MS)
+
+
+def schedule(seed: int) -> Pair:
+    """One random run of writes, faults, cuts and stops."""
+    random = Random(seed)
+    pair = Pair(
+        seed,
+        loss=random.choice((0, 0.05, 0.3)),
+        double=random.choice((0, 0.2)),
+        jitter_ms=random.choice((0, 5, 40)),
+        window=random.choice((1, 2, 16, 256)),
+    )
+    pair.rejects = random.choice((0, 0, 0.1))
+    pair.connect()
+    value = 0
+    for _ in range(random.randrange(5, 40)):
+        act = random.randrange(10)
+        if act < 6:
+            for _ in range(random.randrange(1, 40)):
+                value += pair.offer(value, confirm=random.random() < 0.1)
+        elif act == 6 and pair.up:
+            pair.cut()
+        elif act == 7 and not pair.up:
+            pair.connect()
+        elif act == 8:
+            pair.buffer = random.choice((0, 3, 10**9))
+        pair.step(pair.now + random.randrange(1, 300) * MS)
+    finish(pair)
+    return pair
+
+
+def check(pair: Pair) -> None:
+    taken = [value for value, fate in zip(pair.offered, pair.fates, strict=True) if fate == "acknowledged"]
+    assert pair.seen == taken
+    assert set(pair.fates) <= {"acknowledged", "rejected"}
+    assert pair.writer.ledger.in_flight == 0
+    assert pair.unexplained == 0
+
+
+def test_each_sample_is_there_once_in_order_and_accounted_for() -> None:
+    for seed in range(cases(10_000)):
+        check(schedule(seed))
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.sampled_from(["write", "write", "lose", "keep", "cut", "connect", "stop", "go", "wait"]), max_size=40
+    ),
+    st.integers(0, 2**16),
+)
+def test_any_order_of_faults_leaves_nothing_unexplained(acts: list[str], seed: int) -> None:
+    pair = Pair(seed, window=4, jitter_ms=3)
+    pair.connect()
+    value = 0
+    for act in acts:
+        match act:
+            case "write":
+                value += pair.offer(value)
+            case "lose":
+                pair.loss = 1.0
+            case "keep":
+                pair.loss = 0.0
+            case "cut" if pair.up:
+                pair.cut()
+            case "connect" if not pair.up:
+                pair.connect()
+            case "stop":
+                pair.buffer = 0
+            case "go":
+                pair.buffer = 10**9
+            case "wait":
+                pair.step(pair.now + 250 * MS)
+    finish(pair)
+    check(pair)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_new_reader_makes_what_was_unacknowledged_of_unknown_fate_and_goes_on(seed: int) -> None:
+    pair = Pair(seed, loss=0.1, jitter_ms=10)
+    pair.connect()
+    random = Random(seed)
+    for value in range(200):
+        while not pair.offer(value):
+            pair.step(pair.now + 5 * MS)
+        if value in (60, 130):
+            pair.step(pair.now + random.randrange(20) * MS)
+            before = list(pair.seen)
+            pair.restart_reader()
+            pair.connect()
+            assert pair.seen == before
+    finish(pair)
+    assert len(pair.fates) == 200
+    assert set(pair.fates) <= {"acknowledged", "unknown_fate"}
+    kept = [value for value, fate in enumerate(pair.fates) if fate == "acknowledged"]
+    assert sorted(set(pair.seen)) == pair.seen  # each at most once, in order
+    assert set(kept) <= set(pair.seen)
+    assert pair.seen[-1] == 199
+
+
+def test_the_newest_is_never_stranded_with_a_window_of_two() -> None:
+    pair = Pair(3, loss=0.5, jitter_ms=30, window=2)
+    pair.connect()
+    newest = 0
+    for value in range(300):
+        if pair.offer(value):
+            newest = value
+        pair.step(pair.now + 10 * MS)
+    finish(pair)
+    assert pair.seen[-1] == newest
+
+
+def test_the_first_sample_of_an_idle_link_leaves_at_once_and_an_idle_link_says_nothing() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 100 * MS)
+    before = pair.frames
+    pair.offer(1)
+    began = pair.now
+    pair.step(pair.now + MS)
+    assert pair.seen == [1]
+    assert pair.now - began == MS  # the time of one way
+    pair.step(pair.now + 100 * MS)
+    assert pair.frames - before == 2  # the sample and its acknowledgement
+    pair.step(pair.now + 60_000 * MS)
+    assert pair.frames - before == 2
+    assert pair.writer.poll(pair.now, pair.send(pair.writer)) is None
+    assert pair.reader.poll(pair.now, pair.send(pair.reader)) is None
+
+
+def test_a_sample_that_is_to_be_confirmed_is_acknowledged_at_once_and_others_within_50_ms() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 100 * MS)
+    for confirm, least, most in ((True, 2, 3), (False, 50, 53)):
+        began, count = pair.now, len(pair.fates)
+        pair.offer(1, confirm=confirm)
+        while len(pair.fates) == count:
+            pair.step(pair.now + MS)
+        assert least * MS <= pair.now - began <= most * MS
+
+
+def test_a_reader_without_room_stops_the_writer_and_loses_nothing() -> None:
+    pair = Pair(0, window=8)
+    pair.connect()
+    pair.buffer = 0
+    pair.step(pair.now + 10 * MS)
+    taken = sum(pair.offer(value) for value in range(100))
+    pair.step(pair.now + 10_000 * MS)
+    assert taken == 8
+    assert pair.writer.room == 0
+    assert pair.writer.ledger.sent_again == 0  # it has them: nothing is sent again
+    assert pair.writer.state(pair.now) is LinkState.STALLED
+    pair.buffer = 100
+    pair.step(pair.now + 100 * MS)
+    assert pair.seen == list(range(8))
+    assert pair.writer.state(pair.now) is LinkState.UP
+
+
+def test_a_window_is_also_one_of_bytes() -> None:
+    writer, reader = WriterEnd(1, 1, window_bytes=1000), ReaderEnd(1, 2)
+    writer.channel_up(0, 2)
+    reader.channel_up(0, 1)
+    large = memoryview(bytes(1500))
+    assert writer.room == 256
+    writer.offer(0, b"x", (large,))
+    assert writer.room == 0
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.binary(max_size=80), st.integers(0, 3))
+def test_no_bytes_of_a_peer_do_harm(frame: bytes, place: int) -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 10 * MS)
+    pair.offer(1)
+    head = bytes((place + 1, 0)) + frame[:2].ljust(2, b"\0") + (7).to_bytes(4, "little")
+    for data in (frame, head + frame[2:]):
+        pair.writer.receive(pair.now, memoryview(data))
+        pair.reader.receive(pair.now, memoryview(data))
+    assert pair.reader.held <= 32
+    assert pair.unexplained == 0 or pair.reader.ledger.received > 0
+
+
+def test_frames_of_another_link_are_none() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 10 * MS)
+    pair.writer.renumber(8)
+    pair.offer(1)
+    pair.step(pair.now + 100 * MS)
+    assert pair.seen == []
+    assert pair.reader.ledger.bad_frames > 0
+
+
+def test_who_is_disconnected_says_so() -> None:
+    pair = Pair(0)
+    pair.connect()
+    pair.step(pair.now + 10 * MS)
+    pair.offer(1)
+    pair.writer.end(pair.now, pair.send(pair.writer))
+    pair.step(pair.now + 10 * MS)
+    assert pair.reader.peer_ended
+    assert pair.reader.state(pair.now) is LinkState.ENDED
+    assert pair.fates == ["unknown_fate"]
