@@ -138,7 +138,7 @@ class Kernel(Microkernel):
             return await connect_adapted(self, (one, two, *more), options)
         if any(isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)):
             self.check_open("connect")
-            from aiorts.links.connecting import Links  # late: few systems have links
+            from aiorts.links import Links  # late: few systems have links
 
             return await self.service(Links).connect(super().connect, (one, two, *more), options)
         return await super().connect(one, two, *more, **options)

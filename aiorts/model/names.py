@@ -129,6 +129,11 @@ class Path:
         return f"{before}{self.component}.{self.port}" if self.port else f"{before}{self.component}"
 
 
+def names_kernel(path: str) -> bool:
+    """Whether a path says in which kernel the port or component is: in a system file, another one than this."""
+    return "/" in path
+
+
 def _fault(name: object, refused: re.Pattern[str], longest: int) -> str:
     if not isinstance(name, str):
         return f"expected text, got {type(name).__name__}"

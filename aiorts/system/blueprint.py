@@ -24,6 +24,7 @@ from aiorts.kernel.ports import Port
 from aiorts.kernel.service import ServicePlan
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.names import names_kernel
 from aiorts.model.wanted.entries import CompositeEntry, ConnectionEntry
 from aiorts.planning import Planning, Setting
 from aiorts.supervision import in_order
@@ -221,12 +222,14 @@ def _in_order(system: SystemFile) -> list[str]:
     edges = []
     for connection in system.connections:
         writer, *readers = (root(composites, path.partition(".")[0]) for path in connection.ports)
-        edges += [(writer, reader) for reader in readers]
+        edges += [(writer, reader) for reader in readers if not names_kernel(writer) and not names_kernel(reader)]
     return readers_first(list(units), edges)
 
 
-def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, number: int) -> Port[Any]:
+def _port(system: SystemFile, kernel: Kernel, connection: ConnectionEntry, number: int) -> Port[Any] | str:
     path = connection.ports[number]
+    if names_kernel(path):
+        return path
     try:
         found = kernel.find(path)
     except AiortsError as error:

@@ -10,7 +10,8 @@ from typing import Any
 from aiorts.composites import exports
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
-from aiorts.model.options import connector_profile
+from aiorts.model.names import names_kernel
+from aiorts.model.options import connector_profile, link_options
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.planning import Canon, service_connection, table, whole
 from aiorts.services import ServicePort, pairs_of
@@ -87,6 +88,8 @@ class _Reader:
             pairs = list(_pairs(entry.ports, ports))
             for at, (out, in_, length) in enumerate(pairs):
                 number += 1
+                if names_kernel(out) or names_kernel(in_):
+                    options = link_options("", options)
                 profile, _ = connector_profile("", options, "", (out, in_), 8 if length is None else length)
                 name = f"{profile.name}-{at + 1}" if at and profile.name else profile.name
                 yield self._canon.connection((out, in_), replace(profile, name=name), length, number)

@@ -26,7 +26,7 @@ aiorts/guide
 aiorts/timer_heap.py
 aiorts/clock.py
 aiorts/model
-aiorts/model/configuration aiorts/model/health
+aiorts/model/configuration aiorts/model/health aiorts/model/links
 aiorts/model/wanted
 aiorts/types
 aiorts/types/ros aiorts/wire
@@ -48,6 +48,7 @@ aiorts/adapting
 aiorts/control
 aiorts/control/operations
 aiorts/control/server
+aiorts/links
 aiorts/assembly.py
 aiorts/running.py aiorts/events.py aiorts/statechart.py
 aiorts/system/text
@@ -69,7 +70,7 @@ plugins/aiorts_foxglove
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
-    *("adapting", "composites", "configuration", "control", "diagnostics", "functions", "health", "observe"),
+    *("adapting", "composites", "configuration", "control", "diagnostics", "functions", "health", "links", "observe"),
     *("planning", "realtime", "reload", "rules", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""
@@ -82,6 +83,7 @@ PUBLIC = (
     "aiorts.types",
     "aiorts.types.ros",
     "aiorts.control",
+    "aiorts.links",
     "aiorts.description",
     "aiorts.errors",
     "aiorts.exits",

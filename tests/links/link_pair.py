@@ -15,7 +15,9 @@ MS = 1_000_000
 class Pair:
     """A writer's end and a reader's end, and what a user would see of them."""
 
-    def __init__(self, seed: int, *, loss: float = 0.0, double: float = 0.0, jitter_ms: int = 0, window: int = 16) -> None:
+    def __init__(
+        self, seed: int, *, loss: float = 0.0, double: float = 0.0, jitter_ms: int = 0, window: int = 16
+    ) -> None:
         self.random = Random(seed)
         self.loss, self.double, self.jitter_ms = loss, double, jitter_ms
         self.window = window

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 from anyio import sleep
 from links.wires import Net
@@ -32,7 +30,12 @@ async def test_first() -> None:
         one.service(Links).use(net.wire())
         two.service(Links).use(net.wire())
         await two.service(Links).opened()
-        source, sink = await one.add(Source(), ), await two.add(Sink())
+        source, sink = (
+            await one.add(
+                Source(),
+            ),
+            await two.add(Sink()),
+        )
         connector = await one.connect(source.out, "two/sink0.inp", length=100)
         print(connector)
         for number in range(50):

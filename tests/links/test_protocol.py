@@ -5,12 +5,12 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from campaign import cases
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from links.link_pair import MS, Pair
 
 from aiorts.model.links import LinkState, ReaderEnd, WriterEnd
+from campaign import cases
+from links.link_pair import MS, Pair
 
 
 def finish(pair: Pair) -> None:
@@ -66,9 +66,7 @@ def test_each_sample_is_there_once_in_order_and_accounted_for() -> None:
 
 @settings(deadline=None)
 @given(
-    st.lists(
-        st.sampled_from(["write", "write", "lose", "keep", "cut", "connect", "stop", "go", "wait"]), max_size=40
-    ),
+    st.lists(st.sampled_from(["write", "write", "lose", "keep", "cut", "connect", "stop", "go", "wait"]), max_size=40),
     st.integers(0, 2**16),
 )
 def test_any_order_of_faults_leaves_nothing_unexplained(acts: list[str], seed: int) -> None:

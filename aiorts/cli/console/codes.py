@@ -284,10 +284,30 @@ CODES: Final[dict[str, Code]] = {
         "The sender is not aiorts, or is another version of it.",
         "Look at the sender.",
     ),
+    "E-LINK": Code(
+        "Another kernel cannot be reached, or does not say what was expected.",
+        "It has ended, has the name of this one, or is of another release of aiorts.",
+        "Read the reason in the line; aiorts ls shows what runs.",
+    ),
+    "E-LINK-TIMEOUT": Code(
+        "Another kernel has not answered in time.",
+        "It is stopped, or its event loop is busy.",
+        "Look at the kernel that the line names; the link is offered again by itself.",
+    ),
+    "W-LINK": Code(
+        "A link to another kernel waits, was lost, or was ended by the other end.",
+        "The other kernel or component is not there, or somebody has disconnected it.",
+        "Start the other kernel: the link goes on by itself; on_link_lost says what happens otherwise.",
+    ),
     "E-WRITE-TIMEOUT": Code(
         "Readers with full = block had no room in time; the others have the sample.",
         "A reader is slower than the writer, or has stopped.",
         "Look at the reader that the line names; choose a longer timeout, or another policy.",
+    ),
+    "N-LINK": Code(
+        "A port of a connection is in another kernel: a note of aiorts check.",
+        "Its path begins with the name of a kernel.",
+        "Ignore the note; aiorts run says when the other kernel refuses the connection.",
     ),
     "N-ADAPT": Code(
         "A FlexiFilter is put between two ports that do not fit: a note of aiorts check.",

@@ -10,6 +10,7 @@ from aiorts.errors import SystemFileError, WiringError
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
+from aiorts.model.names import names_kernel
 from aiorts.model.options import doubts, idle, transport_notice, without_effect
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort, fault_of
@@ -37,6 +38,7 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
                 yield said
         for option, text in (*doubts(connection.options), *idle(connection.options)):
             yield Said("warning", "W-OPTION", (*_key(connection), *option.split(".")), text, of_key=option != "name")
+        yield from _link(connection)
         known = [port for port in ports if port is not None]
         if len(known) == len(ports):
             yield from _ends(found, drafts, connection, known)
@@ -82,6 +84,16 @@ def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
             keys.setdefault(option, (*_key(connection), *option.split(".")))
     if keys:
         yield Said("warning", "W-TRANSPORT", next(iter(keys.values())), transport_notice(tuple(keys)), of_key=True)
+
+
+def _link(connection: ConnectionEntry) -> Iterator[Said]:
+    """What is not known before the other kernel is there, and how samples travel to it."""
+    for number, path in enumerate(connection.ports):
+        if names_kernel(path):
+            said = [key for key in connection.options if key.endswith(("subscription", "subscription_type", "io_mode"))]
+            how = "" if said else "; samples go as new/all, so a write never waits for a round trip"
+            what = f"{path} is in another kernel: whether it fits is known when that kernel is there{how}"
+            yield Said("note", "N-LINK", end_key(connection, number), what)
 
 
 def _key(connection: ConnectionEntry) -> Key:

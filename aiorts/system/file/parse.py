@@ -22,7 +22,7 @@ from aiorts.composites import ErrorPolicy, exports, groups_of
 from aiorts.errors import AiortsError, ConfigurationError, InvalidNameError, SystemFileError
 from aiorts.model.configuration.sets import DEFAULT
 from aiorts.model.names import Path as PortPath
-from aiorts.model.names import check_name
+from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
 from aiorts.supervision import StartRule, Supervision, in_order
@@ -257,6 +257,8 @@ class _Reader(Reading):
             self._check_port((*key, "to") if isinstance(to, str) else (*key, "to", place), path, components)
         options = {word: value for word, value in table.items() if word not in ("from", "to")}
         self._no_tables(key, options)
+        if writer is not None and texts and all(names_kernel(path) for path in (writer, *texts)):
+            self._say((*key, "from"), "no port is of this system; connect them in the file of one of those kernels")
         if writer is None or len(self.mistakes) > before:
             return None
         return ConnectionEntry((writer, *texts), MappingProxyType(_flat(options)), number)
@@ -284,8 +286,12 @@ class _Reader(Reading):
         except InvalidNameError as error:
             self._say(key, str(error))
             return
-        if not parsed.port or parsed.kernel:
-            self._say(key, f"{path!r:.80} names no port of this system; write COMPONENT.PORT")
+        if not parsed.port:
+            self._say(
+                key, f"{path!r:.80} names no port; write COMPONENT.PORT, or KERNEL/COMPONENT.PORT of another kernel"
+            )
+        elif parsed.kernel:
+            return  # what another kernel has is known when it is there
         elif parsed.component not in components:
             self._unknown(key, "component", parsed.component, components)
 

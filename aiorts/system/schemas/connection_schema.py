@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from aiorts.model.buffer import EmptyPolicy, FullPolicy
 from aiorts.model.options import DEFAULT_LENGTH, LONGEST_TIME, MAX_LENGTH, SHORTEST_GAP, SHORTEST_TIME
-from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
+from aiorts.model.policy import Dataflow, OnLinkLost, Push, Stamp, Subscription
 from aiorts.system.schemas.template_schema import PART
 
 _TEXT: Final = {"type": "string", "pattern": r"^\s*[+-]?[0-9._]+([eE][+-]?[0-9]+)?\s*$"}
@@ -105,6 +105,12 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
         **_number(SHORTEST_GAP, LONGEST_TIME),
         "description": "Seconds between two writes at the most; a longer gap is an event and a line in the log.",
     },
+    "on_link_lost": {
+        **_choice(OnLinkLost),
+        "default": "wait",
+        "description": "Of a port in another kernel, when the link is lost: wait for it, move the component to error, or "
+        "disconnect.",
+    },
     "name": {"type": "string", "description": "The connector's name."},
     "fan_in": {**_whole(1, MAX_LENGTH), "description": "Connectors that the in-port takes at the most."},
     "fan_out": {**_whole(1, MAX_LENGTH), "description": "Connectors that the out-port takes at the most."},
@@ -122,12 +128,15 @@ _ALIASES: Final = (
 
 def connection_schema(name: str) -> dict[str, Any]:
     """One entry of `[[connections]]`; `name` is the pattern of a component's or a port's name."""
-    port = {"type": "string", "pattern": rf"^{name}\.{name}$"}
+    port = {"type": "string", "pattern": rf"^(?:(?:[^/]+/)?{name}/)?{name}\.{name}$"}
     return {
         "type": "object",
         "required": ["from", "to"],
         "properties": {
-            "from": {**port, "description": "COMPONENT.PORT of the out-port."},
+            "from": {
+                **port,
+                "description": "COMPONENT.PORT of the out-port, or KERNEL/COMPONENT.PORT of another kernel.",
+            },
             "to": {
                 "anyOf": [port, {"type": "array", "items": port, "minItems": 1}],
                 "description": "COMPONENT.PORT of the in-port, or a list of several.",

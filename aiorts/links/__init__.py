@@ -1,0 +1,42 @@
+"""Connectors whose ends are in two kernels, and what carries them: the seam for transports of plugins."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.links.connecting import Links, LinksSettings
+    from aiorts.links.transport import (
+        Caller,
+        Channel,
+        ChannelEvents,
+        KernelFace,
+        LinkOffer,
+        Peer,
+        Transport,
+    )
+    from aiorts.links.transports import find_transport
+
+__all__ = (
+    "Caller",
+    "Channel",
+    "ChannelEvents",
+    "KernelFace",
+    "LinkOffer",
+    "Links",
+    "LinksSettings",
+    "Peer",
+    "Transport",
+    "find_transport",
+)
+
+_late(
+    globals(),
+    {
+        "aiorts.links.connecting": "Links LinksSettings",
+        "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport",
+        "aiorts.links.transports": "find_transport",
+    },
+)
