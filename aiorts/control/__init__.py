@@ -11,7 +11,7 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.control.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
-    from aiorts.control.folder import Entry, entries
+    from aiorts.control.folder import Entry, entries, private_folder
     from aiorts.control.target import (
         FILES,
         PATIENCE,
@@ -47,6 +47,7 @@ __all__ = (
     "likely",
     "open_all",
     "outlines",
+    "private_folder",
     "sharing",
     "the_one",
 )
@@ -55,7 +56,7 @@ _late(
     globals(),
     {
         "aiorts.control.client": "END TIMEOUT Client CutOff Silent Stream open_all",
-        "aiorts.control.folder": "Entry entries",
+        "aiorts.control.folder": "Entry entries private_folder",
         "aiorts.control.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
         ),

@@ -63,8 +63,8 @@ def place() -> Path:
     return Path(tempfile.gettempdir(), f"aiorts-{os.geteuid()}")
 
 
-def made() -> Path:
-    """The folder, made where it is not there.
+def private_folder() -> Path:
+    """The folder for sockets of this user's kernels, made where it is not there.
 
     Raises:
         ControlError: it cannot be made, or is a link, of another user, or open to others.
@@ -193,7 +193,7 @@ class Claim:
     """
 
     def __init__(self, address: str, epoch: str) -> None:
-        folder = made()
+        folder = private_folder()
         name = hashlib.sha256(address.encode()).hexdigest()[:16]
         path = str(folder / f"{name}.sock")
         if len(os.fsencode(path)) > LONGEST_PATH:

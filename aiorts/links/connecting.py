@@ -77,6 +77,8 @@ class Links(KernelService):
         self._peers: dict[Peer, None] = {}
         self._writers: dict[Connector, WriterLink] = {}
         self._readers: dict[Connector, ReaderLink] = {}
+        self._own: set[Link] = set()
+        """Those that this kernel has connected, and not the other one."""
         self._asking: set[Link] = set()
         self._tried: dict[Link, int] = {}
         """How often a link was offered in vain since it was up last."""
@@ -92,6 +94,16 @@ class Links(KernelService):
         self._accepting = False
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
+
+    def owns(self, connector: Connector) -> bool:
+        """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
+        link = self._link(connector)
+        return link is not None and link not in self._own
+
+    def report(self) -> Mapping[str, Any]:
+        """The state of each link, by the name of its connector."""
+        now = self.kernel.clock.monotonic_ns()
+        return {one.connector.name: f"{one.end.state(now)}{f': {one.why}' if one.why else ''}" for one in self._all()}
 
     # -- opening ---------------------------------------------------------------------------------------------------
 
@@ -153,24 +165,29 @@ class Links(KernelService):
         like = near[0]
         if not isinstance(like, InPort | OutPort):
             raise WiringError(f"{where}: only data ports can be connected with other kernels")
-        found = [
-            far_port(self.kernel, like, self._port_path(port), like.unit, like.shape) if isinstance(port, str) else port
-            for port in ports
-        ]
+        found = [self._far_port(like, port) if isinstance(port, str) else port for port in ports]
         return found, link_options(where, options)
 
-    @staticmethod
-    def _port_path(text: str) -> Path:
+    def _far_port(self, like: InPort[Any] | OutPort[Any], text: str) -> Port[Any]:
+        """What stands for a port of another kernel; the same that is connected already with this one, if one is."""
         path = Path.parse(text)
         if not path.port:
             raise WiringError(f"{text}: is a component; give one of its ports")
-        return path
+        others = [one.in_ if isinstance(like, OutPort) else one.out for one in like.connectors]
+        known = next((port for port in others if port.is_far and port.path == text), None)
+        return known or far_port(self.kernel, like, path, like.unit, like.shape)
 
     def connector_made(self, connector: Connector) -> None:
+        if self._link(connector) is not None:
+            return  # it is in force again
         if isinstance(connector.in_, FarInPort):
-            self._start(self._write_end(connector))
+            link: Link = self._write_end(connector)
+            if not self._accepting:
+                self._own.add(link)
+            self._start(link)
         elif isinstance(connector.out, FarOutPort) and not self._accepting:
             link = self._read_end(connector)
+            self._own.add(link)
             self._expected[self._here(connector.out), self._here(connector.in_)] = link
             self._start(link)
 
@@ -270,7 +287,9 @@ class Links(KernelService):
     def _end_closed(self) -> None:
         for connector in [one for one in (*self._writers, *self._readers) if one.closed]:
             link = self._writers.pop(connector, None) or self._readers.pop(connector)
-            link.close()
+            # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
+            link.close(for_good=link in self._own or not self.kernel.closed)
+            self._own.discard(link)
             self._answer_first(link, None)
             self._tried.pop(link, None)
             for table in (self._expected, self._offers):
@@ -310,7 +329,7 @@ class Links(KernelService):
 
     def _try(self, link: Link) -> None:
         """Offer it, or ask the writer's kernel to, unless that is under way, or the other kernel is not there."""
-        if link.is_connected or link in self._asking:
+        if link.is_connected or link in self._asking or (isinstance(link, ReaderLink) and link not in self._own):
             return
         peer = self._peer(link)
         opening = self._opening is not None and not self._opening.done()
@@ -462,10 +481,13 @@ class Links(KernelService):
             if connector.out is found and connector.in_.path == wish.reader:
                 self._try(link)
                 return Answer().to_bytes()
+        self._accepting = True
         try:
             self.kernel.connections.make((found, wish.reader), wish.options)
         except AiortsError as error:
             return Answer(refused=str(error)).to_bytes()
+        finally:
+            self._accepting = False
         return Answer().to_bytes()
 
     def _there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
@@ -509,7 +531,7 @@ class Links(KernelService):
 
     def stopped(self) -> None:
         for link in self._all():
-            link.close()
+            link.close(for_good=link in self._own)
         for task in self._tasks:
             task.cancel()
         if self._opening is not None:

@@ -83,15 +83,16 @@ class ReaderLink:
         self.end.channel_down(self._now())
         self._lost(self, why)
 
-    def close(self) -> None:
-        """The connector has ended: say so to the writer's end. Idempotent."""
+    def close(self, *, for_good: bool) -> None:
+        """The connector has ended; `for_good`: say so to the writer's end. Idempotent."""
         if self._ended:
             return
         self._ended = True
         self._wakening.cancel()
         channel, self._channel = self._channel, None
         if channel is not None:
-            self.end.end(self._now(), channel.send)
+            if for_good:
+                self.end.end(self._now(), channel.send)
             channel.close()
 
     def _poll(self) -> None:

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from aiorts.control.folder import is_supported, made
+from aiorts.control import private_folder
 from aiorts.errors import AiortsError, LinkError, LinkTimeout
 from aiorts.links.messages import fields, packed
 from aiorts.links.stream import Message, Stream
@@ -58,12 +58,10 @@ class UnixTransport:
         Raises:
             LinkError: a kernel of that name is there already, or the socket cannot be made.
         """
-        if not is_supported():
-            raise LinkError("this system has no Unix sockets; choose another transport")
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
         self.greeting = packed([_host(), kernel.name, kernel.epoch])
         try:
-            folder = made()
+            folder = private_folder()
             others = sorted(folder.glob(f"*{_SUFFIX}"))
             self._listen(folder / f"{_hashed(kernel.name)}-{kernel.epoch:016x}{_SUFFIX}")
         except (AiortsError, OSError) as error:

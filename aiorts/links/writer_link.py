@@ -172,14 +172,14 @@ class WriterLink:
         self.end.channel_down(self._now())
         self._lost(self, why)
 
-    def close(self) -> None:
-        """The connector has ended: say so to the reader's end; whoever waits goes on. Idempotent."""
+    def close(self, *, for_good: bool) -> None:
+        """The connector has ended; `for_good`: say so to the reader's end. Whoever waits goes on. Idempotent."""
         if self._ended:
             return
         self._ended = True
         self._wakening.cancel()
         channel, self._channel = self._channel, None
-        self.end.end(self._now(), channel.send if channel is not None else _nowhere)
+        self.end.end(self._now(), channel.send if channel is not None and for_good else _nowhere)
         self._settle()
         if channel is not None:
             channel.close()

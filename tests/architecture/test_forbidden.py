@@ -43,6 +43,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # plugin, a component file, an observer, a timer's callback); there it is reported and contained. A new line here needs
 # a reason.
 BROAD_EXCEPT = {
+    # Round a plugin's transport while it is made.
+    "aiorts/links/transports.py:find_transport",
     # What a plan did is taken back step by step: what one of these fails with is said, and the next follows.
     "aiorts/planning/applying.py:back",
     # What somebody else's exception says of itself may raise in its turn.

@@ -71,7 +71,7 @@ def test_errors_are_listed_and_explained(capsys: pytest.CaptureFixture[str], mon
         assert status == 0
         assert CODES["E-LINE"].cause in out
         assert CODES["E-LINE"].remedy in out
-    status, out, err = run(capsys, "help", "errors", "E-LIEN")
+    status, out, err = run(capsys, "help", "errors", "E-LINEE")
     assert (status, out, "did you mean E-LINE?" in err) == (2, "", True)
 
 

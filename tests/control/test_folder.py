@@ -136,7 +136,7 @@ async def test_what_was_left_half_made_is_removed_by_the_next_reader(runtime: st
 async def test_who_holds_the_folder_for_long_keeps_others_from_no_run(
     runtime: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    folder.made()
+    folder.private_folder()
     held = os.open(Path(runtime, "aiorts"), os.O_RDONLY)
     try:
         fcntl.flock(held, fcntl.LOCK_EX)

@@ -1,14 +1,23 @@
-"""Two kernels, one link: what is written in one is read in the other."""
+"""Connectors whose ends are in two kernels, over the sockets of this host."""
 
 from __future__ import annotations
 
-import pytest
-from anyio import sleep
-from links.wires import Net
+import asyncio
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
-from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.links.connecting import Links
-from aiorts.types import TimedLong
+import pytest
+from anyio import WouldBlock, fail_after, sleep
+
+from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
+from aiorts.errors import LinkError, WiringError, WriteTimeout
+from aiorts.links import Links
+from aiorts.types import TimedDouble, TimedLong
+
+pytestmark = pytest.mark.anyio
 
 
 class Source(Component):
@@ -19,32 +28,303 @@ class Sink(Component):
     inp = InPort(TimedLong)
 
 
+class Metres(Component):
+    out = OutPort(TimedLong, unit="m")
+
+
+class Seconds(Component):
+    inp = InPort(TimedLong, unit="s")
+
+
+class Reals(Component):
+    inp = InPort(TimedDouble)
+
+
+@pytest.fixture(autouse=True)
+def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    with TemporaryDirectory(prefix="al") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
+
+
 def long(value: int) -> TimedLong:
     return TimedLong(tm=0, data=value)
 
 
-@pytest.mark.anyio
-async def test_first() -> None:
-    net = Net()
-    async with Kernel("one") as one, Kernel("two") as two:
-        one.service(Links).use(net.wire())
-        two.service(Links).use(net.wire())
-        await two.service(Links).opened()
-        source, sink = (
-            await one.add(
-                Source(),
-            ),
-            await two.add(Sink()),
+def reachable(name: str) -> Kernel:
+    return Kernel(name, services={"links": {}})
+
+
+async def until(holds: Callable[[], object], seconds: float = 10.0) -> None:
+    with fail_after(seconds):
+        while not holds():
+            await sleep(0.002)
+
+
+def data(port: Any) -> list[int]:
+    return [sample.data for sample in port.drain()]
+
+
+async def test_what_is_written_in_one_kernel_is_read_in_the_other_in_order_and_accounted_for() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", full="block", timeout=None)
+        assert connector.in_.path == "two/sink0.inp"
+        assert (connector.profile.subscription, connector.profile.push) == ("new", "all")
+        seen: list[int] = []
+        task = asyncio.ensure_future(_write(source, 3_000))
+        with fail_after(20):
+            while len(seen) < 3_000:
+                seen.append((await sink.inp.read()).data)
+        await task
+        assert seen == list(range(3_000))
+        await until(lambda: connector.statistics.acknowledged == 3_000)
+        ledger = connector.statistics
+        assert (ledger.written, ledger.delivered, ledger.in_flight, ledger.balanced) == (3_000, None, 0, True)
+        (far,) = two.connectors.values()
+        assert far.out.path == "one/source0.out"
+        assert (far.statistics.written, far.statistics.delivered) == (3_000, 3_000)
+
+
+async def _write(source: Source, count: int) -> None:
+    for value in range(count):
+        await source.out.write(long(value))
+
+
+async def test_a_slow_reader_stops_the_writer_whose_buffer_then_decides() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", length=4, full="reject")
+        done = []
+        for value in range(600):
+            done.append(source.out.write_nowait(long(value)))
+            if value % 20 == 0:
+                await sleep(0)
+        await sleep(0.2)
+        ledger = connector.statistics
+        assert ledger.balanced
+        assert ledger.dropped["rejected"] == done.count(False) > 0
+        seen = []
+        with fail_after(10):
+            while len(seen) < done.count(True):
+                seen.append((await sink.inp.read()).data)
+        assert seen == [value for value, taken in enumerate(done) if taken]  # inside the window nothing is lost
+
+
+async def test_a_flush_returns_when_the_sample_is_in_the_readers_buffer() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", subscription="flush", full="reject", length=2)
+        for value in range(2):
+            assert await source.out.write(long(value))
+            assert sink.inp.is_new
+            assert connector.statistics.acknowledged == value + 1
+        assert not await source.out.write(long(2))  # no room: the reader's end says so
+        assert connector.statistics.dropped == {"rejected": 1}
+        assert source.out.write_nowait(long(3))  # never waits
+        await until(lambda: not connector.statistics.in_flight)
+        assert connector.statistics.dropped == {"rejected": 2}
+        assert data(sink.inp) == [0, 1]
+        assert connector.statistics.balanced
+
+
+async def test_a_flush_without_an_answer_in_time_names_the_link_and_the_sample_stays_in_flight() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(
+            source.out, "two/sink0.inp", subscription="flush", full="block", length=1, timeout=0.1
         )
-        connector = await one.connect(source.out, "two/sink0.inp", length=100)
-        print(connector)
-        for number in range(50):
-            source.out.write_nowait(long(number))
-        await sleep(0.05)
-        print(connector.statistics, two.connectors)
-        assert [sample.data for sample in sink.inp.drain()] == list(range(50))
-        flush = await one.connect(source.out, "two/sink0.inp", subscription="flush", allow_duplicate=True, name="f")
-        print(flush.profile, two.connectors)
-        assert await source.out.write(long(7))
-        print(flush.statistics)
-        assert flush.statistics.acknowledged == 1
+        assert await source.out.write(long(0))
+        with pytest.raises(WriteTimeout, match=r"two/sink0\.inp \(0\.1 s\)"):
+            await source.out.write(long(1))
+        assert (connector.statistics.in_flight, connector.statistics.dropped) == (1, {})
+        task = asyncio.ensure_future(source.out.write(long(2)))
+        await sleep(0.02)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        ledger = connector.statistics
+        assert (ledger.in_flight, ledger.written, ledger.balanced) == (2, 3, True)  # it was sent
+        seen = []
+        with fail_after(10):
+            while len(seen) < 3:
+                seen.append((await sink.inp.read()).data)
+        assert seen == [0, 1, 2]
+        await until(lambda: connector.statistics.acknowledged == 3)
+
+
+async def test_a_flush_to_a_kernel_that_is_not_there_writes_nothing_when_it_times_out() -> None:
+    async with Kernel("one") as one:
+        source = await one.add(Source())
+        connector = await one.connect(source.out, "two/sink0.inp", subscription="flush", timeout=0.05, full="block")
+        with pytest.raises(WriteTimeout):
+            await source.out.write(long(0))
+        assert connector.statistics.dropped == {"timeout": 1}
+        for value in range(8):
+            source.out.write_nowait(long(value))
+        with pytest.raises(WouldBlock):
+            source.out.write_nowait(long(8))
+        assert (connector.statistics.buffered, connector.statistics.balanced) == (8, True)
+
+
+@pytest.mark.parametrize(
+    ("writer", "port", "said"),
+    [
+        (Source, "two/reals0.inp", r"sends TimedLong, two/reals0\.inp takes TimedDouble"),
+        (Metres, "two/seconds0.inp", r"units differ: .* sends 'm', .* takes 's'"),
+        (Source, "two/sink0.imp", r"sink0 has no port 'imp'; did you mean 'inp'"),
+    ],
+)
+async def test_ports_that_do_not_fit_are_refused_at_both_ends(writer: Any, port: str, said: str) -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source = await one.add(writer())
+        for kind in (Sink, Seconds, Reals):
+            await two.add(kind())
+        with pytest.raises(WiringError, match=said):
+            await one.connect(source.out, port)
+        assert not one.connectors
+        assert not two.connectors
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"length": 0}, "length = 0: the reader is in another kernel"),
+        ({"convert": lambda sample: sample}, "convert: the reader is in another kernel"),
+        ({"on_link_lost": "wiat"}, "on_link_lost"),
+    ],
+)
+async def test_options_that_a_link_does_not_have_are_refused(options: dict[str, Any], said: str) -> None:
+    async with Kernel("one") as one:
+        source = await one.add(Source())
+        with pytest.raises(WiringError, match=said):
+            await one.connect(source.out, "two/sink0.inp", **options)
+
+
+async def test_on_link_lost_needs_a_link() -> None:
+    async with Kernel("one") as one:
+        source, sink = await one.add(Source()), await one.add(Sink())
+        with pytest.raises(WiringError, match="both ports are in this kernel"):
+            await one.connect(source.out, sink.inp, on_link_lost="error")
+
+
+async def test_what_is_not_there_yet_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+    async with Kernel("one") as one:
+        source = await one.add(Source())
+        with caplog.at_level(logging.WARNING):
+            connector = await one.connect(source.out, "two/sink0.inp")
+        assert "waits: there is no kernel 'two' yet" in caplog.text
+        source.out.write_nowait(long(1))
+        assert connector.statistics.buffered == 1
+        async with reachable("two") as two:
+            with caplog.at_level(logging.WARNING):
+                await until(lambda: "no component 'sink0'" in caplog.text)
+            sink = await two.add(Sink())
+            await until(lambda: sink.inp.is_new)
+            assert data(sink.inp) == [1]
+
+
+@pytest.mark.row(56)
+@pytest.mark.fault("E01")
+async def test_a_kernel_that_is_started_anew_goes_on_with_the_loss_counted() -> None:
+    async with Kernel("one") as one:
+        source = await one.add(Source())
+        async with reachable("two") as two:
+            sink = await two.add(Sink())
+            connector = await one.connect(source.out, "two/sink0.inp", length=2, full="overwrite")
+            for value in range(5):
+                source.out.write_nowait(long(value))
+                await sleep(0)
+            await until(lambda: connector.statistics.acknowledged == 2)  # two wait at the reader's end for room
+            await until(lambda: connector.statistics.in_flight == 3)
+        assert not connector.closed
+        async with reachable("two") as two:
+            sink = await two.add(Sink())
+            source.out.write_nowait(long(5))
+            await until(lambda: sink.inp.is_new)
+            assert data(sink.inp) == [5]
+            await until(lambda: not connector.statistics.in_flight)
+            ledger = connector.statistics
+            assert ledger.dropped == {"unknown_fate": 3}
+            assert (ledger.written, ledger.acknowledged, ledger.balanced) == (6, 3, True)
+
+
+async def test_the_kernel_of_the_reader_may_connect_too() -> None:
+    async with reachable("one") as one, Kernel("two") as two:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await two.connect("one/source0.out", sink.inp, length=3)
+        await until(lambda: bool(source.out.connectors))
+        source.out.write_nowait(long(7))
+        await until(lambda: sink.inp.is_new)
+        assert data(sink.inp) == [7]
+        assert connector.out.path == "one/source0.out"
+        await two.disconnect(connector)
+        await until(lambda: not one.connectors)
+
+
+@pytest.mark.parametrize("end", ["one", "two"])
+async def test_the_end_of_a_connector_at_one_end_is_its_end_at_the_other(end: str) -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, _ = await one.add(Source()), await two.add(Sink())
+        await one.connect(source.out, "two/sink0.inp")
+        kernel = one if end == "one" else two
+        await kernel.disconnect(next(iter(kernel.connectors.values())))
+        await until(lambda: not one.connectors and not two.connectors)
+
+
+async def test_two_connectors_of_the_same_ports_need_to_be_allowed() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        await one.connect(source.out, "two/sink0.inp")
+        with pytest.raises(WiringError, match="connected already"):
+            await one.connect(source.out, "two/sink0.inp")
+        await one.connect(source.out, "two/sink0.inp", allow_duplicate=True)
+        source.out.write_nowait(long(1))
+        assert len(two.connectors) == 2
+        await until(lambda: sum(one.statistics.written for one in two.connectors.values()) == 2)
+        assert data(sink.inp) == [1, 1]
+
+
+@pytest.mark.parametrize("policy", ["wait", "error", "disconnect"])
+async def test_what_happens_when_the_link_is_lost_is_an_option(policy: Any) -> None:
+    async with Kernel("one") as one:
+        source = await one.add(Source())
+        context = await one.start(EventContext(), source, activate=True)
+        async with reachable("two") as two:
+            await two.add(Sink())
+            connector = await one.connect(source.out, "two/sink0.inp", on_link_lost=policy)
+        if policy == "disconnect":
+            await until(lambda: connector.closed)
+        elif policy == "error":
+            await until(lambda: source.states[context.name] is LifecycleState.ERROR)
+            assert isinstance(source.last_error, LinkError)
+        else:
+            await sleep(0.1)
+            assert not connector.closed
+            assert source.states[context.name] is LifecycleState.ACTIVE
+
+
+@pytest.mark.fault("E09")
+async def test_two_kernels_of_one_name_are_refused() -> None:
+    async with reachable("two") as two:
+        await two.service(Links).opened()
+        async with Kernel("two") as other:
+            source = await other.add(Source())
+            with pytest.raises(LinkError, match="a kernel named 'two' runs already"):
+                await other.connect(source.out, "one/sink0.inp")
+
+
+async def test_arrays_travel_whole() -> None:
+    import numpy as np
+
+    from aiorts.types import TimedDoubleSeq
+
+    class Many(Component):
+        out = OutPort(TimedDoubleSeq)
+        inp = InPort(TimedDoubleSeq)
+
+    async with reachable("two") as two, Kernel("one") as one:
+        many, other = await one.add(Many()), await two.add(Many())
+        await one.connect(many.out, "two/many0.inp", subscription="flush")
+        values = np.arange(300_000, dtype=float)
+        assert await many.out.write(TimedDoubleSeq(data=values))
+        assert (other.inp.read_nowait().data == values).all()

@@ -59,6 +59,7 @@ def check(pair: Pair) -> None:
     assert pair.unexplained == 0
 
 
+@pytest.mark.fault("E08")
 def test_each_sample_is_there_once_in_order_and_accounted_for() -> None:
     for seed in range(cases(10_000)):
         check(schedule(seed))
@@ -160,6 +161,7 @@ def test_a_sample_that_is_to_be_confirmed_is_acknowledged_at_once_and_others_wit
         assert least * MS <= pair.now - began <= most * MS
 
 
+@pytest.mark.fault("E06")
 def test_a_reader_without_room_stops_the_writer_and_loses_nothing() -> None:
     pair = Pair(0, window=8)
     pair.connect()
@@ -218,8 +220,10 @@ def test_who_is_disconnected_says_so() -> None:
     pair.connect()
     pair.step(pair.now + 10 * MS)
     pair.offer(1)
+    pair.step(pair.now + 2 * MS)
+    pair.offer(2)
     pair.writer.end(pair.now, pair.send(pair.writer))
     pair.step(pair.now + 10 * MS)
     assert pair.reader.peer_ended
     assert pair.reader.state(pair.now) is LinkState.ENDED
-    assert pair.fates == ["unknown_fate"]
+    assert pair.fates == ["unknown_fate", "disconnected"]

@@ -112,6 +112,8 @@ def test_one_document_has_the_whole_system() -> None:
                 "mean_rate": None,
                 "latency": None,
                 "age": None,
+                "acknowledged": None,
+                "in_flight": 0,
             }, wire.statistics
             assert told["contexts"]["loop"]["members"] == ["sensor0", "arm0"]
             assert told["contexts"]["loop"]["statistics"]["cycles"] == 1

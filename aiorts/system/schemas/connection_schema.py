@@ -108,8 +108,7 @@ OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "on_link_lost": {
         **_choice(OnLinkLost),
         "default": "wait",
-        "description": "Of a port in another kernel, when the link is lost: wait for it, move the component to error, or "
-        "disconnect.",
+        "description": "When the link to another kernel is lost: wait, move the component to error, or disconnect.",
     },
     "name": {"type": "string", "description": "The connector's name."},
     "fan_in": {**_whole(1, MAX_LENGTH), "description": "Connectors that the in-port takes at the most."},
@@ -135,7 +134,7 @@ def connection_schema(name: str) -> dict[str, Any]:
         "properties": {
             "from": {
                 **port,
-                "description": "COMPONENT.PORT of the out-port, or KERNEL/COMPONENT.PORT of another kernel.",
+                "description": "COMPONENT.PORT of the out-port; KERNEL/COMPONENT.PORT elsewhere.",
             },
             "to": {
                 "anyOf": [port, {"type": "array", "items": port, "minItems": 1}],
