@@ -65,6 +65,7 @@ FEATURES = {
     48: "Time stamps at write, send, receive or read",
     50: "In-process transport without copies that anyone could change",
     54: "Codecs by name: ours, and those of plugins",
+    56: "A connector goes on by itself after a loss of the link or a restart of either end, with the loss counted",
     55: "Types are compared when ports are connected",
     57: "Connections of more than two ports",
     58: "Limits on connections; duplicates refused",

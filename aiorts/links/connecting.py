@@ -22,6 +22,7 @@ from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
+from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, Wish
 from aiorts.links.reader_link import ReaderLink
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
@@ -31,7 +32,6 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import OnLinkLost, Push, Stamp, Subscription
-from aiorts.types import type_name
 from aiorts.wire import MsgpackCodec
 
 if TYPE_CHECKING:
@@ -367,6 +367,7 @@ class Links(KernelService):
         assert self._transport is not None  # noqa: S101 - it is open
         connector = link.connector
         out = connector.out
+        schema, text = layout_of(out.type)
         offer = LinkOffer(
             protocol=_PROTOCOL,
             link=connector.name,
@@ -375,8 +376,8 @@ class Links(KernelService):
             writer_epoch=link.end.epoch,
             reader_epoch=0,
             number=0,
-            schema=b"",
-            type_text=type_name(out.type),
+            schema=schema,
+            type_text=text,
             unit=out.unit,
             shape=out.shape,
             profile=connector.profile,
@@ -435,10 +436,10 @@ class Links(KernelService):
             return found, None
         if not isinstance(found, InPort):
             raise WiringError(f"{offer.reader}: is no in-port")
-        if offer.type_text != type_name(found.type):
-            raise WiringError(
-                f"types differ: {offer.writer} sends {offer.type_text}, {offer.reader} takes {type_name(found.type)}"
-            )
+        schema, text = layout_of(found.type)
+        if offer.schema != schema:
+            said = difference(offer.type_text, text) or "their hashes differ"
+            raise WiringError(f"types differ: {said}")
         key = (offer.writer.kernel, offer.link)
         link = self._offers.get(key) or self._expected.get((str(offer.writer), str(offer.reader)))
         if link is None or link.connector.in_ is not found:

@@ -9,7 +9,7 @@ import msgpack  # type: ignore[import-untyped]
 from aiorts.errors import LinkError
 from aiorts.late import dataclass
 
-_LARGEST: Final = 65_536
+_LARGEST: Final = 1_048_576
 _LONGEST: Final = 2_000
 
 
@@ -62,7 +62,7 @@ class Wish:
 
 def packed(values: list[Any]) -> bytes:
     """These plain values as one frame."""
-    frame: bytes = msgpack.packb(values)
+    frame: bytes = msgpack.Packer().pack(values)
     return frame
 
 

@@ -62,7 +62,7 @@ class Stream:
         self._waiting: deque[memoryview] = deque()
         self._waits = 0
         """Bytes in `_waiting`."""
-        self._refused = False
+        self._refused = self._broken = self._reset = False
         self.closed = False
         sock.setblocking(False)
         loop.add_reader(sock.fileno(), self._readable)
@@ -71,7 +71,7 @@ class Stream:
 
     def send(self, kind: int, number: int, body: Buffer, parts: Sequence[memoryview] = ()) -> bool:
         """Send a message; False: it was not taken, since too much waits or the connection is over."""
-        if self.closed:
+        if self.closed or self._broken:
             return False
         if self._waits >= _FULL:
             self._refused = True
@@ -86,8 +86,8 @@ class Stream:
             vectors = [memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)]
         if not self._waiting:
             vectors = self._send_now(vectors)
-            if not vectors or self.closed:
-                return not self.closed
+            if not vectors:
+                return not self._broken
             self._loop.add_writer(self._socket.fileno(), self._writable)
         self._waiting.extend(vectors)
         self._waits += sum(map(len, vectors))
@@ -100,8 +100,9 @@ class Stream:
                 sent = self._socket.sendmsg(vectors[:_VECTORS])
             except (BlockingIOError, InterruptedError):
                 return vectors
-            except OSError as error:
-                self._end(error.strerror or "broken")
+            except OSError:
+                # What the other end said last may still be read, and that it has ended.
+                self._broken = True
                 return []
             place = 0
             while place < len(vectors) and sent >= len(vectors[place]):
@@ -117,8 +118,8 @@ class Stream:
         while waiting:
             vectors = [waiting.popleft() for _ in range(min(_VECTORS, len(waiting)))]
             left = self._send_now(vectors)
-            if self.closed:
-                return
+            if self._broken:
+                waiting.clear()
             waiting.extendleft(reversed(left))
             if left:
                 break
@@ -140,7 +141,12 @@ class Stream:
                 data = self._socket.recv(_AT_ONCE)
                 count = len(data)
         except (BlockingIOError, InterruptedError):
-            return
+            return None
+        except ConnectionResetError:
+            if not self._reset:
+                self._reset = True  # it ended with something unread; what it said before that is still there
+                return None
+            return self._end("it has ended")
         except OSError as error:
             return self._end(error.strerror or "broken")
         if not count:

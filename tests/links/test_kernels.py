@@ -169,7 +169,7 @@ async def test_a_flush_to_a_kernel_that_is_not_there_writes_nothing_when_it_time
 @pytest.mark.parametrize(
     ("writer", "port", "said"),
     [
-        (Source, "two/reals0.inp", r"sends TimedLong, two/reals0\.inp takes TimedDouble"),
+        (Source, "two/reals0.inp", r"the writer sends 'TimedLong', the reader takes TimedDouble"),
         (Metres, "two/seconds0.inp", r"units differ: .* sends 'm', .* takes 's'"),
         (Source, "two/sink0.imp", r"sink0 has no port 'imp'; did you mean 'inp'"),
     ],
