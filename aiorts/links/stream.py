@@ -141,12 +141,13 @@ class Stream:
                 data = self._socket.recv(_AT_ONCE)
                 count = len(data)
         except (BlockingIOError, InterruptedError):
-            return None
+            return self._end("it has ended") if self._reset else None
         except ConnectionResetError:
-            if not self._reset:
-                self._reset = True  # it ended with something unread; what it said before that is still there
-                return None
-            return self._end("it has ended")
+            if self._reset:
+                return self._end("it has ended")
+            # It ended with something unread, and what it said before that is still there. Not every loop calls again.
+            self._reset = True
+            return self._readable()
         except OSError as error:
             return self._end(error.strerror or "broken")
         if not count:
@@ -164,7 +165,7 @@ class Stream:
             return self._end(f"it does not speak this protocol: {error}")
         if messages:
             self._arrived(messages)
-        return None
+        return self._readable() if self._reset and not self.closed else None
 
     def _cut(self, data: bytes, messages: list[Message]) -> None:
         """The messages in what has come, and what is left of the next one."""
