@@ -23,7 +23,7 @@ from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links.layout import difference, layout_of
-from aiorts.links.messages import Answer, Wish
+from aiorts.links.messages import Answer, LinkRequest
 from aiorts.links.reader_link import ReaderLink
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.transports import find_transport
@@ -137,7 +137,7 @@ class Links(KernelService):
     async def _open(self) -> None:
         transport = self._transport = self._transport or find_transport(self._settings.transport, self.kernel.plugins)
         transport.answer("offer", self._offered)
-        transport.answer("wish", self._wished)
+        transport.answer("request", self._requested)
         transport.answer("come", self._come)
         await transport.open(_Face(self))
         transport.presence(self._present)
@@ -347,7 +347,7 @@ class Links(KernelService):
             if isinstance(link, WriterLink):
                 await self._offer(link, peer)
             else:
-                await self._wish(link, peer)
+                await self._request(link, peer)
         except LinkError as error:
             link.why = str(error)
             self._retry(link)
@@ -396,11 +396,11 @@ class Links(KernelService):
         link.connect(channel, answer.number, answer.epoch)
         return None
 
-    async def _wish(self, link: ReaderLink, peer: Peer) -> None:
+    async def _request(self, link: ReaderLink, peer: Peer) -> None:
         assert self._transport is not None  # noqa: S101 - it is open
         connector = link.connector
-        wish = Wish(self._here(connector.out), self._here(connector.in_), chosen_options(connector.profile))
-        answer = Answer.from_bytes(await self._transport.ask(peer, "wish", wish.to_bytes(), within=_ASK_SECONDS))
+        request = LinkRequest(self._here(connector.out), self._here(connector.in_), chosen_options(connector.profile))
+        answer = Answer.from_bytes(await self._transport.ask(peer, "request", request.to_bytes(), within=_ASK_SECONDS))
         if answer.absent or answer.refused:
             self._not_now(link, answer)
 
@@ -469,22 +469,22 @@ class Links(KernelService):
             return
         link.connect(channel, offer.number, offer.writer_epoch)
 
-    async def _wished(self, body: bytes, caller: Caller) -> bytes:
+    async def _requested(self, body: bytes, caller: Caller) -> bytes:
         """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
-        wish = Wish.from_bytes(body)
-        writer = Path.parse(wish.writer)
+        request = LinkRequest.from_bytes(body)
+        writer = Path.parse(request.writer)
         found = self._there(writer, caller)
         if isinstance(found, Answer):
             return found.to_bytes()
         if not isinstance(found, OutPort):
-            return Answer(refused=f"{wish.writer}: is no out-port").to_bytes()
+            return Answer(refused=f"{request.writer}: is no out-port").to_bytes()
         for connector, link in self._writers.items():
-            if connector.out is found and connector.in_.path == wish.reader:
+            if connector.out is found and connector.in_.path == request.reader:
                 self._try(link)
                 return Answer().to_bytes()
         self._accepting = True
         try:
-            self.kernel.connections.make((found, wish.reader), wish.options)
+            self.kernel.connections.make((found, request.reader), request.options)
         except AiortsError as error:
             return Answer(refused=str(error)).to_bytes()
         finally:

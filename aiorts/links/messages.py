@@ -15,7 +15,7 @@ _LONGEST: Final = 2_000
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What becomes of an offer, or of a wish for one."""
+    """What becomes of an offer, or of a request for one."""
 
     number: int = 0
     """That the frames of the link carry; 0 where nothing came of it."""
@@ -40,7 +40,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class LinkRequest:
     """Asks a kernel to connect one of its out-ports with an in-port of the kernel that asks."""
 
     writer: str
@@ -48,15 +48,15 @@ class Wish:
     options: dict[str, Any]
 
     def to_bytes(self) -> bytes:
-        """The wish as one frame."""
+        """The request as one frame."""
         return packed([self.writer, self.reader, self.options])
 
     @classmethod
-    def from_bytes(cls, body: bytes) -> Wish:
-        """The wish of a frame. LinkError: it is none."""
+    def from_bytes(cls, body: bytes) -> LinkRequest:
+        """The request of a frame. LinkError: it is none."""
         writer, reader, options = fields(body, (str, str, dict))
         if not all(isinstance(key, str) for key in options):
-            raise LinkError("a wish whose options are not named by texts")
+            raise LinkError("a request whose options are not named by texts")
         return cls(writer, reader, options)
 
 

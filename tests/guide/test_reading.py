@@ -99,8 +99,9 @@ QUESTIONS = {
     "my own binary format": "write-codec",
     "options of aiorts run for my service": "write-service",
     "benchmark my own code": "write-bench",
+    "two processes": "connect-processes",
 }
-DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote", "network", "two processes")
+DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote", "network")
 
 
 @pytest.mark.parametrize("question", DISTRIBUTION)

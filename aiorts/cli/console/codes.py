@@ -296,7 +296,7 @@ CODES: Final[dict[str, Code]] = {
     ),
     "W-LINK": Code(
         "A link to another kernel waits, was lost, or was ended by the other end.",
-        "The other kernel or component is not there, or somebody has disconnected it.",
+        "The other kernel or component is not there, or its user has disconnected it.",
         "Start the other kernel: the link goes on by itself; on_link_lost says what happens otherwise.",
     ),
     "E-WRITE-TIMEOUT": Code(
