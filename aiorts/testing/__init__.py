@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from aiorts.testing.context_checks import CONTEXT_CHECKS, check_context
     from aiorts.testing.converter_checks import CONVERTER_CHECKS, check_converter
     from aiorts.testing.decorator import simulated
+    from aiorts.testing.memory_links import MemoryNetwork
     from aiorts.testing.rig import Caught, Rig
     from aiorts.testing.samples import difference
     from aiorts.testing.service_checks import SERVICE_CHECKS, check_service
     from aiorts.testing.simulation import SimulatedLoop, current_clock, simulate
+    from aiorts.testing.transport_checks import TRANSPORT_CHECKS, check_transport
 
 __all__ = (
     "CODEC_CHECKS",
@@ -29,11 +31,13 @@ __all__ = (
     "CONTEXT_CHECKS",
     "CONVERTER_CHECKS",
     "SERVICE_CHECKS",
+    "TRANSPORT_CHECKS",
     "Caught",
     "ChartCoverage",
     "ChartPath",
     "ChartPaths",
     "ConformanceError",
+    "MemoryNetwork",
     "Move",
     "Rig",
     "SimulatedLoop",
@@ -44,6 +48,7 @@ __all__ = (
     "check_context",
     "check_converter",
     "check_service",
+    "check_transport",
     "current_clock",
     "difference",
     "faults",
@@ -60,11 +65,13 @@ _late(
         "aiorts.testing.conformance": "ConformanceError",
         "aiorts.testing.context_checks": "CONTEXT_CHECKS check_context",
         "aiorts.testing.converter_checks": "CONVERTER_CHECKS check_converter",
+        "aiorts.testing.memory_links": "MemoryNetwork",
         "aiorts.testing.rig": "Caught Rig",
         "aiorts.testing.samples": "difference",
         "aiorts.testing.service_checks": "SERVICE_CHECKS check_service",
         "aiorts.testing.decorator": "simulated",
         "aiorts.testing.simulation": "SimulatedLoop current_clock simulate",
+        "aiorts.testing.transport_checks": "TRANSPORT_CHECKS check_transport",
     },
     modules=("faults",),
 )

@@ -1,0 +1,394 @@
+"""A transport between kernels of one loop, whose faults are asked for and come again with the same seed.
+
+    network = MemoryNetwork(seed=7, loss=0.1, duplicate=0.05)
+    one.service(Links).use(network.transport("one"))
+    two.service(Links).use(network.transport("two"))
+
+It goes by the time of the loop, so in a simulated loop it goes by virtual time. Faults hit the frames of channels
+alone: questions and answers are delayed, and lost only with the connection.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import heapq
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from itertools import count
+from random import Random
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from aiorts.errors import AiortsError, LinkError, LinkTimeout
+from aiorts.links import Caller, Peer
+
+if TYPE_CHECKING:
+    from aiorts.links import Channel, ChannelEvents, KernelFace, LinkOffer, Transport
+
+_FULL: Final = 1 << 20
+"""Bytes of a channel under way beyond which it takes no more."""
+_ASKED: Final = 1_000
+"""Questions of one kernel that are not answered yet, at the most."""
+_OVERTAKEN: Final = 0.02
+"""Seconds by which a frame that others overtake is late, at the most."""
+_HOST: Final = "memory"
+
+_Handler = Callable[[bytes, Caller], Awaitable[bytes]]
+_Frame = tuple[bytes, tuple[memoryview, ...]]
+
+
+class MemoryNetwork:
+    """Kernels that reach each other in memory, and what goes wrong between them.
+
+    `loss`, `duplicate`, `reorder` and `delay` can be set at any time; they hold for frames that are sent from then on.
+
+    Args:
+        seed: decides which frames are hit.
+        loss: the share of frames that never arrive. duplicate: the share that arrives twice.
+        reorder: the share that is up to 20 ms late, so that others overtake it.
+        delay: seconds that everything is under way.
+    """
+
+    def __init__(
+        self, seed: int = 0, *, loss: float = 0.0, duplicate: float = 0.0, reorder: float = 0.0, delay: float = 0.0
+    ) -> None:
+        self.loss, self.duplicate, self.reorder, self.delay = loss, duplicate, reorder, delay
+        self._random = Random(seed)  # noqa: S311 - which frames are hit is no secret
+        self._open: dict[str, _MemoryTransport] = {}
+        self._cuts: set[frozenset[str]] = set()
+        self._stopped: set[str] = set()
+
+    def transport(self, kernel: str) -> Transport:
+        """A new transport for the kernel that others reach by this name; for each start of a kernel another one."""
+        return _MemoryTransport(self, kernel)
+
+    def cut(self, one: str, other: str) -> None:
+        """End the connection of two kernels, with all that is under way, until `restore`."""
+        self._cuts.add(frozenset((one, other)))
+        if one in self._open and other in self._open:
+            self._open[one].part(self._open[other], "the connection is cut")
+
+    def restore(self, one: str, other: str) -> None:
+        """Let two kernels find each other again."""
+        self._cuts.discard(frozenset((one, other)))
+        if one in self._open and other in self._open:
+            self._open[one].meet(self._open[other])
+
+    def stop(self, kernel: str) -> None:
+        """Deliver nothing to a kernel, and nothing of what it sends, until `go`; no connection ends by that."""
+        self._stopped.add(kernel)
+
+    def go(self, kernel: str) -> None:
+        """Deliver what has waited since `stop`."""
+        self._stopped.discard(kernel)
+        for transport in self._open.values():
+            transport.wake()
+
+    # -- for its transports ----------------------------------------------------------------------------------------
+
+    def stands(self, *transports: _MemoryTransport) -> bool:
+        """Whether one of them is stopped."""
+        return any(one.name in self._stopped for one in transports)
+
+    def enter(self, newcomer: _MemoryTransport) -> None:
+        """Let all that are open find it. LinkError: one of that name is open."""
+        if newcomer.name in self._open:
+            raise LinkError(f"a kernel named {newcomer.name!r} runs already; give this one another name")
+        others = tuple(self._open.values())
+        self._open[newcomer.name] = newcomer
+        for other in others:
+            if frozenset((newcomer.name, other.name)) not in self._cuts:
+                newcomer.meet(other)
+
+    def leave(self, transport: _MemoryTransport) -> None:
+        """Let nobody find it any more."""
+        if self._open.get(transport.name) is transport:
+            del self._open[transport.name]
+
+    def delays(self) -> list[float]:
+        """When the copies of the next frame arrive, in seconds from now: one, two or none."""
+        draw = self._random.random
+        copies = 0 if draw() < self.loss else 2 if draw() < self.duplicate else 1
+        return [self.delay + (draw() * _OVERTAKEN if draw() < self.reorder else 0.0) for _ in range(copies)]
+
+
+class _Sent(NamedTuple):
+    """A frame under way."""
+
+    channel: _MemoryChannel
+    frame: _Frame
+    size: int
+
+
+class _Line:
+    """What is under way from one kernel to another."""
+
+    def __init__(self, network: MemoryNetwork, near: _MemoryTransport, far: _MemoryTransport) -> None:
+        self._network, self._near, self.far = network, near, far
+        self._under_way: list[tuple[float, int, _Sent | Callable[[], None]]] = []
+        self._numbers = count()
+        self._timer: asyncio.TimerHandle | None = None
+        self.asked: dict[int, asyncio.Future[bytes]] = {}
+        self.ended = False
+
+    def put(self, what: _Sent | Callable[[], None], seconds: float) -> None:
+        """Deliver a frame, or call, so many seconds later; never once the line has ended."""
+        if self.ended:
+            return
+        heapq.heappush(self._under_way, (self._near.loop.time() + seconds, next(self._numbers), what))
+        self.wake()
+
+    def wake(self) -> None:
+        """Wait for the first of what is under way."""
+        if self._under_way and (self._timer is None or self._under_way[0][0] < self._timer.when()):
+            self._stop_waiting()
+            self._timer = self._near.loop.call_at(self._under_way[0][0], self._deliver)
+
+    def _stop_waiting(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _deliver(self) -> None:
+        self._timer = None
+        if self._network.stands(self._near, self.far):
+            return
+        now = self._near.loop.time()
+        arrived: dict[tuple[bool, int], list[_Frame]] = {}
+        while self._under_way and self._under_way[0][0] <= now:
+            what = heapq.heappop(self._under_way)[2]
+            if isinstance(what, _Sent):
+                what.channel.is_delivered(what.size)
+                arrived.setdefault(what.channel.far_key, []).append(what.frame)
+            else:
+                what()
+        self.wake()
+        for key, frames in arrived.items():
+            self.far.take(self._near.peer, key, frames)
+
+    def end(self, why: str) -> None:
+        """Lose all that is under way; questions are not answered any more."""
+        self.ended = True
+        self._stop_waiting()
+        self._under_way.clear()
+        for future in self.asked.values():
+            if not future.done():
+                future.set_exception(LinkError(f"{self.far.name}: {why}"))
+        self.asked.clear()
+
+
+class _MemoryTransport:
+    """One kernel's side of a `MemoryNetwork`. See `aiorts.links.Transport`."""
+
+    def __init__(self, network: MemoryNetwork, name: str) -> None:
+        self.network, self.name = network, name
+        self.peer = Peer(_HOST, name, 0)
+        self.loop: asyncio.AbstractEventLoop
+        self._kernel: KernelFace
+        self._lines: dict[Peer, _Line] = {}
+        self._told: dict[Peer, None] = {}
+        """The peers that are up, as far as was told."""
+        self._tells: list[Callable[[Peer, bool], None]] = []
+        self._handlers: dict[str, _Handler] = {}
+        self._channels: dict[tuple[Peer, bool, int], _MemoryChannel] = {}
+        """By peer, whether this is the writer's end, and number."""
+        self._notices: deque[Callable[[], None]] = deque()
+        """What its kernel is told next, in this order, in steps of the loop's own."""
+        self._questions = count(1)
+
+    async def open(self, kernel: KernelFace) -> None:
+        """See `Transport`. LinkError: the kernel has another name than this transport, or one of that name is open."""
+        if kernel.name != self.name:
+            raise LinkError(f"the transport of {self.name!r} was given to the kernel {kernel.name!r}")
+        self._kernel, self.loop = kernel, asyncio.get_running_loop()
+        self.peer = Peer(_HOST, self.name, kernel.epoch)
+        self.network.enter(self)
+
+    async def close(self) -> None:
+        """See `Transport`."""
+        self.network.leave(self)
+        self._tells.clear()
+        self._channels.clear()
+        for line in tuple(self._lines.values()):
+            self.part(line.far, "it has ended")
+        self._notices.clear()
+
+    # -- other kernels ---------------------------------------------------------------------------------------------
+
+    def meet(self, other: _MemoryTransport) -> None:
+        """Connect the two, unless they are connected."""
+        if other.peer not in self._lines:
+            for near, far in ((self, other), (other, self)):
+                near._lines[far.peer] = _Line(self.network, near, far)
+                near.tell(partial(near._present, far.peer, True))
+
+    def part(self, other: _MemoryTransport, why: str) -> None:
+        """End their connection, if there is one."""
+        for near, far in ((self, other), (other, self)):
+            if (line := near._lines.pop(far.peer, None)) is not None:
+                line.end(why)
+                near.tell(partial(near._present, far.peer, False))
+                for channel in [one for key, one in near._channels.items() if key[0] == far.peer]:
+                    channel.end(f"{far.name}: {why}")
+
+    def tell(self, notice: Callable[[], None]) -> None:
+        """Call it in a step of the loop of its own, after those before it; not before `go` while this is stopped."""
+        self._notices.append(notice)
+        self.loop.call_soon(self._tell_next)
+
+    def _tell_next(self) -> None:
+        if self._notices and not self.network.stands(self):
+            self._notices.popleft()()
+
+    def wake(self) -> None:
+        """Go on after `go`."""
+        for _ in self._notices:
+            self.loop.call_soon(self._tell_next)
+        for line in self._lines.values():
+            line.wake()
+
+    def _present(self, peer: Peer, up: bool) -> None:
+        if up:
+            self._told[peer] = None
+        else:
+            self._told.pop(peer, None)
+        for tell in tuple(self._tells):
+            tell(peer, up)
+
+    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
+        """See `Transport`."""
+        self._tells.append(tell)
+        for peer in tuple(self._told):
+            tell(peer, True)
+        return lambda: self._tells.remove(tell) if tell in self._tells else None
+
+    def line_to(self, peer: Peer) -> _Line:
+        """The line to a kernel. LinkError: there is none."""
+        if (line := self._lines.get(peer)) is None:
+            raise LinkError(f"{peer.kernel}: is gone")
+        return line
+
+    # -- channels --------------------------------------------------------------------------------------------------
+
+    async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Channel:
+        """See `Transport`. LinkError: the other kernel is gone."""
+        writes = offer.writer.kernel == self.name
+        name = (offer.reader if writes else offer.writer).kernel
+        peer = next((one for one in self._lines if one.kernel == name), None)
+        if peer is None:
+            raise LinkError(f"{name}: is gone")
+        key = (peer, writes, offer.number)
+        channel = self._channels[key] = _MemoryChannel(self, key, events)
+        return channel
+
+    def forget(self, key: tuple[Peer, bool, int], channel: _MemoryChannel) -> None:
+        """Deliver nothing more to a channel."""
+        if self._channels.get(key) is channel:
+            del self._channels[key]
+
+    def take(self, peer: Peer, key: tuple[bool, int], frames: list[_Frame]) -> None:
+        """Frames have arrived; those of a channel that is not open here are lost."""
+        if (channel := self._channels.get((peer, *key))) is not None:
+            channel.events.on_frames(frames)
+
+    # -- questions -------------------------------------------------------------------------------------------------
+
+    async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
+        """See `Transport`. LinkTimeout: no answer came in time. LinkError: the kernel is gone, or refuses."""
+        line = self.line_to(peer)
+        if len(line.asked) >= _ASKED:
+            raise LinkError(f"{peer.kernel}: {_ASKED} questions are not answered yet")
+        number = next(self._questions)
+        future: asyncio.Future[bytes] = self.loop.create_future()
+        line.asked[number] = future
+        line.put(partial(line.far.hear, self, number, what, bytes(body)), self.network.delay)
+        try:
+            async with asyncio.timeout(within):
+                return await future
+        except TimeoutError:
+            raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s") from None
+        finally:
+            line.asked.pop(number, None)
+
+    def answer(self, what: str, handler: _Handler) -> None:
+        """See `Transport`."""
+        self._handlers[what] = handler
+
+    def hear(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
+        """A question has arrived."""
+        self._kernel.run_in_background(self._reply(asker, number, what, body), f"aiorts answer {what:.20}")
+
+    async def _reply(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
+        result: bytes | LinkError
+        try:
+            if (handler := self._handlers.get(what)) is None:
+                raise LinkError(f"does not know the question {what!r:.60}")
+            result = await handler(body, Caller(asker.peer, f"memory {asker.name}"))
+        except AiortsError as error:
+            result = LinkError(f"{self.name}: {error}")
+        if (line := self._lines.get(asker.peer)) is not None:
+            line.put(partial(asker.settle, self.peer, number, result), self.network.delay)
+
+    def settle(self, peer: Peer, number: int, result: bytes | LinkError) -> None:
+        """An answer has arrived; one that comes too late is ignored."""
+        line = self._lines.get(peer)
+        future = line.asked.get(number) if line is not None else None
+        if future is None or future.done():
+            return
+        if isinstance(result, LinkError):
+            future.set_exception(result)
+        else:
+            future.set_result(result)
+
+
+class _MemoryChannel:
+    """One end of a channel. See `aiorts.links.Channel`."""
+
+    def __init__(self, transport: _MemoryTransport, key: tuple[Peer, bool, int], events: ChannelEvents) -> None:
+        self.events = events
+        self._transport, self._key = transport, key
+        self._line = transport.line_to(key[0])
+        self.far_key = (not key[1], key[2])
+        self._under_way = 0
+        """Bytes."""
+        self._refused = False
+        self._is_open = True
+
+    def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
+        if not self._is_open or self._line.ended:
+            return False
+        if self._under_way > _FULL:
+            self._refused = True
+            return False
+        # Copies, since the sender may write to its buffers afterwards.
+        frame = bytes(head), tuple(memoryview(part.tobytes()) for part in parts)
+        size = len(head) + sum(part.nbytes for part in parts)
+        for seconds in self._transport.network.delays():
+            self._under_way += size
+            self._line.put(_Sent(self, frame, size), seconds)
+        return True
+
+    def is_delivered(self, size: int) -> None:
+        """A frame is no longer under way."""
+        self._under_way -= size
+        if self._refused and self._under_way <= _FULL // 2:
+            self._refused = False
+            self._transport.tell(self._room)
+
+    def _room(self) -> None:
+        if self._is_open:
+            self.events.on_room()
+
+    def end(self, why: str) -> None:
+        """The connection is over."""
+        self._transport.forget(self._key, self)
+        self._transport.tell(partial(self._down, why))
+
+    def _down(self, why: str) -> None:
+        if self._is_open:
+            self._is_open = False
+            self.events.on_state(False, why)
+
+    def close(self) -> None:
+        self._is_open = False
+        self._transport.forget(self._key, self)
