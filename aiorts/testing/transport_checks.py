@@ -449,6 +449,7 @@ async def ends_in_time(pair: _Pair) -> None:
 
     pair.two.answer("never", never)
     asked = asyncio.ensure_future(pair.one.ask(pair.peer_of_two, "never", b"", within=600.0))
+    asked.add_done_callback(lambda task: task.cancelled() or task.exception())
     await _until(lambda: bool(pair.faces[1].tasks), "the question to arrive")
     sent = 0
     while sent < _ENDLESS and writer.send(bytes(65_536)):
