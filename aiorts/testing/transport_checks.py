@@ -202,7 +202,8 @@ async def _until(met: Callable[[], bool], expected: str, step: Callable[[], obje
 
 async def _closed(transport: Transport) -> None:
     try:
-        await asyncio.wait_for(transport.close(), _CLOSE_SECONDS)
+        async with asyncio.timeout(_CLOSE_SECONDS):
+            await transport.close()
     except TimeoutError:
         expect(False, f"close to end within {_CLOSE_SECONDS:g} s", "it did not")
 
@@ -416,6 +417,7 @@ async def tells_of_the_end(pair: _Pair) -> None:
     writer, _reader = await pair.channel()
     peer = pair.peer_of_two
     await _closed(pair.two)
+    writer.send(b"too early to know")  # it may find out here, but has to say so later
     await _until(lambda: bool(writer.events.ends), "on_state(False, why)")
     expect(bool(writer.events.ends[0]), "a reason", "none")
     expect(not writer.send(b"nobody"), "send to take nothing any more", "True")
