@@ -86,11 +86,11 @@ class MemoryNetwork:
 
     # -- for its transports ----------------------------------------------------------------------------------------
 
-    def stands(self, *transports: _MemoryTransport) -> bool:
+    def _stands(self, *transports: _MemoryTransport) -> bool:
         """Whether one of them is stopped."""
         return any(one.name in self._stopped for one in transports)
 
-    def enter(self, newcomer: _MemoryTransport) -> None:
+    def _enter(self, newcomer: _MemoryTransport) -> None:
         """Let all that are open find it. LinkError: one of that name is open."""
         if newcomer.name in self._open:
             raise LinkError(f"a kernel named {newcomer.name!r} runs already; give this one another name")
@@ -100,12 +100,12 @@ class MemoryNetwork:
             if frozenset((newcomer.name, other.name)) not in self._cuts:
                 newcomer.meet(other)
 
-    def leave(self, transport: _MemoryTransport) -> None:
-        """Let nobody find it any more."""
+    def _leave(self, transport: _MemoryTransport) -> None:
+        """Let no other kernel find it any more."""
         if self._open.get(transport.name) is transport:
             del self._open[transport.name]
 
-    def delays(self) -> list[float]:
+    def _delays(self) -> list[float]:
         """When the copies of the next frame arrive, in seconds from now: one, two or none."""
         draw = self._random.random
         copies = 0 if draw() < self.loss else 2 if draw() < self.duplicate else 1
@@ -202,11 +202,11 @@ class _MemoryTransport:
             raise LinkError(f"the transport of {self.name!r} was given to the kernel {kernel.name!r}")
         self._kernel, self.loop = kernel, asyncio.get_running_loop()
         self.peer = Peer(_HOST, self.name, kernel.epoch)
-        self.network.enter(self)
+        self.network._enter(self)
 
     async def close(self) -> None:
         """See `Transport`."""
-        self.network.leave(self)
+        self.network._leave(self)
         self._tells.clear()
         self._channels.clear()
         for line in tuple(self._lines.values()):
@@ -237,7 +237,7 @@ class _MemoryTransport:
         self.loop.call_soon(self._tell_next)
 
     def _tell_next(self) -> None:
-        if self._notices and not self.network.stands(self):
+        if self._notices and not self.network._stands(self):
             self._notices.popleft()()
 
     def wake(self) -> None:
@@ -363,7 +363,7 @@ class _MemoryChannel:
         # Copies, since the sender may write to its buffers afterwards.
         frame = bytes(head), tuple(memoryview(part.tobytes()) for part in parts)
         size = len(head) + sum(part.nbytes for part in parts)
-        for seconds in self._transport.network.delays():
+        for seconds in self._transport.network._delays():
             self._under_way += size
             self._line.put(_Sent(self, frame, size), seconds)
         return True

@@ -54,7 +54,7 @@ def check_transport(
 
     Args:
         make_pair: makes two transports that are not open yet, for kernels named "one" and "two" that can reach each
-            other and are reached by nobody else. It is called once for each check.
+            other and no further kernel. It is called once for each check.
         simulated: play in virtual time; only for transports without sockets and threads.
         only: names of the checks to run; by default all. skip: names of checks to leave out.
 
@@ -76,7 +76,7 @@ class _Face:
         return self.tasks[-1]
 
     def report(self, text: str) -> None:
-        """Reports are nobody's business here."""
+        """Reports are not looked at."""
 
 
 class _Events:
@@ -150,7 +150,7 @@ class _Pair:
         for transport, face, told in zip((self.one, self.two), self.faces, self.told, strict=True):
             await asyncio.wait_for(transport.open(face), _WAIT_SECONDS)
             transport.presence(lambda peer, up, told=told: told.append((peer, up)))  # type: ignore[misc]
-        await _until(lambda: all(self.told), "both kernels told that the other is up")
+        await _until(lambda: all(self.told), "presence of the other at both kernels")
 
     @property
     def peer_of_two(self) -> Peer:
@@ -242,15 +242,15 @@ async def finds_the_other_kernel(pair: _Pair) -> None:
     late: list[tuple[Peer, bool]] = []
     pair.one.presence(lambda peer, up: late.append((peer, up)))
     before = len(undone)
-    await _until(lambda: bool(late), "who asks later told as well")
+    await _until(lambda: bool(late), "presence for who asks later")
     await asyncio.sleep(_QUIET_SECONDS)
     for told, name, epoch in zip((*pair.told, late), ("two", "one", "two"), (22, 11, 22), strict=True):
         got = [(peer.kernel, peer.epoch, up) for peer, up in told]
-        expect(got == [(name, epoch, True)], f"{name} of epoch {epoch} told once", got)
+        expect(got == [(name, epoch, True)], f"{name} of epoch {epoch} once", got)
     await _closed(pair.two)
-    await _until(lambda: len(pair.told[0]) > 1, "the end of a kernel told")
-    expect(pair.told[0][1:] == [(pair.peer_of_two, False)], "the end told once", pair.told[0][1:])
-    expect(len(undone) == before, "nothing told when it was undone", undone[before:])
+    await _until(lambda: len(pair.told[0]) > 1, "presence of the end of a kernel")
+    expect(pair.told[0][1:] == [(pair.peer_of_two, False)], "the end once", pair.told[0][1:])
+    expect(len(undone) == before, "nothing when it was undone", undone[before:])
 
 
 @_played
@@ -389,7 +389,7 @@ async def _refusal(pair: _Pair, what: str) -> str:
 
 @_played
 async def keeps_to_its_time(pair: _Pair) -> None:
-    """A question without an answer ends in LinkTimeout when its time is over, and its late answer disturbs nobody."""
+    """A question without an answer ends in LinkTimeout when its time is over, and its late answer is ignored."""
     held = asyncio.Event()
 
     async def hold(body: bytes, caller: Caller) -> bytes:
@@ -420,7 +420,7 @@ async def tells_of_the_end(pair: _Pair) -> None:
     writer.send(b"too early to know")  # it may find out here, but has to say so later
     await _until(lambda: bool(writer.events.ends), "on_state(False, why)")
     expect(bool(writer.events.ends[0]), "a reason", "none")
-    expect(not writer.send(b"nobody"), "send to take nothing any more", "True")
+    expect(not writer.send(b"gone"), "send to take nothing any more", "True")
     try:
         await pair.one.ask(peer, "anything", b"", within=_WAIT_SECONDS)
     except LinkTimeout:
@@ -434,7 +434,7 @@ async def tells_of_the_end(pair: _Pair) -> None:
     except LinkError:
         pass
     else:
-        expect(False, "LinkError for a channel to nobody", "a channel")
+        expect(False, "LinkError for a channel to a kernel that has ended", "a channel")
     await asyncio.sleep(_QUIET_SECONDS)
     expect(len(writer.events.ends) == 1, "one on_state(False, why)", len(writer.events.ends))
 
