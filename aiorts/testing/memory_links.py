@@ -151,7 +151,7 @@ class _Line:
 
     def _deliver(self) -> None:
         self._timer = None
-        if self._network.stands(self._near, self.far):
+        if self._network._stands(self._near, self.far):
             return
         now = self._near.loop.time()
         arrived: dict[tuple[bool, int], list[_Frame]] = {}
