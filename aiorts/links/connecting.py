@@ -19,6 +19,7 @@ from aiorts.kernel.loop.bus import Disconnected
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports import InPort, OutPort, Port
+from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
@@ -48,6 +49,8 @@ _WINDOW_BYTES: Final = 8 << 20
 _ASK_SECONDS: Final = 2.0
 _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
 """Seconds until an offer without an answer is made again."""
+_READ_SECONDS: Final = 0.05
+"""How often it is looked whether a connector without a writer was read empty."""
 _LAST_SECONDS: Final = 1.0
 """How long a kernel that ends waits for acknowledgements."""
 _AWAITED: Final = 10_000
@@ -282,7 +285,17 @@ class Links(KernelService):
     def _ended(self, link: Link) -> None:
         """The other end was disconnected."""
         _LOG.warning("W-LINK: %s: was disconnected by %s", link.connector.name, self._far(link))
-        self.kernel.connections.end(link.connector)
+        self._end_when_read(link)
+
+    def _end_when_read(self, link: Link) -> None:
+        """End the connector; one of a reader stays until what has come is read."""
+        connector = link.connector
+        if connector.closed or self.kernel.closed:
+            return
+        if isinstance(link, ReaderLink) and (link.busy or unread_of(connector)):
+            self.kernel.call_later(_READ_SECONDS, lambda: self._end_when_read(link))
+        else:
+            self.kernel.connections.end(connector)
 
     def _end_closed(self) -> None:
         for connector in [one for one in (*self._writers, *self._readers) if one.closed]:

@@ -56,6 +56,11 @@ class ReaderLink:
         """Whether it has a channel."""
         return self._channel is not None
 
+    @property
+    def busy(self) -> bool:
+        """Whether samples that have come wait for room in the reader's buffer."""
+        return bool(self._waits or self.end.held)
+
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         """Receive over this channel from now on the frames that carry `number`."""
         self._channel, self.why = channel, ""

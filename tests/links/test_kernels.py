@@ -271,6 +271,23 @@ async def test_the_end_of_a_connector_at_one_end_is_its_end_at_the_other(end: st
         await until(lambda: not one.connectors and not two.connectors)
 
 
+async def test_what_has_come_can_be_read_after_the_writer_has_ended() -> None:
+    async with reachable("two") as two:
+        sink = await two.add(Sink())
+        async with Kernel("one") as one:
+            source = await one.add(Source())
+            await one.connect(source.out, "two/sink0.inp", length=4, full="block", timeout=None)
+            for value in range(20):
+                await source.out.write(long(value))
+        await sleep(0.2)
+        seen = []
+        with fail_after(10):
+            while len(seen) < 20:
+                seen.append((await sink.inp.read()).data)
+        assert seen == list(range(20))
+        await until(lambda: not two.connectors)
+
+
 async def test_two_connectors_of_the_same_ports_need_to_be_allowed() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, sink = await one.add(Source()), await two.add(Sink())
