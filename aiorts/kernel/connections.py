@@ -133,6 +133,8 @@ class Connections:
             StateError: a real-time thread is at it.
         """
         self.check_mine(connector)
+        if connector.in_.is_far or connector.out.is_far:
+            raise StateError(f"{connector.name}: its other end is in another kernel; disconnect and connect anew")
         before, options = connector.profile, with_openrtm(options)
         profile = wiring.renewed_profile(connector, options)
         if profile == before:

@@ -21,6 +21,7 @@ from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
+from aiorts.kernel.ports.port_types import port_type
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links.layout import difference, layout_of
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.loop.deadlines import StopBudget
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.model.links import Buffer
     from aiorts.model.profile import ConnectorProfile
 
 Link: TypeAlias = "WriterLink | ReaderLink"
@@ -239,12 +241,20 @@ class Links(KernelService):
         return link
 
     def _read_end(self, connector: Connector) -> ReaderLink:
-        codec, kind = MsgpackCodec(), connector.in_.type
+        codec, kind, shape = MsgpackCodec(), connector.in_.type, connector.in_.shape
+        check_shape = port_type(kind).check_shape
+
+        def decode(head: Buffer, _parts: Sequence[Buffer]) -> Any:
+            sample = codec.decode(bytes(head), kind)
+            if shape is not None:
+                check_shape(sample, shape)
+            return sample
+
         link = self._readers[connector] = ReaderLink(
             self.kernel,
             connector,
             _epoch(),
-            lambda head, _parts: codec.decode(bytes(head), kind),
+            decode,
             lost=self._lost,
             ended=self._ended,
             report=_report,

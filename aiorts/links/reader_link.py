@@ -115,17 +115,16 @@ class ReaderLink:
                 return
             try:
                 record = decode(sample.head, sample.parts)
+                if transport.must_wait():
+                    self._wait(sample.ticket, record)
+                else:
+                    taken = out.write_nowait(record)
+                    end.done(self._now(), sample.ticket, "" if taken else "rejected")
             except AiortsError as error:
                 end.done(self._now(), sample.ticket, "undecodable")
                 if not self._undecodable:
                     self._undecodable = True
                     self._report(f"{self.connector.name}: dropped what cannot be decoded: {error}")
-                continue
-            if transport.must_wait():
-                self._wait(sample.ticket, record)
-            else:
-                taken = out.write_nowait(record)
-                end.done(self._now(), sample.ticket, "" if taken else "rejected")
 
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""

@@ -15,7 +15,7 @@ from anyio import WouldBlock, fail_after, sleep
 from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
 from aiorts.errors import LinkError, WiringError, WriteTimeout
 from aiorts.links import Links
-from aiorts.types import TimedDouble, TimedLong
+from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong
 
 pytestmark = pytest.mark.anyio
 
@@ -34,6 +34,14 @@ class Metres(Component):
 
 class Seconds(Component):
     inp = InPort(TimedLong, unit="s")
+
+
+class Three(Component):
+    inp = InPort(TimedDoubleSeq, shape=(3,))
+
+
+class Any3(Component):
+    out = OutPort(TimedDoubleSeq)
 
 
 class Reals(Component):
@@ -330,10 +338,26 @@ async def test_two_kernels_of_one_name_are_refused() -> None:
                 await other.connect(source.out, "one/sink0.inp")
 
 
+async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        writer, reader = await one.add(Any3()), await two.add(Three())
+        connector = await one.connect(writer.out, "two/three0.inp", length=2, full="block", timeout=None)
+        for length in (3, 2, 3, 4, 3):
+            await writer.out.write(TimedDoubleSeq(data=[1.0] * length))
+        seen = []
+        with fail_after(10):
+            while len(seen) < 3:
+                seen.append(len((await reader.inp.read()).data))
+        await until(lambda: not connector.statistics.in_flight)
+        assert seen == [3, 3, 3]
+        assert connector.statistics.dropped == {"undecodable": 2}
+        assert caplog.text.count("dropped what cannot be decoded") == 1
+
+
 async def test_arrays_travel_whole() -> None:
     import numpy as np
-
-    from aiorts.types import TimedDoubleSeq
 
     class Many(Component):
         out = OutPort(TimedDoubleSeq)
