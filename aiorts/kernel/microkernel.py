@@ -439,8 +439,8 @@ class Microkernel:
     ) -> Any:
         """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
 
-        A port is given itself or by its path ("pid0.command", see `find`). A type checker takes two paths for those of
-        data ports.
+        A port is given itself or by its path ("pid0.command", see `find`), one of another process by the name of its
+        kernel, too ("station/monitor.inp"). A type checker takes two paths for those of data ports.
 
         Returns the connector, or the `Connection` of them when more than two ports were given. Options
         (`aiorts.ConnectOptions` has their types; the same keys in system files and profiles; OpenRTM's keys are
@@ -460,6 +460,7 @@ class Microkernel:
                 sample in the write; or a text: "FILE.py:function", "package.module:function" or the name of a converter
                 that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
             measure: n, time the last n sends (`Connector.timing`) and the last n reads (`statistics.latency`, `.age`).
+            on_link_lost: of a port in another process, "wait" (default), "error" or "disconnect" when the link is lost.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
             adapt: True, where types, units or lengths differ, put the FlexiFilter between that `aiorts check` proposes,
                 before the reader in its context, active; the connector that is returned is the one to the reader.
@@ -472,6 +473,7 @@ class Microkernel:
             WiringError: says which ports or options do not go together and why; nothing was connected. With `adapt`
                 also: there are several ways (it names them), or the reader is in no context.
             PluginError: `convert` is a text that finds no converter, or no plugin offers one for `adapt`.
+            LinkError: other processes cannot be reached at all; a kernel that is not there yet is waited for.
         """
         self.check_open("connect")
         if isinstance(text := options.get("convert"), str):

@@ -13,7 +13,7 @@ import pytest
 from anyio import WouldBlock, fail_after, sleep
 
 from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
-from aiorts.errors import LinkError, WiringError, WriteTimeout
+from aiorts.errors import LinkError, StateError, WiringError, WriteTimeout
 from aiorts.links import Links
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong
 
@@ -354,6 +354,18 @@ async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_sa
         assert seen == [3, 3, 3]
         assert connector.statistics.dropped == {"undecodable": 2}
         assert caplog.text.count("dropped what cannot be decoded") == 1
+
+
+async def test_options_of_a_link_are_not_replaced_in_place() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, _ = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp")
+        with pytest.raises(StateError, match="its other end is in another kernel"):
+            one.connections.replace_options(connector, {"length": 3})
+        connector.change(length=3)
+        assert connector.profile.length == 3
+        assert source.out.write_nowait(long(1))
+        await until(lambda: connector.statistics.acknowledged == 1)
 
 
 async def test_arrays_travel_whole() -> None:
