@@ -58,6 +58,7 @@ class WriterLink:
         self._channel: Channel | None = None
         self._wakening = Wakening(kernel, self._poll)
         self._turn_due = self._taking = False
+        self._drains_full = profile.push is not Push.NEW
         self._acknowledged = 0
         self._dropped: dict[str, int] = {}
         self._confirmations: deque[Confirmation] = deque()
@@ -73,15 +74,20 @@ class WriterLink:
 
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
+        if self._drain():
+            self._poll()
+
+    def _drain(self) -> bool:
+        """Take what the window has room for; False where nothing can be taken now."""
         if self._ended or self._taking or self._channel is None:
-            return
+            return False
         # What is read makes room for a writer that waits, whose sample notifies: it is taken in its turn.
         self._taking = True
         try:
             self._take()
         finally:
             self._taking = False
-        self._poll()
+        return True
 
     def _written(self, _port: InPort[Any]) -> bool:
         # The first sample leaves in the write itself; what follows in the same turn of the loop travels together.
@@ -89,6 +95,10 @@ class WriterLink:
             self._turn_due = True
             self._kernel.loop.call_soon(self._turn)
             self.pump()
+        elif self._drains_full:
+            transport = self._transport()
+            if len(transport.queue) >= transport.length:
+                self._drain()  # else the next sample of this turn would find the buffer full, with room in the window
         return True
 
     def _turn(self) -> None:

@@ -215,8 +215,11 @@ def link_options(where: str, options: Mapping[str, Any]) -> dict[str, Any]:
         raise WiringError(f"{where}: length = 0: the reader is in another kernel; subscription = flush waits for it")
     if own.get("convert") is not None:
         raise WiringError(f"{where}: convert: the reader is in another kernel; convert in a component of this one")
+    if get.choice("dataflow", Dataflow, Dataflow.PUSH) is Dataflow.PULL:
+        how = "subscription = new with push = new has the newest sample there"
+        raise WiringError(f"{where}: dataflow = pull: the reader is in another kernel; {how}")
     usual: dict[str, Any] = {}
-    if "subscription" not in own and get.choice("dataflow", Dataflow, Dataflow.PUSH) is Dataflow.PUSH:
+    if "subscription" not in own:
         usual["subscription"] = Subscription.NEW
         if "push" not in own:
             usual["push"] = Push.ALL

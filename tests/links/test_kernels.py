@@ -198,6 +198,7 @@ async def test_ports_that_do_not_fit_are_refused_at_both_ends(writer: Any, port:
     [
         ({"length": 0}, "length = 0: the reader is in another kernel"),
         ({"convert": lambda sample: sample}, "convert: the reader is in another kernel"),
+        ({"dataflow": "pull"}, "dataflow = pull: the reader is in another kernel"),
         ({"on_link_lost": "wiat"}, "on_link_lost"),
     ],
 )
@@ -356,6 +357,24 @@ async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_sa
         assert caplog.text.count("dropped what cannot be decoded") == 1
 
 
+@pytest.mark.parametrize(
+    "options", [{"subscription": "new", "push": "new"}, {"subscription": "periodic", "push_rate": 200.0, "push": "all"}]
+)
+async def test_new_new_has_the_newest_and_periodic_all_of_them(options: Any) -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", out_length=500, **options)
+        for value in range(100):
+            source.out.write_nowait(long(value))
+        seen: list[int] = []
+        with fail_after(10):
+            while not seen or seen[-1] != 99:
+                seen.append((await sink.inp.read()).data)
+        await until(lambda: not connector.statistics.in_flight)
+        assert seen == (sorted(seen) if options["push"] == "new" else list(range(100)))
+        assert connector.statistics.balanced
+
+
 async def test_options_of_a_link_are_not_replaced_in_place() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, _ = await one.add(Source()), await two.add(Sink())
@@ -381,3 +400,17 @@ async def test_arrays_travel_whole() -> None:
         values = np.arange(300_000, dtype=float)
         assert await many.out.write(TimedDoubleSeq(data=values))
         assert (other.inp.read_nowait().data == values).all()
+
+
+async def test_a_burst_inside_the_window_loses_nothing_whatever_the_length() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", length=4)
+        for value in range(200):
+            source.out.write_nowait(long(value))
+        assert connector.statistics.dropped == {}
+        seen: list[int] = []
+        with fail_after(10):
+            while len(seen) < 200:
+                seen.append((await sink.inp.read()).data)
+        assert seen == list(range(200))
