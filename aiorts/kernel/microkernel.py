@@ -439,8 +439,8 @@ class Microkernel:
     ) -> Any:
         """Connect ports: every out-port with every in-port, or required interfaces with provided ones, all or none.
 
-        A port is given itself or by its path ("pid0.command", see `find`), one of another process by the name of its
-        kernel, too ("station/monitor.inp"). A type checker takes two paths for those of data ports.
+        A port is given itself or by its path ("pid0.command", or "station/monitor.inp" in another process). A type
+        checker takes two paths for those of data ports.
 
         Returns the connector, or the `Connection` of them when more than two ports were given. Options
         (`aiorts.ConnectOptions` has their types; the same keys in system files and profiles; OpenRTM's keys are
@@ -454,13 +454,12 @@ class Microkernel:
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
             keep_last: True, offer the reader the sample that the writer wrote last before.
             lifespan: seconds after which a sample that was not read is dropped.
-            max_gap: seconds between two writes at the most; after a longer gap there are `WriterSilent` and, at the
-                next write, `WriterBack` on the bus.
+            max_gap: seconds between two writes at the most; a longer gap is `WriterSilent`, then `WriterBack` on the bus.
             convert: a plain function that makes a sample of the in-port of one of the out-port, called once for each
                 sample in the write; or a text: "FILE.py:function", "package.module:function" or the name of a converter
                 that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
             measure: n, time the last n sends (`Connector.timing`) and the last n reads (`statistics.latency`, `.age`).
-            on_link_lost: of a port in another process, "wait" (default), "error" or "disconnect" when the link is lost.
+            on_link_lost: "wait", "error" or "disconnect", of a connector to another process.
             name: the connector's. allow_duplicate: a second connector between the same two ports.
             adapt: True, where types, units or lengths differ, put the FlexiFilter between that `aiorts check` proposes,
                 before the reader in its context, active; the connector that is returned is the one to the reader.
@@ -473,7 +472,6 @@ class Microkernel:
             WiringError: says which ports or options do not go together and why; nothing was connected. With `adapt`
                 also: there are several ways (it names them), or the reader is in no context.
             PluginError: `convert` is a text that finds no converter, or no plugin offers one for `adapt`.
-            LinkError: other processes cannot be reached at all; a kernel that is not there yet is waited for.
         """
         self.check_open("connect")
         if isinstance(text := options.get("convert"), str):
