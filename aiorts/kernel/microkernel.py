@@ -454,7 +454,7 @@ class Microkernel:
             stamp: "send", "received", "read": when `tm` is set to the kernel's clock.
             keep_last: True, offer the reader the sample that the writer wrote last before.
             lifespan: seconds after which a sample that was not read is dropped.
-            max_gap: seconds between two writes at the most; a longer gap is `WriterSilent`, then `WriterBack` on the bus.
+            max_gap: seconds between two writes at the most; a longer gap is `WriterSilent`, `WriterBack` on the bus.
             convert: a plain function that makes a sample of the in-port of one of the out-port, called once for each
                 sample in the write; or a text: "FILE.py:function", "package.module:function" or the name of a converter
                 that a plugin offers with its own text ("map 0>1000>0"). What it fails on is dropped as unconverted.
