@@ -227,3 +227,34 @@ def test_who_is_disconnected_says_so() -> None:
     assert pair.reader.peer_ended
     assert pair.reader.state(pair.now) is LinkState.ENDED
     assert pair.fates == ["unknown_fate", "disconnected"]
+
+
+def test_a_silent_reader_makes_the_link_stalled_and_is_asked_ever_more_seldom() -> None:
+    writer, reader = WriterEnd(1, 7), ReaderEnd(1, 9)
+    writer.channel_up(0, 9)
+    reader.channel_up(0, 7)
+    reader.poll(0, lambda head, parts: (writer.receive(0, head), True)[1])
+    writer.offer(0, b"one")
+    due: list[int] = []
+    now: int | None = 0
+    while now is not None and now < 6_000 * MS:
+        due.append(now // MS)
+        now = writer.poll(now, lambda head, parts: True)
+    assert due == [0, 200, 600, 1400, 3000, 5000]
+    assert writer.state(1_900 * MS) == LinkState.UP
+    assert writer.state(2_100 * MS) == LinkState.STALLED
+
+
+def test_a_long_reason_is_cut_between_letters() -> None:
+    writer, reader = WriterEnd(1, 7), ReaderEnd(1, 9)
+    writer.channel_up(0, 9)
+    reader.channel_up(0, 7)
+    reader.poll(0, lambda head, parts: (writer.receive(0, head), True)[1])
+    writer.offer(0, b"one")
+    writer.poll(0, lambda head, parts: (reader.receive(0, head, parts), True)[1])
+    sample = reader.take()
+    assert sample is not None
+    reader.done(0, sample.ticket, "\N{LATIN SMALL LETTER E WITH ACUTE}" * 200)
+    reader.poll(60 * MS, lambda head, parts: (writer.receive(60 * MS, head), True)[1])
+    assert writer.ledger.dropped == 1
+    assert not writer.ledger.bad_frames

@@ -54,7 +54,7 @@ def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str
     """All up to `done` are in the reader's buffer but those of `fates`; all up to `received` have come."""
     frame = [_ACK.pack(ACK, 0, len(fates), link, done, received)]
     for number, fate in fates.items():
-        text = fate.encode()[:255]
+        text = fate.encode()[:255].decode(errors="ignore").encode()
         frame += (_FATE.pack(number, len(text)), text)
     return b"".join(frame)
 

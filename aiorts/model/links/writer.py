@@ -109,7 +109,7 @@ class WriterEnd:
             return LinkState.DOWN if self._was_up else LinkState.CONNECTING
         if not self._greeted:
             return LinkState.CONNECTING
-        waits = self._sent >= self._oldest and now - self._heard_ns > STALLED_NS
+        waits = self._highest >= self._oldest and now - self._heard_ns > STALLED_NS
         return LinkState.STALLED if waits else LinkState.UP
 
     # -- samples ---------------------------------------------------------------------------------------------------
@@ -239,10 +239,11 @@ class WriterEnd:
 
     def _send(self, now: int, send: Send) -> None:
         if self._sent < self._oldest:
-            # Nothing was on its way: the time until it is sent again begins now.
-            self._pause_ns = self._first_pause()
+            if self._highest < self._oldest:
+                # Nothing was on its way; what is sent again goes on waiting longer, and for the same answer.
+                self._pause_ns = self._first_pause()
+                self._heard_ns = now
             self._again_ns = now + self._pause_ns
-            self._heard_ns = now
         kept, last = self._kept, self._next - 1
         while self._sent < last:
             first = self._sent + 1
