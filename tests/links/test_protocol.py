@@ -258,3 +258,15 @@ def test_a_long_reason_is_cut_between_letters() -> None:
     reader.poll(60 * MS, lambda head, parts: (writer.receive(60 * MS, head), True)[1])
     assert writer.ledger.dropped == 1
     assert not writer.ledger.bad_frames
+
+
+def test_a_writer_that_ignores_the_window_cannot_make_the_readers_end_hold_more_than_twice_of_it() -> None:
+    writer, reader = WriterEnd(1, 1, window=10_000, window_bytes=1 << 30), ReaderEnd(1, 2, window_bytes=1 << 20)
+    writer.channel_up(0, 2)
+    reader.channel_up(0, 1)
+    reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
+    part = memoryview(bytes(1 << 18))
+    for _ in range(100):
+        writer.offer(0, b"x", (part,))
+    writer.poll(0, lambda head, parts: reader.receive(0, head, parts) is None)
+    assert reader.held == 8  # of 256 KiB each, twice the window

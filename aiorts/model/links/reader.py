@@ -46,15 +46,18 @@ class ReaderEnd:
 
     Args:
         number: that frames carry (`renumber`). epoch: of this end.
-        window: samples that the writer's end may have unacknowledged: what is beyond that is not taken.
+        window: samples that the writer's end may have unacknowledged, window_bytes: the same in bytes. What is far
+            beyond that is not taken: it comes again.
     """
 
-    def __init__(self, number: int, epoch: int, *, window: int = 256) -> None:
+    def __init__(self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20) -> None:
         self.number, self.epoch = number, epoch
         self.ledger = ReaderLedger()
         self.peer_ended = False
         """Whether the writer's end was disconnected."""
-        self._window = window
+        self._window, self._window_bytes = window, window_bytes
+        self._bytes = 0
+        """Bytes of what is held."""
         self._peer_epoch = 0
         self._era = 0
         """Counts the writer's ends: what one sent that is no more is given out and never acknowledged."""
@@ -130,7 +133,11 @@ class ReaderEnd:
             return
         fresh = samples[self._received + 1 - first :]
         ledger.duplicates += len(samples) - len(fresh)
-        fresh = fresh[: max(0, 2 * self._window - len(held))]
+        room = 2 * self._window - len(held) if self._bytes < 2 * self._window_bytes else 0
+        fresh = fresh[: max(0, room)]
+        self._bytes += sum(map(len, fresh))
+        if parts and fresh:
+            self._bytes += sum(map(len, parts))
         for sample in fresh:
             self._received += 1
             held.append(Received(self._era + self._received, sample, parts))
@@ -143,7 +150,11 @@ class ReaderEnd:
 
     def take(self) -> Received | None:
         """The next sample in order; None where there is none. `done` says what became of it, one after the other."""
-        return self._held.popleft() if self._held else None
+        if not self._held:
+            return None
+        found = self._held.popleft()
+        self._bytes -= len(found.head) + sum(map(len, found.parts))
+        return found
 
     @property
     def held(self) -> int:
