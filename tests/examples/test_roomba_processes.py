@@ -32,7 +32,7 @@ def test_three_processes_verify_the_heading(environment: dict[str, str]) -> None
     processes["robot"] = start("robot", environment, "--set", "imu.speed=40")
     try:
         assert processes["robot"].wait(60) == 0
-        time.sleep(1.0)
+        time.sleep(4.0)  # for what is on its way between the other two
         said = {}
         for name in ("odometry", "monitor"):
             processes[name].send_signal(signal.SIGINT)

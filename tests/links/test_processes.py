@@ -63,7 +63,7 @@ async def read(sink: Sink, count: int, *, seconds: float) -> list[int]:
 async def test_a_writer_that_is_stopped_and_goes_on_loses_nothing(
     writer: Callable[[int, int], subprocess.Popen[str]],
 ) -> None:
-    count, pause = (20_000, 8.0) if cases(100) == 100 else (2_000, 0.5)
+    count, pause = (20_000, 8.0) if cases(100) == 100 else (2_000, 1.5)
     async with Kernel("reader", services={"links": {}}) as kernel:
         sink = await kernel.add(Sink())
         process = writer(count, 4_096)
@@ -80,7 +80,7 @@ async def test_a_writer_that_is_stopped_and_goes_on_loses_nothing(
 async def test_a_reader_that_stands_still_does_not_hold_the_writers_loop(
     writer: Callable[[int, int], subprocess.Popen[str]],
 ) -> None:
-    count, pause = (20_000, 8.0) if cases(100) == 100 else (2_000, 0.5)
+    count, pause = (20_000, 8.0) if cases(100) == 100 else (2_000, 1.5)
     async with Kernel("reader", services={"links": {}}) as kernel:
         sink = await kernel.add(Sink())
         process = writer(count, 4_096)
