@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         LinkOffer,
         Peer,
         Transport,
+        answer_of,
     )
     from aiorts.links.transports import find_transport
 
@@ -29,6 +30,7 @@ __all__ = (
     "LinksSettings",
     "Peer",
     "Transport",
+    "answer_of",
     "find_transport",
 )
 
@@ -36,7 +38,7 @@ _late(
     globals(),
     {
         "aiorts.links.connecting": "Links LinksSettings",
-        "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport",
+        "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of",
         "aiorts.links.transports": "find_transport",
     },
 )

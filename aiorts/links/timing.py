@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 class Wakening:
     """Calls back at the time asked for last, or a little before it: `callback` asks again for what is due later."""
 
-    __slots__ = ("_callback", "_due_ns", "_kernel", "_timer")
+    __slots__ = ("_due_ns", "_kernel", "_timer", "_wakened")
 
     def __init__(self, kernel: Microkernel, callback: Callable[[], None]) -> None:
-        self._kernel, self._callback = kernel, callback
+        self._kernel, self._wakened = kernel, callback
         self._timer: Cancellable | None = None
         self._due_ns = 0
 
@@ -37,4 +37,4 @@ class Wakening:
 
     def _wake(self) -> None:
         self._timer = None
-        self._callback()
+        self._wakened()

@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from aiorts.errors import AiortsError, LinkError
+from aiorts.errors import AiortsError, LinkError, format_error
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
 from aiorts.model.names import Path
@@ -157,3 +157,26 @@ class Transport(Protocol):
     async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes: ...
 
     def answer(self, what: str, handler: Callable[[bytes, Caller], Awaitable[bytes]]) -> None: ...
+
+
+async def answer_of(
+    handler: Callable[[bytes, Caller], Awaitable[bytes]] | None,
+    what: str,
+    body: bytes,
+    caller: Caller,
+    kernel: KernelFace,
+) -> bytes:
+    """What a handler answers to a question, for transports: whatever it fails with, the other kernel can be told.
+
+    Raises:
+        LinkError: there is no such handler, it refuses, or it failed, which is reported.
+    """
+    try:
+        if handler is None:
+            raise LinkError(f"does not know the question {what!r:.60}")
+        return await handler(body, caller)
+    except AiortsError as error:
+        raise LinkError(str(error)) from None
+    except Exception as error:  # noqa: BLE001 - a fault of this end: who asks hears of it now, not by its time-out
+        kernel.report(f"cannot answer the question {what!r:.60}: {format_error(error)}")
+        raise LinkError(f"failed to answer: {type(error).__name__}") from None

@@ -23,7 +23,7 @@ from aiorts.control import private_folder
 from aiorts.errors import AiortsError, LinkError, LinkTimeout
 from aiorts.links.messages import fields, packed
 from aiorts.links.stream import Message, Stream
-from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer
+from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts.model.links import Buffer
 
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER = range(1, 7)
@@ -183,13 +183,14 @@ class UnixTransport:
         if peer is None:
             raise LinkError(f"{far.kernel}: is gone")
         key = (peer, _BY_READER if writes else _BY_WRITER, offer.number)
-        channel = self._channels[key] = _UnixChannel(
-            self._to(peer), _BY_WRITER if writes else _BY_READER, offer.number, events, partial(self._forget, key)
-        )
+        kind = _BY_WRITER if writes else _BY_READER
+        channel = self._channels[key] = _UnixChannel(self._to(peer), kind, offer.number, events)
+        channel.closed = partial(self._forget, key, channel)
         return channel
 
-    def _forget(self, key: tuple[Peer, int, int]) -> None:
-        self._channels.pop(key, None)
+    def _forget(self, key: tuple[Peer, int, int], channel: _UnixChannel) -> None:
+        if self._channels.get(key) is channel:
+            del self._channels[key]
 
     def arrived(self, peer: Peer, frames: dict[tuple[int, int], list[tuple[Buffer, tuple[Buffer, ...]]]]) -> None:
         """Frames of channels have come from a peer."""
@@ -200,8 +201,9 @@ class UnixTransport:
 
     def drained(self, connection: _Connection) -> None:
         """A connection takes frames again."""
-        for channel in tuple(self._channels.values()):
-            if channel.connection is connection:
+        for key, channel in tuple(self._channels.items()):
+            # One may close another while it is told.
+            if channel.connection is connection and self._channels.get(key) is channel:
                 channel.events.on_room()
 
     # -- questions -------------------------------------------------------------------------------------------------
@@ -227,18 +229,18 @@ class UnixTransport:
 class _UnixChannel:
     """One end of a link over the connection of its kernels."""
 
-    def __init__(
-        self, connection: _Connection, kind: int, number: int, events: ChannelEvents, closed: Callable[[], None]
-    ) -> None:
+    def __init__(self, connection: _Connection, kind: int, number: int, events: ChannelEvents) -> None:
         self.connection, self.events = connection, events
-        self._kind, self._number, self._closed = kind, number, closed
+        self.closed: Callable[[], None]
+        """What `close` does; set by whoever made it."""
+        self._kind, self._number = kind, number
         self._send = connection.stream.send
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         return self._send(self._kind, self._number, head, parts)
 
     def close(self) -> None:
-        self._closed()
+        self.closed()
 
 
 class _Connection:
@@ -343,12 +345,11 @@ class _Connection:
         return self.peer.kernel if self.peer is not None else "another kernel"
 
     async def _answer(self, number: int, what: str, question: bytes) -> None:
+        transport, caller = self._transport, Caller(self.peer, self._identity)
         try:
-            handler = self._transport.handler(what)
-            if handler is None:
-                raise LinkError(f"does not know the question {what!r:.60}")
-            kind, body = _ANSWER, await handler(question, Caller(self.peer, self._identity))
-        except AiortsError as error:
+            kind = _ANSWER
+            body = await answer_of(transport.handler(what), what, question, caller, transport.kernel)
+        except LinkError as error:
             kind, body = _REFUSAL, str(error).encode()[:_LONGEST]
         finally:
             self._answering -= 1

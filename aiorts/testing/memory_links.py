@@ -19,8 +19,8 @@ from itertools import count
 from random import Random
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from aiorts.errors import AiortsError, LinkError, LinkTimeout
-from aiorts.links import Caller, Peer
+from aiorts.errors import LinkError, LinkTimeout
+from aiorts.links import Caller, Peer, answer_of
 
 if TYPE_CHECKING:
     from aiorts.links import Channel, ChannelEvents, KernelFace, LinkOffer, Transport
@@ -321,10 +321,9 @@ class _MemoryTransport:
     async def _reply(self, asker: _MemoryTransport, number: int, what: str, body: bytes) -> None:
         result: bytes | LinkError
         try:
-            if (handler := self._handlers.get(what)) is None:
-                raise LinkError(f"does not know the question {what!r:.60}")
-            result = await handler(body, Caller(asker.peer, f"memory {asker.name}"))
-        except AiortsError as error:
+            caller = Caller(asker.peer, f"memory {asker.name}")
+            result = await answer_of(self._handlers.get(what), what, body, caller, self._kernel)
+        except LinkError as error:
             result = LinkError(f"{self.name}: {error}")
         if (line := self._lines.get(asker.peer)) is not None:
             line.put(partial(asker.settle, self.peer, number, result), self.network.delay)

@@ -335,7 +335,7 @@ async def never_blocks(pair: _Pair) -> None:
 
 @_played
 async def is_silent_when_closed(pair: _Pair) -> None:
-    """Nothing is called at a closed end of a channel, and the other channels go on."""
+    """Nothing is called at a closed end of a channel; other channels go on, also a newer one of the same number."""
     writer, reader = await pair.channel(1)
     other_writer, other_reader = await pair.channel(2)
     await _until(lambda: bool(reader.events.frames), "a frame", lambda: writer.send(b"frame"))
@@ -346,11 +346,16 @@ async def is_silent_when_closed(pair: _Pair) -> None:
     writer.close()
     await asyncio.sleep(_QUIET_SECONDS)
     await _until(lambda: bool(other_reader.events.frames), "another channel's frame", lambda: other_writer.send(b"x"))
+    newer_writer, newer_reader = await pair.channel(2)
+    other_reader.close()
+    other_writer.close()
+    await _until(lambda: bool(newer_reader.events.frames), "a newer channel's frame", lambda: newer_writer.send(b"y"))
 
 
 @_played
 async def answers_questions(pair: _Pair) -> None:
-    """Each question gets its own answer, the handler knows who asks, and unknown or refused ones end in LinkError."""
+    """Each question gets its own answer, the handler knows who asks, and one that is unknown, refused or fails is a
+    LinkError."""
     callers: list[Caller] = []
 
     async def echo(body: bytes, caller: Caller) -> bytes:
@@ -361,8 +366,12 @@ async def answers_questions(pair: _Pair) -> None:
     async def refuse(body: bytes, caller: Caller) -> bytes:
         raise LinkError("not on a Sunday")
 
+    async def fail(body: bytes, caller: Caller) -> bytes:
+        raise ValueError("a fault of the handler")
+
     pair.two.answer("echo", echo)
     pair.two.answer("refuse", refuse)
+    pair.two.answer("fail", fail)
     bodies = [bytes([number]) * 100 for number in range(100)]
     asked = [pair.one.ask(pair.peer_of_two, "echo", body, within=_WAIT_SECONDS) for body in bodies]
     answers = await asyncio.gather(*asked)
@@ -370,7 +379,7 @@ async def answers_questions(pair: _Pair) -> None:
     who = {(caller.peer.kernel, caller.peer.epoch) if caller.peer is not None else None for caller in callers}
     expect(who == {("one", 11)}, "one as the caller", who)
     expect(all(caller.identity for caller in callers), "an identity of the caller", "none")
-    for what, text in (("refuse", "Sunday"), ("no such question", "")):
+    for what, text in (("refuse", "Sunday"), ("fail", ""), ("no such question", "")):
         said = await _refusal(pair, what)
         expect(text in said, f"the reason {text!r}", said)
 

@@ -45,6 +45,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 BROAD_EXCEPT = {
     # Round a plugin's transport while it is made.
     "aiorts/links/transports.py:find_transport",
+    # Round the answer to another kernel, which must not wait for its time-out because of a fault here.
+    "aiorts/links/transport.py:answer_of",
     # What a plan did is taken back step by step: what one of these fails with is said, and the next follows.
     "aiorts/planning/applying.py:back",
     # What somebody else's exception says of itself may raise in its turn.

@@ -1,4 +1,4 @@
-"""The transport of one host keeps what every transport promises, on each loop."""
+"""The transport of one host keeps what every transport promises."""
 
 from __future__ import annotations
 

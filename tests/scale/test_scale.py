@@ -53,6 +53,8 @@ long = pytest.mark.skipif(not CAMPAIGN, reason="a long one; AIORTS_CAMPAIGN=1")
     ],
 )
 def test_a_component_with_ports_connector_and_context_is_small(context: Callable[[], Context], most: int) -> None:
+    # The first ring of a process grows what the process keeps for all: by 100 to 250 bytes a component, as it happens.
+    asyncio.run(parts.ring_bytes(300, context))
     figures = asyncio.run(parts.ring_bytes(300, context))
     assert 0 < figures["bare"] < 200
     assert figures["total"] <= most, figures
