@@ -166,7 +166,7 @@ async def answer_of(
     caller: Caller,
     kernel: KernelFace,
 ) -> bytes:
-    """What a handler answers to a question, for transports: whatever it fails with, the other kernel can be told.
+    """What a handler answers to a question, for transports: whatever it fails with becomes a LinkError.
 
     Raises:
         LinkError: there is no such handler, it refuses, or it failed, which is reported.
