@@ -34,7 +34,7 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import OnLinkLost, Push, Stamp, Subscription
-from aiorts.wire import MsgpackCodec
+from aiorts.wire import NETWORK, MsgpackCodec
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -76,6 +76,7 @@ class Links(KernelService):
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
         self._settings = LinksSettings()
+        self._codec = MsgpackCodec(NETWORK)
         self._transport: Transport | None = None
         self._opening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -228,36 +229,19 @@ class Links(KernelService):
     # -- one end of a link ---------------------------------------------------------------------------------------------
 
     def _write_end(self, connector: Connector) -> WriterLink:
-        codec = MsgpackCodec()
+        encode = self._codec.parts_encoder(connector.out.type)
         link = self._writers[connector] = WriterLink(
-            self.kernel,
-            connector,
-            _epoch(),
-            lambda sample: (codec.encode(sample), ()),
-            lost=self._lost,
-            ended=self._ended,
-            report=_report,
+            self.kernel, connector, _epoch(), encode, lost=self._lost, ended=self._ended, report=_report
         )
         return link
 
     def _read_end(self, connector: Connector) -> ReaderLink:
-        codec, kind, shape = MsgpackCodec(), connector.in_.type, connector.in_.shape
-        check_shape = port_type(kind).check_shape
-
-        def decode(head: Buffer, _parts: Sequence[Buffer]) -> Any:
-            sample = codec.decode(bytes(head), kind)
-            if shape is not None:
-                check_shape(sample, shape)
-            return sample
-
+        kind, shape = connector.in_.type, connector.in_.shape
+        decode = self._codec.parts_decoder(kind)
+        if shape is not None:
+            decode = _of_shape(decode, port_type(kind).check_shape, shape)
         link = self._readers[connector] = ReaderLink(
-            self.kernel,
-            connector,
-            _epoch(),
-            decode,
-            lost=self._lost,
-            ended=self._ended,
-            report=_report,
+            self.kernel, connector, _epoch(), decode, lost=self._lost, ended=self._ended, report=_report
         )
         return link
 
@@ -598,6 +582,19 @@ class _Face:
 
     def report(self, text: str) -> None:
         _report(text)
+
+
+def _of_shape(
+    decode: Callable[[Buffer, Sequence[Buffer]], Any], check: Callable[[Any, Any], object], shape: tuple[int, ...]
+) -> Callable[[Buffer, Sequence[Buffer]], Any]:
+    """The same `decode`, whose samples must have this shape."""
+
+    def checked(head: Buffer, parts: Sequence[Buffer]) -> Any:
+        sample = decode(head, parts)
+        check(sample, shape)
+        return sample
+
+    return checked
 
 
 def _observed(task: asyncio.Task[None]) -> None:

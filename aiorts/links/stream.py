@@ -1,7 +1,8 @@
 """Messages over a stream socket that never blocks: what arrives is cut into messages, what does not fit waits.
 
-A message is a head of 12 bytes (bytes that follow, kind, parts, a number), the length of each part, its body, its
-parts. A message of 64 KiB or more is received straight into a buffer of its own.
+A message is a head of 12 bytes (bytes that follow, kind, parts, zeros behind the body, a number), the length of each
+part, its body, its parts. Each part begins at a multiple of 8 bytes of the message, so that arrays on it are aligned. A
+message of 64 KiB or more is received straight into a buffer of its own, and not copied.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import contextlib
 import socket
 import struct
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 from aiorts.model.links import Buffer
+from aiorts.wire import SealedBytes
 
 _HEAD: Final = struct.Struct("<IBBHI")
 _LARGE: Final = 65_536
@@ -57,7 +59,7 @@ class Stream:
         self._loop, self._socket = loop, sock
         self._arrived, self._drained, self._ended = arrived, drained, ended
         self._rest = b""
-        self._large: bytearray | None = None
+        self._large: SealedBytes | None = None
         self._filled = 0
         self._waiting: deque[memoryview] = deque()
         self._waits = 0
@@ -79,9 +81,12 @@ class Stream:
         if parts:
             flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
             sizes = [part.nbytes for part in flat]
-            head = struct.pack(f"<{len(sizes)}I", *sizes)
-            length = len(head) + len(body) + sum(sizes)
-            vectors = [memoryview(_HEAD.pack(length, kind, len(sizes), 0, number) + head), memoryview(body), *flat]
+            lengths = struct.pack(f"<{len(sizes)}I", *sizes)
+            length = len(lengths) + len(body)
+            pad = -(_HEAD.size + length) % 8
+            length += pad + _room(sizes)
+            head = _HEAD.pack(length, kind, len(sizes), pad, number) + lengths
+            vectors = [memoryview(head), memoryview(body), *_aligned(flat, pad)]
         else:
             vectors = [memoryview(_HEAD.pack(len(body), kind, 0, 0, number) + body)]
         if not self._waiting:
@@ -176,7 +181,7 @@ class Stream:
                 raise ValueError(f"a message of {size} bytes")
             if size > end - place:
                 if size >= _LARGE:
-                    self._large = bytearray(size)
+                    self._large = SealedBytes(size)
                     self._filled = end - place
                     self._large[: self._filled] = view[place:]
                     place = end
@@ -203,7 +208,7 @@ class Stream:
 
 
 def _message(view: memoryview) -> Message:
-    _, kind, count, _, number = _HEAD.unpack_from(view)
+    _, kind, count, pad, number = _HEAD.unpack_from(view)
     place = _HEAD.size
     if not count:
         return Message(kind, number, view[place:], ())
@@ -211,11 +216,25 @@ def _message(view: memoryview) -> Message:
         raise ValueError("a message that is too short")
     sizes = struct.unpack_from(f"<{count}I", view, place)
     place += 4 * count
-    start = len(view) - sum(sizes)
-    if start < place:
+    start = len(view) - _room(sizes)
+    if start - pad < place:
         raise ValueError("parts that are longer than their message")
-    body, parts = view[place:start], []
+    body, parts = view[place : start - pad], []
     for size in sizes:
         parts.append(view[start : start + size])
-        start += size
+        start += size + -size % 8
     return Message(kind, number, body, tuple(parts))
+
+
+def _room(sizes: Sequence[int]) -> int:
+    """Bytes that parts of these sizes take: each but the last one fills up eight bytes."""
+    return sum(size + -size % 8 for size in sizes[:-1]) + sizes[-1]
+
+
+def _aligned(parts: Sequence[memoryview], pad: int) -> Iterator[memoryview]:
+    """The parts, with what lies before each."""
+    for part in parts:
+        if pad:
+            yield memoryview(bytes(pad))
+        yield part
+        pad = -part.nbytes % 8

@@ -40,6 +40,13 @@ def element_name(dtype: np.dtype[Any]) -> str | None:
     return _NAMES.get(f"{dtype.kind}{dtype.itemsize}")
 
 
+class SealedBytes(bytearray):
+    """Memory that a transport fills once, and nobody writes to afterwards.
+
+    Records take arrays on read-only views of it without a copy, as on `bytes`, which cannot be filled from a socket.
+    """
+
+
 def freeze(array: AnyArray) -> AnyArray:
     """The array itself, read-only, if it is native, contiguous and owned; else a read-only copy that is."""
     flags = array.flags
@@ -72,12 +79,14 @@ def element_dtype(element: str) -> np.dtype[Any]:
 
 
 def _of_bytes(array: AnyArray) -> bool:
-    """Whether the memory belongs to a `bytes` object, which nobody can change."""
+    """Whether the memory belongs to `bytes`, which nobody can change, or to `SealedBytes`, which nobody does."""
     base: Any = array
     while type(base) is type(array):
         if base.flags.writeable:
             return False
         base = base.base
+    if type(base) is memoryview:
+        return base.readonly and type(base.obj) in (bytes, SealedBytes)
     return type(base) is bytes
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.types.arrays import SealedBytes
     from aiorts.wire.arrays import ELEMENTS
-    from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec
+    from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec, PartsCodec, with_parts
     from aiorts.wire.codecs import find_codec
-    from aiorts.wire.limits import CONTROL, DATA, Limits
+    from aiorts.wire.limits import CONTROL, DATA, NETWORK, Limits
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
     from aiorts.wire.schemas import json_message, schema_text
 
@@ -19,26 +20,31 @@ __all__ = (
     "DATA",
     "ELEMENTS",
     "FORMAT",
+    "NETWORK",
     "Codec",
     "Limits",
     "LineReader",
     "LineWriter",
     "MsgpackCodec",
+    "PartsCodec",
+    "SealedBytes",
     "find_codec",
     "json_message",
     "json_text",
     "line_of",
     "schema_text",
     "split_sample",
+    "with_parts",
 )
 
 _late(
     globals(),
     {
+        "aiorts.types.arrays": "SealedBytes",
         "aiorts.wire.arrays": "ELEMENTS",
-        "aiorts.wire.codec": "FORMAT Codec MsgpackCodec",
+        "aiorts.wire.codec": "FORMAT Codec MsgpackCodec PartsCodec with_parts",
         "aiorts.wire.codecs": "find_codec",
-        "aiorts.wire.limits": "CONTROL DATA Limits",
+        "aiorts.wire.limits": "CONTROL DATA NETWORK Limits",
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
         "aiorts.wire.schemas": "json_message schema_text",
     },

@@ -29,10 +29,24 @@ _LONGEST = 2**62
 
 def pack_array(array: npt.NDArray[np.generic]) -> bytes:
     """The bytes of a checked array (contiguous, an element type that may travel)."""
-    code = _CODES[element_name(array.dtype) or ""]
-    head = _HEADS[array.ndim].pack(code, array.ndim, *array.shape)
-    little = array if array.dtype.isnative and _LITTLE else array.astype(array.dtype.newbyteorder("<"))
+    head, little = _head(array), _little_endian(array)
     return head + little.tobytes() if array.size < 4096 else b"".join((head, little.data))
+
+
+def array_part(array: npt.NDArray[np.generic]) -> tuple[bytes, memoryview]:
+    """The head of a checked array, and its elements, which are not copied."""
+    import numpy as np
+
+    return _head(array), _little_endian(array).reshape(-1).view(np.uint8).data
+
+
+def _head(array: npt.NDArray[np.generic]) -> bytes:
+    code = _CODES[element_name(array.dtype) or ""]
+    return _HEADS[array.ndim].pack(code, array.ndim, *array.shape)
+
+
+def _little_endian(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    return array if array.dtype.isnative and _LITTLE else array.astype(array.dtype.newbyteorder("<"))
 
 
 def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
@@ -40,6 +54,18 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
 
     WireError, before anything is allocated, if its head does not describe it.
     """
+    return _array(data, None, where)
+
+
+def array_of_part(head: Any, part: bytes | bytearray | memoryview, where: str) -> npt.NDArray[Any]:
+    """A read-only array on the memory of `part`, which is contiguous bytes.
+
+    WireError, before anything is allocated, if the head does not describe it.
+    """
+    return _array(head, part, where)
+
+
+def _array(data: Any, part: bytes | bytearray | memoryview | None, where: str) -> npt.NDArray[Any]:
     if type(data) is not bytes:
         raise WireError(f"{where}: expected an array as binary, got {shown(data)}")
     if len(data) < 8:
@@ -51,18 +77,21 @@ def unpack_array(data: Any, where: str) -> npt.NDArray[Any]:
             f"got {data[:8]!r}"
         )
     head = _HEADS[dimensions]
-    if len(data) < head.size:
+    if len(data) < head.size or (part is not None and len(data) != head.size):
         raise WireError(f"{where}: expected {dimensions} lengths, got {len(data) - 8} bytes of them")
     shape = head.unpack_from(data)[2:]
     element = ELEMENTS[code - 1]
     dtype = DTYPES[element]
+    elements, offset = (data, head.size) if part is None else (part, 0)
     size = math.prod(shape) * int(dtype[1:])
-    if size != len(data) - head.size or any(length > _LONGEST for length in shape):
-        raise WireError(f"{where}: expected {size} bytes for {element} of shape {shape}, got {len(data) - head.size}")
-    return _view(data, dtype, head.size, shape, where)
+    if size != len(elements) - offset or any(length > _LONGEST for length in shape):
+        raise WireError(f"{where}: expected {size} bytes for {element} of shape {shape}, got {len(elements) - offset}")
+    return _view(elements, dtype, offset, shape, where)
 
 
-def _view(data: bytes, dtype: str, offset: int, shape: tuple[int, ...], where: str) -> npt.NDArray[Any]:
+def _view(
+    data: bytes | bytearray | memoryview, dtype: str, offset: int, shape: tuple[int, ...], where: str
+) -> npt.NDArray[Any]:
     import numpy as np
 
     if offset == len(data):

@@ -7,21 +7,23 @@ bytes for.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+import struct
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.errors import LimitError, RecordError, UnknownTypeError, WireError
+from aiorts.errors import LimitError, RecordError, RecordTypeError, UnknownTypeError, WireError
 from aiorts.types.kinds import shown
 from aiorts.types.registry import wire_name, wire_type
 from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
 from aiorts.types.structure import kind_of
 from aiorts.wire.forms import Form, form_of
 from aiorts.wire.limits import DATA, Limits
+from aiorts.wire.parts import Buffer, class_positions, flat
 from aiorts.wire.scan import count_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 FORMAT = 1
 """The version of the frames, which each begins with."""
@@ -43,6 +45,41 @@ class Codec(Protocol):
     def decode(self, data: bytes, expected: type | None = None) -> Any:
         """The record of one frame. WireError if the frame is not one, or not one of `expected` or its subclasses."""
         ...
+
+
+class PartsCodec(Protocol):
+    """A codec that also turns records into a head and parts: what large arrays need on their way to another kernel."""
+
+    def encode_parts(self, record: Any) -> tuple[bytes, Sequence[memoryview]]:
+        """The record as a head and parts. RecordError if it cannot travel, LimitError if it is too large."""
+        ...
+
+    def decode_parts(self, head: Buffer, parts: Sequence[Buffer], expected: type) -> Any:
+        """The record of exactly the class `expected`, on the memory of head and parts. WireError if it is none."""
+        ...
+
+
+class _WithParts:
+    """Heads and parts of a codec that only knows frames: all is in the head."""
+
+    def __init__(self, codec: Codec) -> None:
+        self._codec = codec
+
+    def encode_parts(self, record: Any) -> tuple[bytes, Sequence[memoryview]]:
+        return self._codec.encode(record), ()
+
+    def decode_parts(self, head: Buffer, parts: Sequence[Buffer], expected: type) -> Any:
+        if parts:
+            raise WireError(f"expected no parts beside the frame, got {len(parts)}")
+        return self._codec.decode(bytes(head), expected)
+
+
+def with_parts(codec: Codec) -> PartsCodec:
+    """The codec itself where it has `encode_parts` and `decode_parts`, else one made of its `encode` and `decode`."""
+    if callable(getattr(codec, "encode_parts", None)) and callable(getattr(codec, "decode_parts", None)):
+        made: Any = codec
+        return cast("PartsCodec", made)
+    return _WithParts(codec)
 
 
 class MsgpackCodec:
@@ -116,15 +153,115 @@ class MsgpackCodec:
         except LimitError as error:
             raise LimitError(f"{name}: {error}") from None
 
-    def decode(self, data: bytes, expected: type | None = None) -> Any:
-        """The record in a frame; arrays in it use the parsed bytes without another copy.
+    def encode_parts(self, record: Any) -> tuple[bytes, Sequence[memoryview]]:
+        """The record as a head, without any names, and parts: its large arrays and bytes, which are not copied.
+
+        Raises as `encode`.
+        """
+        return self.parts_encoder(original(type(record)))(record)
+
+    def decode_parts(self, head: Buffer, parts: Sequence[Buffer], expected: type) -> Any:
+        """The record of exactly the class `expected`; its arrays are on the memory of `parts`, which nobody changes.
+
+        Raises as `decode`.
+        """
+        return self.parts_decoder(expected)(head, parts)
+
+    def parts_encoder(self, cls: type) -> Callable[[Any], tuple[bytes, Sequence[memoryview]]]:
+        """A faster `encode_parts` for records of exactly this class, for one thread at a time.
+
+        Raises:
+            DeclarationError: the class cannot travel. What it gives raises RecordTypeError for another class.
+        """
+        target = original(cls)
+        name, _ = _known.get(target) or _know(target)
+        ways = class_positions(target, kind_of(target, target.__name__) if target in PLAIN_TYPES else None)
+        if ways[0] is not None:
+            layout, read, _ = ways[0]
+            pack = layout.pack
+
+            def encode_packed(record: Any) -> tuple[bytes, Sequence[memoryview]]:
+                if type(record) is not target:
+                    raise _another_class(record, name)
+                return pack(*read(record)), ()
+
+            return encode_packed
+        put, packer, unchecked, most = ways[1].put, self._packer(), self._unchecked, self.limits.parts
+
+        def encode(record: Any) -> tuple[bytes, Sequence[memoryview]]:
+            if original(type(record)) is not target:
+                raise _another_class(record, name)
+            parts: list[memoryview] = []
+            head: bytes = packer.pack(put(record, parts))
+            if len(head) > unchecked:
+                self._check_size(head, name)
+            if parts:
+                if len(parts) > most:
+                    raise LimitError(f"{name}: {len(parts)} large arrays; at most {most} are allowed")
+                self._check_total(head, parts, name)
+            return head, parts
+
+        return encode
+
+    def parts_decoder(self, cls: type) -> Callable[[Buffer, Sequence[Buffer]], Any]:
+        """A faster `decode_parts` for records of exactly this class.
+
+        Raises:
+            DeclarationError: the class cannot travel. What it gives raises as `decode`.
+        """
+        target = original(cls)
+        name, _ = _known.get(target) or _know(target)
+        ways = class_positions(target, kind_of(target, target.__name__) if target in PLAIN_TYPES else None)
+        if ways[0] is not None:
+            layout, _, build = ways[0]
+            unpack = layout.unpack
+
+            def decode_packed(head: Buffer, parts: Sequence[Buffer]) -> Any:
+                try:
+                    if parts:
+                        raise WireError(f"{name}: expected no parts beside the frame, got {len(parts)}")
+                    return build(unpack(head))
+                except (RecordError, struct.error) as error:
+                    raise WireError(f"{name}: {error}") from None
+
+            return decode_packed
+        take = ways[1].take
+
+        def decode(head: Buffer, parts: Sequence[Buffer]) -> Any:
+            try:
+                if not parts:
+                    return take(self._parse(head), name, iter(()))
+                if len(parts) > self.limits.parts:
+                    raise LimitError(f"{name}: {len(parts)} parts; at most {self.limits.parts} are allowed")
+                self._check_total(head, parts, name)
+                left = iter(flat(parts))
+                record = take(self._parse(head), name, left)
+                if next(left, None) is not None:
+                    raise WireError(f"{name}: expected fewer than {len(parts)} parts")
+                return record
+            except RecordError as error:
+                raise WireError(str(error)) from error
+
+        return decode
+
+    def _check_total(self, head: Buffer, parts: Sequence[Buffer], name: str) -> None:
+        total = len(head) + sum(memoryview(part).nbytes for part in parts)
+        if total > self.limits.frame:
+            raise LimitError(f"{name}: a frame of {total} bytes; at most {self.limits.frame} are allowed")
+
+    @staticmethod
+    def _packer() -> Any:
+        return msgpack.Packer(unicode_errors="strict")
+
+    def decode(self, data: Buffer, expected: type | None = None) -> Any:
+        """The record in a frame, any contiguous buffer; arrays in it use the parsed bytes without another copy.
 
         WireError if the frame is damaged, of another version, of an unknown type, or not of `expected` (or a subclass);
         LimitError, which is one, if it is larger than allowed.
         """
-        if type(data) is not bytes:
-            data = bytes(data)
         try:
+            if type(data) is not bytes:
+                (data,) = flat((data,))
             content = self._parse(data)
             if type(content) is not list or len(content) != 3 or content[0] != FORMAT or type(content[1]) is not str:
                 raise _wrong_head(content)
@@ -133,7 +270,7 @@ class MsgpackCodec:
         except RecordError as error:
             raise WireError(str(error)) from error
 
-    def _parse(self, data: bytes) -> Any:
+    def _parse(self, data: Buffer) -> Any:
         limits, size = self.limits, len(data)
         if size > limits.frame:
             raise LimitError(f"a frame of {size} bytes; at most {limits.frame} are allowed")
@@ -190,6 +327,10 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
     if len(fields) != len(pairs):
         raise WireError("a map has the same key twice")
     return fields
+
+
+def _another_class(record: Any, name: str) -> RecordTypeError:
+    return RecordTypeError(f"expected exactly a {name}, got {shown(record)}: the other end takes no other class")
 
 
 def _wrong_head(content: Any) -> WireError:

@@ -33,7 +33,7 @@ class Form(NamedTuple):
 
 
 # None: the value goes into the frame as it is, and the record's constructor checks what comes out of one.
-_Pair = tuple[Put | None, Take | None]
+Pair = tuple[Put | None, Take | None]
 _forms: dict[type, Form] = {}
 
 
@@ -47,12 +47,12 @@ def form_of(cls: type) -> Form:
 
 def _record_form(structure: Structure) -> Form:
     names = tuple(field.name for field in structure.fields)
-    pairs = tuple(_pair(field.kind) for field in structure.fields)
+    pairs = tuple(pair_of(field.kind) for field in structure.fields)
     wheres = tuple(f"{structure.cls.__qualname__}.{name}" for name in names)
     return Form(_putter(structure, names, pairs, wheres), _taker(structure, names, pairs, wheres))
 
 
-def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ...], wheres: tuple[str, ...]) -> Put:
+def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...], wheres: tuple[str, ...]) -> Put:
     read: Any = attrgetter(*names) if len(names) > 1 else lambda record: tuple(getattr(record, name) for name in names)
     puts = tuple((name, put) for name, (put, _) in zip(names, pairs, strict=True) if put is not None)
     kinds = tuple(zip((field.kind for field in structure.fields), wheres, strict=True))
@@ -79,7 +79,7 @@ def _putter(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ..
     return put_checked if puts else put_direct
 
 
-def _taker(structure: Structure, names: tuple[str, ...], pairs: tuple[_Pair, ...], wheres: tuple[str, ...]) -> Take:
+def _taker(structure: Structure, names: tuple[str, ...], pairs: tuple[Pair, ...], wheres: tuple[str, ...]) -> Take:
     cls, count = structure.cls, len(names)
     takes = tuple(
         (name, take, where) for name, (_, take), where in zip(names, pairs, wheres, strict=True) if take is not None
@@ -113,14 +113,14 @@ def _wrong_fields(fields: Any, names: tuple[str, ...], where: str) -> WireError:
     return WireError(f"{where}: {'; '.join(parts)}; expected the fields {', '.join(names)}")
 
 
-def _pair(kind: Kind) -> _Pair:
+def pair_of(kind: Kind) -> Pair:
     for base, make in _PAIRS:
         if isinstance(kind, base):
             return make(kind)
     return None, None
 
 
-def _array_pair(kind: ArrayKind) -> _Pair:
+def _array_pair(kind: ArrayKind) -> Pair:
     element, spelling = kind.element, kind.spelling
     one_dimension = not isinstance(kind, NDArrayKind)
 
@@ -135,7 +135,7 @@ def _array_pair(kind: ArrayKind) -> _Pair:
     return pack_array, take
 
 
-def _rows_pair(kind: RowsKind) -> _Pair:
+def _rows_pair(kind: RowsKind) -> Pair:
     dtype, width = kind.element or "", len(kind.columns)
 
     def take(data: Any, where: str) -> Any:
@@ -152,12 +152,12 @@ def _rows_pair(kind: RowsKind) -> _Pair:
     return put, take
 
 
-def _nested_pair(kind: RecordKind) -> _Pair:
+def _nested_pair(kind: RecordKind) -> Pair:
     form = form_of(kind.cls)
     return form.put, form.take
 
 
-def _enum_pair(kind: EnumKind) -> _Pair:
+def _enum_pair(kind: EnumKind) -> Pair:
     if issubclass(kind.enumeration, IntEnum):
         return int, None
 
@@ -169,40 +169,40 @@ def _enum_pair(kind: EnumKind) -> _Pair:
     return lambda member: member.name, take
 
 
-def _list_of(value: Any, where: str, count: int | None = None) -> Any:
+def list_of(value: Any, where: str, count: int | None = None) -> Any:
     if type(value) is not list or (count is not None and len(value) != count):
         raise WireError(f"{where}: expected a list{f' of {count}' if count is not None else ''}, got {shown(value)}")
     return value
 
 
-def _tuple_pair(kind: TupleKind) -> _Pair:
-    put, take = _pair(kind.item)
+def _tuple_pair(kind: TupleKind) -> Pair:
+    put, take = pair_of(kind.item)
 
     def put_items(items: Any) -> Any:
         return list(items) if put is None else [put(item) for item in items]
 
     def take_items(items: Any, where: str) -> Any:
-        _list_of(items, where)
+        list_of(items, where)
         return items if take is None else [take(item, f"{where}[{index}]") for index, item in enumerate(items)]
 
     return put_items, take_items
 
 
-def _fixed_pair(kind: FixedTupleKind) -> _Pair:
-    pairs = tuple(_pair(item) for item in kind.items)
+def _fixed_pair(kind: FixedTupleKind) -> Pair:
+    pairs = tuple(pair_of(item) for item in kind.items)
 
     def put_items(items: Any) -> Any:
         return [put(item) if put is not None else item for (put, _), item in zip(pairs, items, strict=True)]
 
     def take_items(items: Any, where: str) -> Any:
-        _list_of(items, where, len(pairs))
+        list_of(items, where, len(pairs))
         numbered = enumerate(zip(pairs, items, strict=True))
         return tuple(take(item, f"{where}[{i}]") if take is not None else item for i, ((_, take), item) in numbered)
 
     return put_items, take_items
 
 
-def _map_pair(kind: MapKind) -> _Pair:
+def _map_pair(kind: MapKind) -> Pair:
     """Entries have no declared kind: a binary is an array, bytes are a list with the one binary in it, a map is one."""
 
     def put(entries: Any) -> Any:
@@ -244,15 +244,15 @@ def _take_entry(entry: Any, where: str, levels: int) -> Any:
     return entry
 
 
-def _optional_pair(kind: OptionalKind) -> _Pair:
-    put, take = _pair(kind.inner)
+def _optional_pair(kind: OptionalKind) -> Pair:
+    put, take = pair_of(kind.inner)
     return (
         None if put is None else lambda value: None if value is None else put(value),
         None if take is None else lambda value, where: None if value is None else take(value, where),
     )
 
 
-_PAIRS: tuple[tuple[type, Callable[[Any], _Pair]], ...] = (
+_PAIRS: tuple[tuple[type, Callable[[Any], Pair]], ...] = (
     (RecordKind, _nested_pair),
     (ArrayKind, _array_pair),
     (RowsKind, _rows_pair),

@@ -18,9 +18,11 @@ class Limits:
     """Values in the whole frame: each scalar, key, list and map is one, an array is one however large."""
     length: int = 65_536
     """Items of one list or map."""
+    parts: int = 64
+    """Buffers beside the head of a frame; `frame` limits all of it together."""
 
     def __post_init__(self) -> None:
-        for name in ("frame", "string", "values", "length"):
+        for name in ("frame", "string", "values", "length", "parts"):
             limit = getattr(self, name)
             # Text of up to 31 bytes is not measured one by one: nobody can do harm with it.
             least = 32 if name == "string" else 1
@@ -32,3 +34,9 @@ DATA = Limits()
 """The limits of samples."""
 CONTROL = Limits(frame=64 * KIB, string=64 * KIB, length=64)
 """Smaller limits, for short messages."""
+NETWORK = Limits(values=4_096, length=4_096)
+"""Smaller limits, for what another kernel sends, so that a bomb does not hold up the loop: it is refused in 10 ms.
+
+A frame that is no bomb takes 1 us a value for texts, 7 us for small arrays, and up to 15 us for lists of mutable
+dataclasses, which are looked at again in each record around them.
+"""

@@ -41,7 +41,7 @@ _MEASURED = {
 }  # fmt: skip
 
 
-def count_values(frame: bytes, limits: Limits) -> int:
+def count_values(frame: bytes | bytearray | memoryview, limits: Limits) -> int:
     """The number of values in `frame`.
 
     LimitError as soon as it claims more than `limits`; WireError if it is not whole.
@@ -88,7 +88,7 @@ def count_values(frame: bytes, limits: Limits) -> int:
     return claimed
 
 
-def _header(frame: bytes, position: int, limits: Limits) -> tuple[int, int]:
+def _header(frame: bytes | bytearray | memoryview, position: int, limits: Limits) -> tuple[int, int]:
     """Bytes to skip and values to come, for a value whose first byte does not tell its size."""
     first = frame[position]
     if 0x80 <= first < 0xA0:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+import socket
 import tempfile
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from aiorts.links import Transport
+from aiorts.links.stream import Message, Stream
 from aiorts.links.unix import UnixTransport
 from aiorts.testing import TRANSPORT_CHECKS, check_transport
 
@@ -27,3 +31,29 @@ def unix() -> tuple[Transport, Transport]:
 @pytest.mark.parametrize("name", TRANSPORT_CHECKS)
 def test_unix_sockets_keep_every_promise(name: str) -> None:
     check_transport(unix, only=[name])
+
+
+async def _through_a_socket(parts: list[memoryview]) -> Message:
+    """A message with these parts, as it arrives."""
+    loop, (near, far) = asyncio.get_running_loop(), socket.socketpair()
+    arrived: asyncio.Future[Message] = loop.create_future()
+    ends = [
+        Stream(loop, near, lambda _messages: None, lambda: None, lambda _why: None),
+        Stream(loop, far, lambda messages: arrived.set_result(messages[0]), lambda: None, lambda _why: None),
+    ]
+    try:
+        assert ends[0].send(1, 2, b"head", parts)
+        return await asyncio.wait_for(arrived, 5.0)
+    finally:
+        for end in ends:
+            end.close()
+
+
+@pytest.mark.parametrize("sizes", [(100_000,), (3, 100_000, 7, 200_001, 8)])
+def test_arrays_of_a_large_message_are_aligned_and_nobody_writes_to_them(sizes: tuple[int, ...]) -> None:
+    sent = [bytes([number]) * size for number, size in enumerate(sizes)]
+    message = asyncio.run(_through_a_socket([memoryview(part) for part in sent]))
+    assert (bytes(message.body), [bytes(part) for part in message.parts]) == (b"head", sent)
+    for part in message.parts:
+        assert part.readonly
+        assert np.frombuffer(part, "u1").ctypes.data % 8 == 0

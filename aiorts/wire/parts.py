@@ -1,0 +1,319 @@
+"""Records to a head and parts: values by position, without names, and large arrays beside them.
+
+Both ends know the type and have compared its layout, so that a frame says neither the names of the fields nor that of
+the type. A record of nothing but numbers is a packed structure, little-endian. Any other is one msgpack value: a list
+of its fields in order, records in it alike. An array or bytes of 16 KiB and more are a part: in the list stands the
+head of the array in a list, or an empty list for bytes, and the parts follow in that order.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+from aiorts.errors import RecordError, WireError
+from aiorts.types.arrays import ArrayKind, NDArrayKind, element_dtype
+from aiorts.types.kinds import STAMP_LIMIT, BytesKind, Kind, OptionalKind, shown
+from aiorts.types.nested import RecordKind
+from aiorts.types.plain import build
+from aiorts.types.record import setters_of
+from aiorts.types.rows import FixedTupleKind, RowsKind, TupleKind
+from aiorts.types.structure import describe
+from aiorts.wire.arrays import array_of_part, array_part, pack_array, unpack_array
+from aiorts.wire.forms import list_of, pair_of
+
+if TYPE_CHECKING:
+    from aiorts.types.structure import Structure
+
+BESIDE: Final = 16_384
+"""Bytes from which on an array travels beside the head."""
+Buffer: TypeAlias = bytes | bytearray | memoryview
+Put: TypeAlias = Callable[[Any, list[memoryview]], Any]
+Take: TypeAlias = Callable[[Any, str, Iterator[Buffer]], Any]
+
+_CODES: Final = {
+    **dict(zip(("i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"), "bBhHiIqQ", strict=True)),
+    "f32": "f",
+    "f64": "d",
+    "bool": "?",
+    "stamp": "Q",
+}
+"""What stands for a field in the packed structure of a record of numbers."""
+
+
+class Packed(NamedTuple):
+    """How a record of nothing but numbers lies in its frame."""
+
+    layout: struct.Struct
+    read: Callable[[Any], tuple[Any, ...]]
+    """The numbers of a record, in order, nested ones too."""
+    build: Callable[[tuple[Any, ...]], Any]
+    """The record of such numbers. RecordError: one does not fit."""
+
+
+def packed(structure: Structure) -> Packed | None:
+    """How the record is packed; None where it has other fields than numbers."""
+    leaves = list(_leaves(structure, ""))
+    if not leaves or any(kind is None for _, kind in leaves):
+        return None
+    layout = struct.Struct("<" + "".join(_CODES[kind.spelling] for _, kind in leaves if kind is not None))
+    getter = attrgetter(*(path for path, _ in leaves))
+    read = getter if len(leaves) > 1 else lambda record: (getter(record),)
+    if not any(isinstance(field.kind, RecordKind) for field in structure.fields):
+        cls = structure.cls
+        return Packed(layout, read, lambda values: cls(*values))
+    stamps = [place for place, (_, kind) in enumerate(leaves) if kind is not None and kind.spelling == "stamp"]
+    build_row, _ = _builder(structure, 0)
+
+    def build_nested(values: tuple[Any, ...]) -> Any:
+        for place in stamps:
+            if values[place] >= STAMP_LIMIT:
+                raise RecordError(f"{structure.cls.__qualname__}.{leaves[place][0]}: no time stamp")
+        return build_row(values)
+
+    return Packed(layout, read, build_nested)
+
+
+def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | None]]:
+    if not structure.checked:
+        yield prefix, None
+        return
+    for field in structure.fields:
+        if isinstance(field.kind, RecordKind):
+            yield from _leaves(field.kind.structure, f"{prefix}{field.name}.")
+        else:
+            yield prefix + field.name, field.kind if field.kind.spelling in _CODES else None
+
+
+def _builder(structure: Structure, start: int) -> tuple[Callable[[tuple[Any, ...]], Any], int]:
+    """Makes the record whose first number is in column `start`; and the column after its last.
+
+    The numbers are of their fields' types already: no constructor looks at them again.
+    """
+    steps: list[tuple[Callable[[Any, Any], None], int, Callable[[tuple[Any, ...]], Any] | None]] = []
+    column = start
+    for field, setter in zip(structure.fields, setters_of(structure.cls), strict=True):
+        if isinstance(field.kind, RecordKind):
+            inner, after = _builder(field.kind.structure, column)
+            steps.append((setter, column, inner))
+            column = after
+        else:
+            steps.append((setter, column, None))
+            column += 1
+    cls, new = structure.cls, object.__new__
+
+    def build_row(values: tuple[Any, ...]) -> Any:
+        record: Any = new(cls)
+        for setter, place, inner in steps:
+            setter(record, values[place] if inner is None else inner(values))
+        return record
+
+    return build_row, column
+
+
+class Positions(NamedTuple):
+    """How a value lies in a frame: what msgpack packs of it, and back."""
+
+    put: Put
+    take: Take
+
+
+def positions_of(kind: Kind) -> Positions:
+    """How the values of a kind lie in a frame."""
+    for base, make in _MAKERS:
+        if isinstance(kind, base):
+            return make(kind)
+    put, take = pair_of(kind)
+    return Positions(
+        (lambda value, _parts: value) if put is None else (lambda value, _parts: put(value)),
+        (lambda value, _where, _parts: value) if take is None else (lambda value, where, _parts: take(value, where)),
+    )
+
+
+def record_positions(structure: Structure) -> Positions:
+    """How a record lies in a frame: a list of its fields, in order."""
+    cls, fields = structure.cls, structure.fields
+    ways = [positions_of(field.kind) for field in fields]
+    wheres = [f"{cls.__qualname__}.{field.name}" for field in fields]
+    checks = [None if structure.checked else field.kind.check for field in fields]
+    putting = list(zip([field.name for field in fields], [way.put for way in ways], wheres, checks, strict=True))
+    taking = list(zip([way.take for way in ways], wheres, checks, strict=True))
+
+    def put(record: Any, parts: list[memoryview]) -> Any:
+        values = []
+        for name, put_one, where, check in putting:
+            value = getattr(record, name)
+            values.append(put_one(value if check is None else check(value, where), parts))
+        return values
+
+    def take(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        list_of(values, where, len(fields))
+        found = []
+        for (take_one, place, check), value in zip(taking, values, strict=True):
+            taken = take_one(value, place, parts)
+            found.append(taken if check is None else check(taken, place))
+        if structure.checked:
+            return cls(*found)
+        return build(cls, dict(zip([field.name for field in fields], found, strict=True)))
+
+    return Positions(put, take)
+
+
+def _next(parts: Iterator[Buffer], where: str) -> Buffer:
+    part = next(parts, None)
+    if part is None:
+        raise WireError(f"{where}: expected a part beside the frame, and there is none left")
+    return part
+
+
+def _beside(value: Any) -> bool:
+    """Whether the value in the frame stands for a part."""
+    return type(value) is list
+
+
+def _array_positions(kind: ArrayKind) -> Positions:
+    element, spelling = kind.element, kind.spelling
+    one_dimension = not isinstance(kind, NDArrayKind)
+
+    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        array = _take_array(value, where, parts)
+        if (element is not None and array.dtype != element_dtype(element)) or (one_dimension and array.ndim != 1):
+            raise WireError(f"{where}: expected {spelling}, got {array.dtype} of shape {array.shape}")
+        return array
+
+    return Positions(_put_array, take)
+
+
+def _put_array(array: Any, parts: list[memoryview]) -> Any:
+    if array.nbytes < BESIDE:
+        return pack_array(array)
+    head, part = array_part(array)
+    parts.append(part)
+    return [head]
+
+
+def _take_array(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+    if not _beside(value):
+        return unpack_array(value, where)
+    if len(value) != 1:
+        raise WireError(f"{where}: expected the head of an array, got {shown(value)}")
+    return array_of_part(value[0], _next(parts, where), where)
+
+
+def _rows_positions(kind: RowsKind) -> Positions:
+    dtype, width = kind.element or "", len(kind.columns)
+
+    def put(rows: Any, parts: list[memoryview]) -> Any:
+        return _put_array(rows.array, parts)
+
+    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        array = _take_array(value, where, parts)
+        if array.dtype != element_dtype(dtype) or array.ndim != 2 or array.shape[1] != width:
+            raise WireError(
+                f"{where}: expected {dtype} of shape (n, {width}), got {array.dtype} of shape {array.shape}"
+            )
+        return array
+
+    return Positions(put, take)
+
+
+def _bytes_positions(_kind: BytesKind) -> Positions:
+    def put(value: bytes, parts: list[memoryview]) -> Any:
+        if len(value) < BESIDE:
+            return value
+        parts.append(memoryview(value))
+        return []
+
+    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        if not _beside(value):
+            return value
+        list_of(value, where, 0)
+        return bytes(_next(parts, where))
+
+    return Positions(put, take)
+
+
+def _nested_positions(kind: RecordKind) -> Positions:
+    return record_positions(kind.structure)
+
+
+def _tuple_positions(kind: TupleKind) -> Positions:
+    way = positions_of(kind.item)
+
+    def put(items: Any, parts: list[memoryview]) -> Any:
+        return [way.put(item, parts) for item in items]
+
+    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        list_of(value, where)
+        return [way.take(item, f"{where}[{index}]", parts) for index, item in enumerate(value)]
+
+    return Positions(put, take)
+
+
+def _fixed_positions(kind: FixedTupleKind) -> Positions:
+    ways = [positions_of(item) for item in kind.items]
+
+    def put(items: Any, parts: list[memoryview]) -> Any:
+        return [way.put(item, parts) for way, item in zip(ways, items, strict=True)]
+
+    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        list_of(value, where, len(ways))
+        numbered = enumerate(zip(ways, value, strict=True))
+        return tuple(way.take(item, f"{where}[{index}]", parts) for index, (way, item) in numbered)
+
+    return Positions(put, take)
+
+
+def _optional_positions(kind: OptionalKind) -> Positions:
+    way = positions_of(kind.inner)
+
+    def put(value: Any, parts: list[memoryview]) -> Any:
+        return None if value is None else way.put(value, parts)
+
+    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        return None if value is None else way.take(value, where, parts)
+
+    return Positions(put, take)
+
+
+_MAKERS: Final[tuple[tuple[type, Callable[[Any], Positions]], ...]] = (
+    (RecordKind, _nested_positions),
+    (ArrayKind, _array_positions),
+    (RowsKind, _rows_positions),
+    (BytesKind, _bytes_positions),
+    (TupleKind, _tuple_positions),
+    (FixedTupleKind, _fixed_positions),
+    (OptionalKind, _optional_positions),
+)
+
+
+def class_positions(cls: type, kind: Kind | None) -> tuple[Packed | None, Positions]:
+    """How values of a class lie in a frame; `kind` is that of a plain type, None for records."""
+    if kind is not None:
+        plain = kind
+        way = positions_of(kind)
+        return None, Positions(
+            lambda value, parts: way.put(plain.check(value, cls.__name__), parts), _checked(plain, way)
+        )
+    structure = describe(cls)
+    return packed(structure), record_positions(structure)
+
+
+def _checked(kind: Kind, way: Positions) -> Take:
+    return lambda value, where, parts: kind.check(way.take(value, where, parts), where)
+
+
+def flat(parts: Sequence[Buffer]) -> list[Buffer]:
+    """The parts as read-only bytes. WireError: one is not contiguous."""
+    found: list[Buffer] = []
+    for part in parts:
+        if type(part) is bytes:
+            found.append(part)
+            continue
+        view = memoryview(part)
+        if not view.c_contiguous:
+            raise WireError("expected parts that are contiguous")
+        found.append(view.cast("B").toreadonly() if view.nbytes else b"")
+    return found
