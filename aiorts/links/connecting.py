@@ -34,7 +34,7 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import OnLinkLost, Push, Stamp, Subscription
-from aiorts.wire import NETWORK, MsgpackCodec
+from aiorts.wire import LINK, MsgpackCodec
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -76,7 +76,7 @@ class Links(KernelService):
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
         self._settings = LinksSettings()
-        self._codec = MsgpackCodec(NETWORK)
+        self._codec = MsgpackCodec(LINK)
         self._transport: Transport | None = None
         self._opening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[Any]] = set()

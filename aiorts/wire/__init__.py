@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from aiorts.wire.arrays import ELEMENTS
     from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec, PartsCodec, with_parts
     from aiorts.wire.codecs import find_codec
-    from aiorts.wire.limits import CONTROL, DATA, NETWORK, Limits
+    from aiorts.wire.limits import CONTROL, DATA, LINK, Limits
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
     from aiorts.wire.schemas import json_message, schema_text
 
@@ -20,7 +20,7 @@ __all__ = (
     "DATA",
     "ELEMENTS",
     "FORMAT",
-    "NETWORK",
+    "LINK",
     "Codec",
     "Limits",
     "LineReader",
@@ -44,7 +44,7 @@ _late(
         "aiorts.wire.arrays": "ELEMENTS",
         "aiorts.wire.codec": "FORMAT Codec MsgpackCodec PartsCodec with_parts",
         "aiorts.wire.codecs": "find_codec",
-        "aiorts.wire.limits": "CONTROL DATA NETWORK Limits",
+        "aiorts.wire.limits": "CONTROL DATA LINK Limits",
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
         "aiorts.wire.schemas": "json_message schema_text",
     },

@@ -34,7 +34,7 @@ DATA = Limits()
 """The limits of samples."""
 CONTROL = Limits(frame=64 * KIB, string=64 * KIB, length=64)
 """Smaller limits, for short messages."""
-NETWORK = Limits(values=4_096, length=4_096)
+LINK = Limits(values=4_096, length=4_096)
 """Smaller limits, for what another kernel sends, so that a bomb does not hold up the loop: it is refused in 10 ms.
 
 A frame that is no bomb takes 1 us a value for texts, 7 us for small arrays, and up to 15 us for lists of mutable

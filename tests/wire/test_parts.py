@@ -29,11 +29,11 @@ from aiorts.types import (
     record,
     snapshot,
 )
-from aiorts.wire import NETWORK, Limits, MsgpackCodec, SealedBytes, with_parts
+from aiorts.wire import LINK, Limits, MsgpackCodec, SealedBytes, with_parts
 from campaign import cases
 from each import each
 
-CODEC = MsgpackCodec(NETWORK)
+CODEC = MsgpackCodec(LINK)
 TYPES = sorted(record_types(), key=lambda cls: cls.__name__)
 LARGE = 16_384
 

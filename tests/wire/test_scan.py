@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from aiorts.errors import LimitError, WireError
 from aiorts.types import ActArrayState, Actuator, TimedDouble, TimedNDArray, TimedOctetSeq, TimedString, TimedStringSeq
-from aiorts.wire import CONTROL, DATA, NETWORK, Limits, MsgpackCodec
+from aiorts.wire import CONTROL, DATA, LINK, Limits, MsgpackCodec
 from aiorts.wire.scan import count_values
 from campaign import cases
 
@@ -77,7 +77,7 @@ def _refused_in(codec: MsgpackCodec, data: bytes) -> float:
 def test_bomb_is_refused_within_10_ms_of_a_network_and_20_mib(bomb: str, wrapped: bool) -> None:
     data = _frame(BOMBS[bomb]) if wrapped else BOMBS[bomb]
     # Files may have larger frames than a network: their worst one takes twice as long.
-    for codec, seconds in ((CODEC, 0.030), (SMALL, 0.010), (MsgpackCodec(NETWORK), 0.010)):
+    for codec, seconds in ((CODEC, 0.030), (SMALL, 0.010), (MsgpackCodec(LINK), 0.010)):
         assert min(_refused_in(codec, data) for _ in range(3)) < seconds
         resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         tracemalloc.start()
