@@ -41,7 +41,7 @@ def element_name(dtype: np.dtype[Any]) -> str | None:
 
 
 class SealedBytes(bytearray):
-    """Memory that a transport fills once, and nobody writes to afterwards.
+    """Memory that a transport fills once, and that is not written to afterwards.
 
     Records take arrays on read-only views of it without a copy, as on `bytes`, which cannot be filled from a socket.
     """

@@ -161,7 +161,7 @@ class MsgpackCodec:
         return self.parts_encoder(original(type(record)))(record)
 
     def decode_parts(self, head: Buffer, parts: Sequence[Buffer], expected: type) -> Any:
-        """The record of exactly the class `expected`; its arrays are on the memory of `parts`, which nobody changes.
+        """The record of exactly the class `expected`; its arrays are on the memory of `parts`, which stays as it is.
 
         Raises as `decode`.
         """
