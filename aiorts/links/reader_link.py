@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from aiorts.errors import AiortsError
+from aiorts.errors import format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.links.timing import Wakening
 from aiorts.model.links import ReaderEnd
@@ -120,11 +120,11 @@ class ReaderLink:
                 else:
                     taken = out.write_nowait(record)
                     end.done(self._now(), sample.ticket, "" if taken else "rejected")
-            except AiortsError as error:
+            except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
                 end.done(self._now(), sample.ticket, "undecodable")
                 if not self._undecodable:
                     self._undecodable = True
-                    self._report(f"{self.connector.name}: dropped what cannot be decoded: {error}")
+                    self._report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
 
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""

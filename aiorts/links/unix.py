@@ -184,8 +184,9 @@ class UnixTransport:
             raise LinkError(f"{far.kernel}: is gone")
         key = (peer, _BY_READER if writes else _BY_WRITER, offer.number)
         kind = _BY_WRITER if writes else _BY_READER
-        channel = self._channels[key] = _UnixChannel(self._to(peer), kind, offer.number, events)
-        channel.closed = partial(self._forget, key, channel)
+        channel = self._channels[key] = _UnixChannel(
+            self._to(peer), kind, offer.number, events, partial(self._forget, key)
+        )
         return channel
 
     def _forget(self, key: tuple[Peer, int, int], channel: _UnixChannel) -> None:
@@ -202,7 +203,7 @@ class UnixTransport:
     def drained(self, connection: _Connection) -> None:
         """A connection takes frames again."""
         for key, channel in tuple(self._channels.items()):
-            # One may close another while it is told.
+            # What is called for one may close another.
             if channel.connection is connection and self._channels.get(key) is channel:
                 channel.events.on_room()
 
@@ -229,18 +230,23 @@ class UnixTransport:
 class _UnixChannel:
     """One end of a link over the connection of its kernels."""
 
-    def __init__(self, connection: _Connection, kind: int, number: int, events: ChannelEvents) -> None:
+    def __init__(
+        self,
+        connection: _Connection,
+        kind: int,
+        number: int,
+        events: ChannelEvents,
+        closed: Callable[[_UnixChannel], None],
+    ) -> None:
         self.connection, self.events = connection, events
-        self.closed: Callable[[], None]
-        """What `close` does; set by whoever made it."""
-        self._kind, self._number = kind, number
+        self._kind, self._number, self._closed = kind, number, closed
         self._send = connection.stream.send
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         return self._send(self._kind, self._number, head, parts)
 
     def close(self) -> None:
-        self.closed()
+        self._closed(self)
 
 
 class _Connection:

@@ -19,7 +19,7 @@ from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
 from aiorts.types.structure import kind_of
 from aiorts.wire.forms import Form, form_of
 from aiorts.wire.limits import DATA, Limits
-from aiorts.wire.parts import Buffer, class_positions, flat
+from aiorts.wire.parts import Buffer, Packed, Positions, flat, layout_of
 from aiorts.wire.scan import count_values
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class MsgpackCodec:
         try:
             packer = _packers.pop()
         except IndexError:
-            packer = msgpack.Packer(unicode_errors="strict")
+            packer = _new_packer()
         frame: bytes = packer.pack(content)
         if len(frame) <= _KEPT:
             _packers.append(packer)  # not after an error, which may leave something in it
@@ -132,14 +132,14 @@ class MsgpackCodec:
             DeclarationError: the class cannot travel. What it gives raises LimitError for a frame that is too large.
         """
         name, form = _known.get(cls) or _know(cls)
-        put, pack, unchecked = form.put, msgpack.Packer(unicode_errors="strict").pack, self._unchecked
+        put, pack, unchecked = form.put, _new_packer().pack, self._unchecked
 
         def encode(record: Any) -> bytes:
             nonlocal pack
             frame: bytes = pack((FORMAT, name, put(record)))
             if len(frame) > unchecked:
                 if len(frame) > _KEPT:
-                    pack = msgpack.Packer(unicode_errors="strict").pack
+                    pack = _new_packer().pack
                 self._check_size(frame, name)
             return frame
 
@@ -173,12 +173,9 @@ class MsgpackCodec:
         Raises:
             DeclarationError: the class cannot travel. What it gives raises RecordTypeError for another class.
         """
-        target = original(cls)
-        name, _ = _known.get(target) or _know(target)
-        ways = class_positions(target, kind_of(target, target.__name__) if target in PLAIN_TYPES else None)
-        if ways[0] is not None:
-            layout, read, _ = ways[0]
-            pack = layout.pack
+        target, name, packed, (put, _) = _parts_of(cls)
+        if packed is not None:
+            pack, read = packed.layout.pack, packed.read
 
             def encode_packed(record: Any) -> tuple[bytes, Sequence[memoryview]]:
                 if type(record) is not target:
@@ -186,14 +183,17 @@ class MsgpackCodec:
                 return pack(*read(record)), ()
 
             return encode_packed
-        put, packer, unchecked, most = ways[1].put, self._packer(), self._unchecked, self.limits.parts
+        packer, unchecked, most = _new_packer(), self._unchecked, self.limits.parts
 
         def encode(record: Any) -> tuple[bytes, Sequence[memoryview]]:
+            nonlocal packer
             if original(type(record)) is not target:
                 raise _another_class(record, name)
             parts: list[memoryview] = []
             head: bytes = packer.pack(put(record, parts))
             if len(head) > unchecked:
+                if len(head) > _KEPT:
+                    packer = _new_packer()
                 self._check_size(head, name)
             if parts:
                 if len(parts) > most:
@@ -209,12 +209,9 @@ class MsgpackCodec:
         Raises:
             DeclarationError: the class cannot travel. What it gives raises as `decode`.
         """
-        target = original(cls)
-        name, _ = _known.get(target) or _know(target)
-        ways = class_positions(target, kind_of(target, target.__name__) if target in PLAIN_TYPES else None)
-        if ways[0] is not None:
-            layout, _, build = ways[0]
-            unpack = layout.unpack
+        _, name, packed, (_, take) = _parts_of(cls)
+        if packed is not None:
+            unpack, build = packed.layout.unpack, packed.build
 
             def decode_packed(head: Buffer, parts: Sequence[Buffer]) -> Any:
                 try:
@@ -225,7 +222,6 @@ class MsgpackCodec:
                     raise WireError(f"{name}: {error}") from None
 
             return decode_packed
-        take = ways[1].take
 
         def decode(head: Buffer, parts: Sequence[Buffer]) -> Any:
             try:
@@ -248,10 +244,6 @@ class MsgpackCodec:
         total = len(head) + sum(memoryview(part).nbytes for part in parts)
         if total > self.limits.frame:
             raise LimitError(f"{name}: a frame of {total} bytes; at most {self.limits.frame} are allowed")
-
-    @staticmethod
-    def _packer() -> Any:
-        return msgpack.Packer(unicode_errors="strict")
 
     def decode(self, data: Buffer, expected: type | None = None) -> Any:
         """The record in a frame, any contiguous buffer; arrays in it use the parsed bytes without another copy.
@@ -305,6 +297,17 @@ _known: dict[type, tuple[str, Form]] = {}
 _packers: list[Any] = []
 """Those that nobody uses at this moment: to make one takes as long as to pack a small record. Who packs takes one out,
 so that threads never share one."""
+
+
+def _new_packer() -> Any:
+    return msgpack.Packer(unicode_errors="strict")
+
+
+def _parts_of(cls: type) -> tuple[type, str, Packed | None, Positions]:
+    """The class itself, its wire name, and how its values lie in head and parts. DeclarationError: it cannot travel."""
+    target = original(cls)
+    name, _ = _known.get(target) or _know(target)
+    return target, name, *layout_of(target)
 
 
 def _know(cls: type) -> tuple[str, Form]:

@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
-from aiorts.errors import RecordError, WireError
+from aiorts.errors import WireError
 from aiorts.types.arrays import ArrayKind, NDArrayKind, element_dtype
-from aiorts.types.kinds import STAMP_LIMIT, BytesKind, Kind, OptionalKind, shown
+from aiorts.types.kinds import BytesKind, Kind, OptionalKind, shown
 from aiorts.types.nested import RecordKind
 from aiorts.types.plain import build
-from aiorts.types.record import setters_of
 from aiorts.types.rows import FixedTupleKind, RowsKind, TupleKind
-from aiorts.types.structure import describe
+from aiorts.types.samples import PLAIN_TYPES
+from aiorts.types.structure import describe, kind_of
 from aiorts.wire.arrays import array_of_part, array_part, pack_array, unpack_array
 from aiorts.wire.forms import list_of, pair_of
 
@@ -61,19 +61,10 @@ def packed(structure: Structure) -> Packed | None:
     layout = struct.Struct("<" + "".join(_CODES[kind.spelling] for _, kind in leaves if kind is not None))
     getter = attrgetter(*(path for path, _ in leaves))
     read = getter if len(leaves) > 1 else lambda record: (getter(record),)
-    if not any(isinstance(field.kind, RecordKind) for field in structure.fields):
-        cls = structure.cls
-        return Packed(layout, read, lambda values: cls(*values))
-    stamps = [place for place, (_, kind) in enumerate(leaves) if kind is not None and kind.spelling == "stamp"]
-    build_row, _ = _builder(structure, 0)
-
-    def build_nested(values: tuple[Any, ...]) -> Any:
-        for place in stamps:
-            if values[place] >= STAMP_LIMIT:
-                raise RecordError(f"{structure.cls.__qualname__}.{leaves[place][0]}: no time stamp")
-        return build_row(values)
-
-    return Packed(layout, read, build_nested)
+    if any(isinstance(field.kind, RecordKind) for field in structure.fields):
+        return Packed(layout, read, _builder(structure, 0)[0])
+    cls = structure.cls
+    return Packed(layout, read, lambda values: cls(*values))
 
 
 def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | None]]:
@@ -88,29 +79,22 @@ def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | Non
 
 
 def _builder(structure: Structure, start: int) -> tuple[Callable[[tuple[Any, ...]], Any], int]:
-    """Makes the record whose first number is in column `start`; and the column after its last.
-
-    The numbers are of their fields' types already: no constructor looks at them again.
-    """
-    steps: list[tuple[Callable[[Any, Any], None], int, Callable[[tuple[Any, ...]], Any] | None]] = []
-    column = start
-    for field, setter in zip(structure.fields, setters_of(structure.cls), strict=True):
+    """Makes the record whose first number is in column `start`, by its constructor; and the column after its last."""
+    cls, column = structure.cls, start
+    sources: list[tuple[int, Callable[[tuple[Any, ...]], Any] | None]] = []
+    for field in structure.fields:
         if isinstance(field.kind, RecordKind):
             inner, after = _builder(field.kind.structure, column)
-            steps.append((setter, column, inner))
+            sources.append((column, inner))
             column = after
         else:
-            steps.append((setter, column, None))
+            sources.append((column, None))
             column += 1
-    cls, new = structure.cls, object.__new__
 
-    def build_row(values: tuple[Any, ...]) -> Any:
-        record: Any = new(cls)
-        for setter, place, inner in steps:
-            setter(record, values[place] if inner is None else inner(values))
-        return record
+    def build_record(values: tuple[Any, ...]) -> Any:
+        return cls(*[values[place] if inner is None else inner(values) for place, inner in sources])
 
-    return build_row, column
+    return build_record, column
 
 
 class Positions(NamedTuple):
@@ -289,20 +273,28 @@ _MAKERS: Final[tuple[tuple[type, Callable[[Any], Positions]], ...]] = (
 )
 
 
-def class_positions(cls: type, kind: Kind | None) -> tuple[Packed | None, Positions]:
-    """How values of a class lie in a frame; `kind` is that of a plain type, None for records."""
-    if kind is not None:
-        plain = kind
-        way = positions_of(kind)
-        return None, Positions(
-            lambda value, parts: way.put(plain.check(value, cls.__name__), parts), _checked(plain, way)
-        )
-    structure = describe(cls)
+def layout_of(cls: type) -> tuple[Packed | None, Positions]:
+    """How values of a class that can travel lie in a frame: packed where that is possible, else by position."""
+    found = _layouts.get(cls)
+    if found is None:
+        found = _layouts[cls] = _plain_layout(cls) if cls in PLAIN_TYPES else _record_layout(describe(cls))
+    return found
+
+
+_layouts: dict[type, tuple[Packed | None, Positions]] = {}
+
+
+def _record_layout(structure: Structure) -> tuple[Packed | None, Positions]:
     return packed(structure), record_positions(structure)
 
 
-def _checked(kind: Kind, way: Positions) -> Take:
-    return lambda value, where, parts: kind.check(way.take(value, where, parts), where)
+def _plain_layout(cls: type) -> tuple[Packed | None, Positions]:
+    kind = kind_of(cls, cls.__name__)
+    way = positions_of(kind)
+    return None, Positions(
+        lambda value, parts: way.put(kind.check(value, cls.__name__), parts),
+        lambda value, where, parts: kind.check(way.take(value, where, parts), where),
+    )
 
 
 def flat(parts: Sequence[Buffer]) -> list[Buffer]:

@@ -7,6 +7,7 @@ number of values still to come, and for each open container the number at which 
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from aiorts.errors import LimitError, WireError
@@ -29,6 +30,8 @@ for _first, _size in {
 }.items():  # fmt: skip
     _FIXED[_first] = _size
 _SIZES = bytes(_FIXED)
+
+_OF_ONE_BYTE = re.compile(b"[" + b"".join(rb"\x%02x" % byte for byte in range(256) if _SIZES[byte] == 1) + b"]*")
 
 # First byte -> values in a list or map so short that no length follows; they are most of all containers there are.
 _SMALL = bytes(128) + bytes(range(0, 32, 2)) + bytes(range(16)) + bytes(96)
@@ -78,6 +81,11 @@ def count_values(frame: bytes | bytearray | memoryview, limits: Limits) -> int:
                 raise LimitError(f"the frame has lists and maps inside each other deeper than {MAX_DEPTH}")
             if position + to_come > end:
                 break
+            if items > 15:
+                # Values of one byte each at the beginning of a long list are counted together: bombs are made of them.
+                after = _OF_ONE_BYTE.match(frame, position, position + items).end()  # type: ignore[union-attr]
+                to_come -= after - position
+                position = after
     except IndexError:
         pass
     if to_come:

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from anyio import WouldBlock, fail_after, sleep
@@ -15,7 +15,7 @@ from anyio import WouldBlock, fail_after, sleep
 from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
 from aiorts.errors import LinkError, StateError, WiringError, WriteTimeout
 from aiorts.links import Links
-from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong
+from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, record
 
 pytestmark = pytest.mark.anyio
 
@@ -46,6 +46,23 @@ class Any3(Component):
 
 class Reals(Component):
     inp = InPort(TimedDouble)
+
+
+@record
+class Level:
+    """A number with a rule of its own."""
+
+    value: int
+    lowest: ClassVar[int] = -10
+
+    def __post_init__(self) -> None:
+        if self.value < self.lowest:
+            raise ValueError("too low")
+
+
+class Guarded(Component):
+    out = OutPort(Level)
+    inp = InPort(Level)
 
 
 @pytest.fixture(autouse=True)
@@ -355,6 +372,22 @@ async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_sa
         assert seen == [3, 3, 3]
         assert connector.statistics.dropped == {"undecodable": 2}
         assert caplog.text.count("dropped what cannot be decoded") == 1
+
+
+async def test_a_sample_that_its_class_refuses_at_the_reader_is_dropped_and_the_next_ones_come(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Guarded()), await two.add(Guarded("sink0"))
+        connector = await one.connect(source.out, "two/sink0.inp")
+        source.out.write_nowait(Level(-1))
+        monkeypatch.setattr(Level, "lowest", 0)  # as in a kernel that runs another version of the class
+        source.out.write_nowait(Level(2))
+        with fail_after(10):
+            assert (await sink.inp.read()).value == 2
+        await until(lambda: connector.statistics.acknowledged == 1)
+        assert dict(connector.statistics.dropped) == {"undecodable": 1}
+        assert caplog.text.count("dropped what cannot be decoded: ValueError: too low") == 1
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,33 @@ def test_numbers_alone_are_a_packed_structure_without_names() -> None:
     assert CODEC.encode_parts(nested) == (struct.pack("<Qddd", 5, 1.0, 2.0, 3.0), ())
 
 
+@record
+class Share:
+    """One number with a rule of its own."""
+
+    of: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.of <= 1.0:
+            raise ValueError("a share is from 0 to 1")
+
+
+@record
+class Shares:
+    """Numbers alone, the first of them in a record of its own."""
+
+    one: Share
+    count: int
+    two: Share
+
+
+def test_a_class_keeps_its_own_rules_when_it_is_decoded() -> None:
+    assert there_and_back(Shares(Share(0.5), 3, Share(1.0))) == Shares(Share(0.5), 3, Share(1.0))
+    for cls, head in ((Share, struct.pack("<d", -1.0)), (Shares, struct.pack("<dqd", 0.5, 3, 2.0))):
+        with pytest.raises(ValueError, match="a share is from 0 to 1"):
+            CODEC.decode_parts(head, (), cls)
+
+
 def test_arrays_of_16_kib_travel_beside_the_head_and_are_not_copied() -> None:
     array = np.arange(LARGE // 8, dtype="f8").reshape(2, -1)
     sample = Cloud(1, "c", array, (TimedNDArray(2, np.zeros(LARGE // 8 - 1)), TimedNDArray(3, np.ones(LARGE, "b1"))))
