@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 from aiorts.kernel.ports.connector import transport_of
-from aiorts.kernel.ports.features import Feature, FeaturedTransport, offer
+from aiorts.kernel.ports.features import Feature, FeaturedTransport, features_of, offer
 from aiorts.kernel.ports.transport import Waiting
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy
@@ -51,6 +51,11 @@ class Linked(FeaturedTransport):
 
     __slots__ = ()
 
+    @property
+    def direct(self) -> bool:
+        """A write goes straight into the queue: the link hears of each, and makes room in a full one."""
+        return len(features_of(self.connector.profile)) == 1 and super(FeaturedTransport, self).direct
+
     def statistics(self) -> ConnectorStatistics:
         found = super().statistics()
         acknowledged, in_flight, dropped = self._link.drained() if self._link is not None else (0, 0, {})
@@ -72,6 +77,10 @@ class Confirmed(Linked):
     """A transport whose writes wait until the reader's end has acknowledged the sample. See `Transport`."""
 
     __slots__ = ()
+
+    @property
+    def direct(self) -> bool:
+        return False
 
     def must_wait(self) -> bool:
         return not self.closed and self.receiver.open and not self.retired

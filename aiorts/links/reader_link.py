@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from anyio import WouldBlock
+
 from aiorts.errors import format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.links.timing import Wakening
@@ -107,30 +109,40 @@ class ReaderLink:
 
     def _deliver(self) -> None:
         """Write what came, as long as the reader has room; what has none is not acknowledged."""
-        end, out, decode = self.end, self.connector.out, self._decode
-        transport = transport_of(self.connector)
-        while not self._waits and not self._ended:
-            sample = end.take()
-            if sample is None:
-                return
+        end, write, decode, now = self.end, self.connector.out.write_nowait, self._decode, self._now()
+        taken = last = 0
+        while not self._waits and not self._ended and (received := end.take()) is not None:
+            ticket, head, parts = received
             try:
-                record = decode(sample.head, sample.parts)
-                if transport.must_wait():
-                    self._wait(sample.ticket, record)
-                else:
-                    taken = out.write_nowait(record)
-                    end.done(self._now(), sample.ticket, "" if taken else "rejected")
+                record = decode(head, parts)
             except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
-                end.done(self._now(), sample.ticket, "undecodable")
+                end.done(now, last, taken)
+                end.failed(now, ticket, "undecodable")
+                taken = 0
                 if not self._undecodable:
                     self._undecodable = True
                     self._report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
+                continue
+            try:
+                has_room = write(record)
+            except WouldBlock:
+                end.done(now, last, taken)
+                taken = 0
+                self._wait(ticket, record)
+                continue
+            if has_room:
+                taken, last = taken + 1, ticket
+            else:
+                end.done(now, last, taken)
+                end.failed(now, ticket, "rejected")
+                taken = 0
+        end.done(now, last, taken)
 
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""
         future = self._kernel.loop.create_future()
         if transport_of(self.connector).wait_for_room(record, future) is None:
-            self.end.done(self._now(), number)
+            self.end.done(self._now(), number, 1)
             return
         self._waits = number
         future.add_done_callback(self._room_made)
@@ -139,6 +151,6 @@ class ReaderLink:
         number, self._waits = self._waits, 0
         if self._ended:
             return
-        self.end.done(self._now(), number)
+        self.end.done(self._now(), number, 1)
         self._deliver()
         self._poll()

@@ -91,14 +91,15 @@ class WriterLink:
 
     def _written(self, _port: InPort[Any]) -> bool:
         # The first sample leaves in the write itself; what follows in the same turn of the loop travels together.
-        if not self._turn_due:
+        if self._turn_due:
+            if self._drains_full:
+                transport = transport_of(self.connector)
+                if len(transport.queue) >= transport.length:
+                    self._drain()  # else the next sample of this turn would find it full, with room in the window
+        else:
             self._turn_due = True
             self._kernel.loop.call_soon(self._turn)
             self.pump()
-        elif self._drains_full:
-            transport = self._transport()
-            if len(transport.queue) >= transport.length:
-                self._drain()  # else the next sample of this turn would find the buffer full, with room in the window
         return True
 
     def _turn(self) -> None:
@@ -110,10 +111,11 @@ class WriterLink:
         transport = self._transport()
         transport.settle()
         now = self._now()
+        queue, read = transport.queue, far.read_nowait
         while end.room > 0:
-            if transport.queue:
+            if queue:
                 try:
-                    head, parts = encode(far.read_nowait())
+                    head, parts = encode(read())
                 except AiortsError as error:
                     self._not_sent(error)
                     continue

@@ -101,13 +101,18 @@ class Pair:
             self.settle()
 
     def deliver(self) -> None:
+        last = taken = 0
         while self.buffer > 0 and (sample := self.reader.take()) is not None:
+            ticket, head, _ = sample
             if self.random.random() < self.rejects:
-                self.reader.done(self.now, sample.ticket, "rejected")
+                self.reader.done(self.now, last, taken)
+                self.reader.failed(self.now, ticket, "rejected")
+                taken = 0
             else:
                 self.buffer -= 1
-                self.seen.append(int.from_bytes(sample.head, "little"))
-                self.reader.done(self.now, sample.ticket)
+                self.seen.append(int.from_bytes(head, "little"))
+                last, taken = ticket, taken + 1
+        self.reader.done(self.now, last, taken)
 
     @property
     def unexplained(self) -> int:

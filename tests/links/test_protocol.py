@@ -254,7 +254,7 @@ def test_a_long_reason_is_cut_between_letters() -> None:
     writer.poll(0, lambda head, parts: (reader.receive(0, head, parts), True)[1])
     sample = reader.take()
     assert sample is not None
-    reader.done(0, sample.ticket, "\N{LATIN SMALL LETTER E WITH ACUTE}" * 200)
+    reader.failed(0, sample[0], "\N{LATIN SMALL LETTER E WITH ACUTE}" * 200)
     reader.poll(60 * MS, lambda head, parts: (writer.receive(60 * MS, head), True)[1])
     assert writer.ledger.dropped == 1
     assert not writer.ledger.bad_frames

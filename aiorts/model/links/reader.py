@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import Final, NamedTuple
+from itertools import repeat
+from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
 from aiorts.model.links import frames
@@ -16,13 +17,8 @@ ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
 
 
-class Received(NamedTuple):
-    """A sample that has come."""
-
-    ticket: int
-    """What `done` is told: the number, with which writer's end it is of in the upper bits."""
-    head: Buffer
-    parts: Sequence[Buffer]
+Received: TypeAlias = tuple[int, Buffer, Sequence[Buffer]]
+"""A sample that has come: its ticket (the number, with which writer's end it is of in the upper bits), head, parts."""
 
 
 @dataclass(slots=True)
@@ -138,9 +134,9 @@ class ReaderEnd:
         self._bytes += sum(map(len, fresh))
         if parts and fresh:
             self._bytes += sum(map(len, parts))
-        for sample in fresh:
-            self._received += 1
-            held.append(Received(self._era + self._received, sample, parts))
+        next_ticket = self._era + self._received + 1
+        held.extend(zip(range(next_ticket, next_ticket + len(fresh)), fresh, repeat(parts)))
+        self._received += len(fresh)
         ledger.received += len(fresh)
         ledger.held += len(fresh)
         if confirm:
@@ -149,11 +145,12 @@ class ReaderEnd:
             self._ack_ns = now + ACK_NS
 
     def take(self) -> Received | None:
-        """The next sample in order; None where there is none. `done` says what became of it, one after the other."""
+        """The next sample in order; None where there is none. `done` and `failed` say what became of it, in order."""
         if not self._held:
             return None
         found = self._held.popleft()
-        self._bytes -= len(found.head) + sum(map(len, found.parts))
+        _, head, parts = found
+        self._bytes -= len(head) if not parts else len(head) + sum(map(len, parts))
         return found
 
     @property
@@ -161,20 +158,25 @@ class ReaderEnd:
         """Samples that have come and were not taken."""
         return len(self._held)
 
-    def done(self, now: int, ticket: int, what: str = "") -> None:
-        """A sample is in the reader's buffer, or `what` became of it: "rejected", or another reason."""
-        ledger = self.ledger
-        ledger.held -= 1
-        if what:
-            ledger.dropped += 1
-        else:
-            ledger.delivered += 1
-        number = ticket - self._era
+    def done(self, now: int, ticket: int, count: int = 1) -> None:
+        """So many samples are in the reader's buffer, the last of them with this ticket."""
+        if count:
+            self.ledger.held -= count
+            self.ledger.delivered += count
+            self._through(now, ticket - self._era)
+
+    def failed(self, now: int, ticket: int, why: str) -> None:
+        """A sample is not in the reader's buffer: "rejected", or another reason."""
+        self.ledger.held -= 1
+        self.ledger.dropped += 1
+        if (number := ticket - self._era) > 0:
+            self._fates[number] = why
+        self._through(now, number)
+
+    def _through(self, now: int, number: int) -> None:
         if number <= 0:
             return  # of an end that is no more
         self._done = number
-        if what:
-            self._fates[number] = what
         if (self._confirm and number >= self._confirm) or number - self._told >= self._window // 2:
             self._ack_ns = now
         elif self._ack_ns is None:
