@@ -108,7 +108,7 @@ class WriterLink:
 
     def _take(self) -> None:
         far, end, encode = self.connector.in_, self.end, self._encode
-        transport = self._transport()
+        transport = transport_of(self.connector)
         transport.settle()
         now = self._now()
         queue, read = transport.queue, far.read_nowait

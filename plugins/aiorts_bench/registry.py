@@ -17,6 +17,10 @@ OWN: Final = {
     "record": ("aiorts_bench.cases.record", "Building, checking and converting records."),
     "log": ("aiorts_bench.cases.log", "Recording: samples into a file, beside bare writers of the same."),
     "service": ("aiorts_bench.cases.service", "Calls through service ports, beside coroutines and queues."),
+    "links": (
+        "aiorts_bench.interprocess.links",
+        "Connectors into another process, beside a socket pair and bare Zenoh.",
+    ),
     "scale": ("aiorts_bench.cases.scale", "One to ten thousand components and connectors."),
     "startup": ("aiorts_bench.cases.startup", "Importing aiorts, starting its command, a first system."),
 }

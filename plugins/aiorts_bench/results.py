@@ -59,6 +59,7 @@ PARTS: Final = (
     Part("record"),
     Part("log"),
     Part("service"),
+    Part("links", rounds=7, scale=2.0),
     Part("scale"),
     Part("startup", rounds=15),
 )

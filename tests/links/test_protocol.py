@@ -270,3 +270,18 @@ def test_a_writer_that_ignores_the_window_cannot_make_the_readers_end_hold_more_
         writer.offer(0, b"x", (part,))
     writer.poll(0, lambda head, parts: reader.receive(0, head, parts) is None)
     assert reader.held == 8  # of 256 KiB each, twice the window
+
+
+def test_half_a_window_of_bytes_is_acknowledged_at_once() -> None:
+    writer, reader = WriterEnd(1, 1), ReaderEnd(1, 2, window_bytes=1 << 20)
+    writer.channel_up(0, 2)
+    reader.channel_up(0, 1)
+    reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
+    part, left = memoryview(bytes(1 << 18)), []
+    for _ in range(2):
+        writer.offer(0, b"x", (part,))
+        writer.poll(0, lambda head, parts: reader.receive(0, head, parts) is None)
+        reader.done(0, reader.take()[0])  # type: ignore[index] # it has come
+        reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
+        left.append(writer.ledger.in_flight)
+    assert left == [1, 0]

@@ -26,9 +26,7 @@ BATCH_BYTES: Final = 32_768
 """Bytes of the samples of one frame at the most, if it is more than one sample."""
 
 _HEAD: Final = struct.Struct("<BBHI")
-_HELLO: Final = struct.Struct("<BBHIQQ")
-_DATA: Final = struct.Struct("<BBHIQQ")
-_ACK: Final = struct.Struct("<BBHIQQ")
+_NUMBERED: Final = struct.Struct("<BBHIQQ")
 _FATE: Final = struct.Struct("<QB")
 
 
@@ -38,21 +36,21 @@ class BadFrame(ValueError):
 
 def hello(link: int, epoch: int, received: int) -> bytes:
     """Says which end this is, and up to which number it has received."""
-    return _HELLO.pack(HELLO, 0, 0, link, epoch, received)
+    return _NUMBERED.pack(HELLO, 0, 0, link, epoch, received)
 
 
 def data(link: int, first: int, oldest: int, samples: Sequence[bytes], *, confirm: bool) -> bytes:
     """Samples from number `first` on; the writer keeps those from `oldest` on."""
     if len(samples) == 1:
         # The only sample is the rest of the frame: a length for each is needed of several alone.
-        return _DATA.pack(DATA, confirm, 1, link, first, oldest) + samples[0]
+        return _NUMBERED.pack(DATA, confirm, 1, link, first, oldest) + samples[0]
     lengths = struct.pack(f"<{len(samples)}I", *map(len, samples))
-    return b"".join((_DATA.pack(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
+    return b"".join((_NUMBERED.pack(DATA, confirm, len(samples), link, first, oldest), lengths, *samples))
 
 
 def acknowledgement(link: int, done: int, received: int, fates: Mapping[int, str]) -> bytes:
     """All up to `done` are in the reader's buffer but those of `fates`; all up to `received` have come."""
-    frame = [_ACK.pack(ACK, 0, len(fates), link, done, received)]
+    frame = [_NUMBERED.pack(ACK, 0, len(fates), link, done, received)]
     for number, fate in fates.items():
         text = fate.encode()[:255].decode(errors="ignore").encode()
         frame += (_FATE.pack(number, len(text)), text)
@@ -64,35 +62,30 @@ def bye(link: int) -> bytes:
     return _HEAD.pack(BYE, 0, 0, link)
 
 
-def head_of(frame: Buffer, link: int) -> tuple[int, int, int]:
-    """Kind, flags and count of a frame. BadFrame: it is too short, or of another link."""
-    if len(frame) < _HEAD.size:
+def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
+    """Kind, flags and count of a frame, and two numbers: of hello the epoch and received, of data first and oldest, of
+    an acknowledgement done and received, of bye zeros. BadFrame: it is too short, or of another link."""
+    if len(frame) >= _NUMBERED.size:
+        kind, flags, count, number, one, two = _NUMBERED.unpack_from(frame)
+    elif len(frame) == _HEAD.size and frame[0] == BYE:
+        (kind, flags, count, number), one, two = _HEAD.unpack(frame), 0, 0
+    else:
         raise BadFrame("too short")
-    kind, flags, count, number = _HEAD.unpack_from(frame)
     if number != link:
         raise BadFrame("of another link")
-    return kind, flags, count
-
-
-def numbers_of(frame: Buffer) -> tuple[int, int]:
-    """The two numbers behind the head: of hello the epoch and received, of data first and oldest, of an
-    acknowledgement done and received."""
-    if len(frame) < _DATA.size:
-        raise BadFrame("too short")
-    *_, one, two = _DATA.unpack_from(frame)
-    return one, two
+    return kind, flags, count, one, two
 
 
 def samples_of(frame: Buffer, count: int) -> list[memoryview]:
     """The bytes of each sample of a data frame, not copied."""
     view = memoryview(frame)
     if count == 1:
-        return [view[_DATA.size :]]
-    start = _DATA.size + 4 * count
+        return [view[_NUMBERED.size :]]
+    start = _NUMBERED.size + 4 * count
     if not 0 < count <= BATCH or len(view) < start:
         raise BadFrame("no such number of samples")
     found = []
-    for length in struct.unpack_from(f"<{count}I", view, _DATA.size):
+    for length in struct.unpack_from(f"<{count}I", view, _NUMBERED.size):
         found.append(view[start : start + length])
         start += length
     if start != len(view):
@@ -103,7 +96,7 @@ def samples_of(frame: Buffer, count: int) -> list[memoryview]:
 def fates_of(frame: Buffer, count: int) -> dict[int, str]:
     """What became of the samples of an acknowledgement that are not in the reader's buffer, by number."""
     found: dict[int, str] = {}
-    place = _ACK.size
+    place = _NUMBERED.size
     for _ in range(count):
         if len(frame) < place + _FATE.size:
             raise BadFrame("too short")

@@ -54,6 +54,8 @@ class ReaderEnd:
         self._window, self._window_bytes = window, window_bytes
         self._bytes = 0
         """Bytes of what is held."""
+        self._unacknowledged = 0
+        """Bytes of what has come since the last acknowledgement."""
         self._peer_epoch = 0
         self._era = 0
         """Counts the writer's ends: what one sent that is no more is given out and never acknowledged."""
@@ -97,12 +99,11 @@ class ReaderEnd:
     def receive(self, now: int, head: Buffer, parts: Sequence[Buffer] = ()) -> None:
         """Take a frame of the writer's end; what is none is counted."""
         try:
-            kind, flags, count = frames.head_of(head, self.number)
+            kind, flags, count, one, oldest = frames.head_of(head, self.number)
             if kind == frames.DATA:
-                first, oldest = frames.numbers_of(head)
-                self._take_in(now, first, oldest, frames.samples_of(head, count), parts, bool(flags & frames.CONFIRM))
+                self._take_in(now, one, oldest, frames.samples_of(head, count), parts, bool(flags & frames.CONFIRM))
             elif kind == frames.HELLO:
-                if frames.numbers_of(head)[0] != self._peer_epoch:
+                if one != self._peer_epoch:
                     raise BadFrame("of another end")
                 self._hello, self._ack_ns = True, now
             elif kind == frames.BYE:
@@ -127,13 +128,15 @@ class ReaderEnd:
         if first > self._received + 1:
             ledger.ahead += len(samples)
             return
-        fresh = samples[self._received + 1 - first :]
-        ledger.duplicates += len(samples) - len(fresh)
         room = 2 * self._window - len(held) if self._bytes < 2 * self._window_bytes else 0
-        fresh = fresh[: max(0, room)]
-        self._bytes += sum(map(len, fresh))
-        if parts and fresh:
-            self._bytes += sum(map(len, parts))
+        fresh = samples
+        if first <= self._received or len(samples) > room:
+            fresh = samples[self._received + 1 - first :]
+            ledger.duplicates += len(samples) - len(fresh)
+            fresh = fresh[: max(0, room)]
+        size = sum(map(len, fresh)) if not parts or not fresh else len(fresh[0]) + sum(map(len, parts))
+        self._bytes += size
+        self._unacknowledged += size
         next_ticket = self._era + self._received + 1
         held.extend(zip(range(next_ticket, next_ticket + len(fresh)), fresh, repeat(parts)))
         self._received += len(fresh)
@@ -177,7 +180,11 @@ class ReaderEnd:
         if number <= 0:
             return  # of an end that is no more
         self._done = number
-        if (self._confirm and number >= self._confirm) or number - self._told >= self._window // 2:
+        if (
+            (self._confirm and number >= self._confirm)
+            or number - self._told >= self._window // 2
+            or self._unacknowledged >= self._window_bytes // 2
+        ):
             self._ack_ns = now
         elif self._ack_ns is None:
             self._ack_ns = now + ACK_NS
@@ -196,7 +203,7 @@ class ReaderEnd:
         if self._ack_ns is None or now < self._ack_ns:
             return self._ack_ns
         if send(frames.acknowledgement(self.number, self._done, self._received, self._fates), ()):
-            self._told, self._ack_ns = self._done, None
+            self._told, self._ack_ns, self._unacknowledged = self._done, None, 0
             if self._done >= self._confirm:
                 self._confirm = 0
         return None

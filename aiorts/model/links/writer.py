@@ -143,13 +143,11 @@ class WriterEnd:
     def receive(self, now: int, head: Buffer) -> None:
         """Take a frame of the reader's end; what is none is counted."""
         try:
-            kind, _, count = frames.head_of(head, self.number)
+            kind, _, count, one, received = frames.head_of(head, self.number)
             if kind == frames.ACK:
-                done, received = frames.numbers_of(head)
-                self._acknowledge(now, done, received, frames.fates_of(head, count) if count else {})
+                self._acknowledge(now, one, received, frames.fates_of(head, count) if count else {})
             elif kind == frames.HELLO:
-                epoch, received = frames.numbers_of(head)
-                if epoch != self._peer_epoch or received > self._highest:
+                if one != self._peer_epoch or received > self._highest:
                     raise BadFrame("of another end")
                 if not self._greeted:
                     self._greeted = True

@@ -31,7 +31,7 @@ def run(words: Sequence[str], *, timeout: float, cwd: str | Path | None = None) 
             check=False,
             stdin=subprocess.DEVNULL,
             cwd=cwd,
-            env=_environment(),
+            env=environment(),
         )
     except subprocess.TimeoutExpired:
         raise OSError(f"python {' '.join(words)[:60]}: still ran after {timeout} s and was ended") from None
@@ -48,7 +48,7 @@ def timed(words: Sequence[str], *, timeout: float = 30.0, cwd: str | Path | None
     return perf_counter_ns() - began, output
 
 
-def _environment() -> dict[str, str]:
+def environment() -> dict[str, str]:
     """The user's environment, without what keeps a child from using compiled code, and with this aiorts first."""
     kept = {name: value for name, value in os.environ.items() if name not in _DROPPED}
     paths = [str(PARENT), *filter(None, [kept.get("PYTHONPATH")])]

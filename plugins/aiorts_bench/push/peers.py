@@ -88,7 +88,7 @@ def zenoh_loopback(count: int) -> Reading:
     """
     import zenoh  # type: ignore[import-not-found, unused-ignore]
 
-    endpoint = f"tcp/127.0.0.1:{_free_port()}"
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
     arrived, lock = threading.Event(), threading.Lock()
     left = [1]
 
@@ -103,8 +103,8 @@ def zenoh_loopback(count: int) -> Reading:
             raise TimeoutError(f"{left[0]} messages missing after {_PATIENCE:g} s")
 
     with (
-        zenoh.open(_zenoh_config(zenoh, "listen", endpoint)) as listening,
-        zenoh.open(_zenoh_config(zenoh, "connect", endpoint)) as connecting,
+        zenoh.open(zenoh_config(zenoh, "listen", endpoint)) as listening,
+        zenoh.open(zenoh_config(zenoh, "connect", endpoint)) as connecting,
     ):
         subscriber: Any = listening.declare_subscriber("aiorts/bench", take)
         publisher: Any = connecting.declare_publisher("aiorts/bench", congestion_control=zenoh.CongestionControl.BLOCK)
@@ -126,7 +126,7 @@ def zenoh_loopback(count: int) -> Reading:
         return Reading.timed(count, elapsed)
 
 
-def _zenoh_config(zenoh: Any, role: str, endpoint: str) -> Any:
+def zenoh_config(zenoh: Any, role: str, endpoint: str) -> Any:
     config = zenoh.Config()
     config.insert_json5("mode", '"peer"')
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -137,7 +137,7 @@ def _zenoh_config(zenoh: Any, role: str, endpoint: str) -> Any:
     return config
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

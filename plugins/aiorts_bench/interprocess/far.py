@@ -1,0 +1,142 @@
+"""The other process of `aiorts bench links`: sends back what comes, until its standard input ends.
+
+`python -m aiorts_bench.interprocess.far LOOP KIND ...` prints "ready"; for each line that it is given, the seconds of
+processor time that it has used.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any, Final
+
+from aiorts import Component, InPort, Kernel, OutPort, run
+from aiorts.links import Links
+from aiorts.types import TimedDouble, TimedOctetSeq
+
+KERNEL: Final = "bench-far"
+PATIENCE: Final = 10.0
+"""Seconds that one step may take."""
+
+
+class Echo(Component):
+    """Writes what it reads."""
+
+    inp = InPort(TimedDouble)
+    out = OutPort(TimedDouble)
+    large_in = InPort(TimedOctetSeq)
+    large_out = OutPort(TimedOctetSeq)
+    confirmed = InPort(TimedDouble)
+    many = InPort(TimedDouble)
+
+    async def echo(self) -> None:
+        """Send small samples back."""
+        while True:
+            self.out.write_nowait(await self.inp.read())
+
+    async def echo_large(self) -> None:
+        """Send large samples back."""
+        while True:
+            self.large_out.write_nowait(await self.large_in.read())
+
+
+async def _read_on(port: InPort[TimedDouble]) -> None:
+    while True:
+        await port.read()
+        port.drain()
+
+
+@asynccontextmanager
+async def kernel() -> AsyncIterator[None]:
+    """A kernel with an echo."""
+    async with Kernel(KERNEL, services={"links": {}}) as found:
+        await found.service(Links).opened()
+        echo = await found.add(Echo("echo"))
+        works = (echo.echo(), echo.echo_large(), _read_on(echo.confirmed), _read_on(echo.many))
+        tasks = [asyncio.ensure_future(work) for work in works]
+        yield
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+@asynccontextmanager
+async def socket_pair(descriptor: str) -> AsyncIterator[None]:
+    """Sends back each message of an inherited socket, as it comes."""
+    loop = asyncio.get_running_loop()
+    with socket.socket(fileno=int(descriptor)) as sock:
+        sock.setblocking(False)
+        waiting: list[memoryview] = []
+
+        def send() -> None:
+            while waiting:
+                try:
+                    sent = sock.send(waiting[0])
+                except BlockingIOError:
+                    loop.add_writer(sock.fileno(), send)
+                    return
+                waiting[0] = waiting[0][sent:]
+                if not waiting[0]:
+                    del waiting[0]
+            loop.remove_writer(sock.fileno())
+
+        def receive() -> None:
+            if data := sock.recv(1 << 18):
+                waiting.append(memoryview(data))
+                if len(waiting) == 1:
+                    send()
+            else:
+                loop.remove_reader(sock.fileno())
+
+        loop.add_reader(sock.fileno(), receive)
+        yield
+        loop.remove_reader(sock.fileno())
+
+
+@asynccontextmanager
+async def zenoh(endpoint: str) -> AsyncIterator[None]:
+    """A session that sends back what comes: decoded on the loop and encoded there, as a link's ends do."""
+    from aiorts_bench.interprocess.zenoh import END, LARGE, MANY, SMALL, Peer
+
+    peer = Peer("listen", endpoint)
+    seen = 0
+
+    def count(sample: TimedDouble) -> None:
+        nonlocal seen
+        seen += 1
+        if sample.data == END:
+            peer.put("back/many", TimedDouble(0, float(seen)))
+            seen = 0
+
+    peer.on(SMALL, TimedDouble, lambda sample: peer.put("back/small", sample))
+    peer.on(LARGE, TimedOctetSeq, lambda sample: peer.put("back/large", sample))
+    peer.on(MANY, TimedDouble, count)
+    try:
+        yield
+    finally:
+        peer.close()
+
+
+KINDS: Final[dict[str, Callable[..., Any]]] = {"kernel": kernel, "socket": socket_pair, "zenoh": zenoh}
+
+
+async def _main(kind: str, words: list[str]) -> None:
+    async with KINDS[kind](*words):
+        print("ready", flush=True)
+        await asyncio.to_thread(_answer)
+
+
+def _answer() -> None:
+    for _ in sys.stdin:
+        print(time.process_time(), flush=True)
+
+
+if __name__ == "__main__":
+    _, _loop, _kind, *_words = sys.argv
+    logging.getLogger("aiorts").setLevel(logging.ERROR)  # that the other end disconnects is no news here
+    run(lambda: _main(_kind, _words), loop=_loop)

@@ -1,0 +1,68 @@
+"""Bare Zenoh with what a link's ends do besides: the same codec, and the hand-over to the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Callable
+from typing import Any, Final
+
+from aiorts.types import TimedDouble, TimedOctetSeq
+from aiorts.wire import LINK, MsgpackCodec
+from aiorts_bench.push.peers import zenoh_config
+
+SMALL: Final = "small"
+LARGE: Final = "large"
+MANY: Final = "many"
+END: Final = -1.0
+"""The value of the last sample of a stream, to which the other end answers how many there were."""
+_LENGTH: Final = struct.Struct("<I")
+
+
+class Peer:
+    """One session with publishers and subscribers of records; of the running loop.
+
+    Args:
+        role: "listen" or "connect", at `endpoint`; nothing is looked for elsewhere.
+    """
+
+    def __init__(self, role: str, endpoint: str) -> None:
+        import zenoh  # type: ignore[import-not-found, unused-ignore]
+
+        self._zenoh: Any = zenoh
+        self._session: Any = zenoh.open(zenoh_config(zenoh, role, endpoint))
+        self._loop = asyncio.get_running_loop()
+        codec = MsgpackCodec(limits=LINK)
+        classes: tuple[type, ...] = (TimedDouble, TimedOctetSeq)
+        self._encode = {cls: codec.parts_encoder(cls) for cls in classes}
+        self._decode = {cls: codec.parts_decoder(cls) for cls in classes}
+        self._publishers: dict[str, Any] = {}
+        self._subscribers: list[Any] = []
+
+    def put(self, key: str, record: Any) -> None:
+        """Publish a record; blocks while Zenoh takes nothing."""
+        head, parts = self._encode[type(record)](record)
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            block = self._zenoh.CongestionControl.BLOCK
+            publisher = self._session.declare_publisher(f"aiorts/bench/{key}", congestion_control=block)
+            self._publishers[key] = publisher
+        publisher.put(b"".join((_LENGTH.pack(len(head)), head, *parts)))
+
+    def on(self, key: str, cls: type, handler: Callable[[Any], object]) -> None:
+        """Call `handler` on the loop with each record of that key."""
+        decode, post = self._decode[cls], self._loop.call_soon_threadsafe
+
+        def take(payload: bytes) -> None:
+            start = _LENGTH.size + _LENGTH.unpack_from(payload)[0]
+            view = memoryview(payload)
+            handler(decode(view[_LENGTH.size : start], (view[start:],) if start < len(payload) else ()))
+
+        def arrived(sample: Any) -> None:
+            post(take, sample.payload.to_bytes())
+
+        self._subscribers.append(self._session.declare_subscriber(f"aiorts/bench/{key}", arrived))
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
