@@ -22,6 +22,8 @@ from aiorts.types import TimedDouble, TimedOctetSeq
 KERNEL: Final = "bench-far"
 PATIENCE: Final = 10.0
 """Seconds that one step may take."""
+END: Final = -1.0
+"""The value of the last sample of a stream, to which the other end answers how many there were."""
 
 
 class Echo(Component):
@@ -33,6 +35,7 @@ class Echo(Component):
     large_out = OutPort(TimedOctetSeq)
     confirmed = InPort(TimedDouble)
     many = InPort(TimedDouble)
+    counted = OutPort(TimedDouble)
 
     async def echo(self) -> None:
         """Send small samples back."""
@@ -44,11 +47,20 @@ class Echo(Component):
         while True:
             self.large_out.write_nowait(await self.large_in.read())
 
+    async def take(self) -> None:
+        """Read samples that nobody awaits an answer to."""
+        while True:
+            await self.confirmed.read()
 
-async def _read_on(port: InPort[TimedDouble]) -> None:
-    while True:
-        await port.read()
-        port.drain()
+    async def count(self) -> None:
+        """Count a stream, and answer its last sample with their number."""
+        seen = 0
+        while True:
+            for sample in (await self.many.read(), *self.many.drain()):
+                seen += 1
+                if sample.data == END:
+                    self.counted.write_nowait(TimedDouble(0, float(seen)))
+                    seen = 0
 
 
 @asynccontextmanager
@@ -57,7 +69,7 @@ async def kernel() -> AsyncIterator[None]:
     async with Kernel(KERNEL, services={"links": {}}) as found:
         await found.service(Links).opened()
         echo = await found.add(Echo("echo"))
-        works = (echo.echo(), echo.echo_large(), _read_on(echo.confirmed), _read_on(echo.many))
+        works = (echo.echo(), echo.echo_large(), echo.take(), echo.count())
         tasks = [asyncio.ensure_future(work) for work in works]
         yield
         for task in tasks:
@@ -101,7 +113,7 @@ async def socket_pair(descriptor: str) -> AsyncIterator[None]:
 @asynccontextmanager
 async def zenoh(endpoint: str) -> AsyncIterator[None]:
     """A session that sends back what comes: decoded on the loop and encoded there, as a link's ends do."""
-    from aiorts_bench.interprocess.zenoh import END, LARGE, MANY, SMALL, Peer
+    from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer
 
     peer = Peer("listen", endpoint)
     seen = 0

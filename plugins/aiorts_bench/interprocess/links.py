@@ -48,7 +48,7 @@ def cases(ends: Ends) -> tuple[Case, ...]:
         Case("link, flush", "until it is acknowledged", LATENCY, ends.link_flush, 300, flush, True, _TAIL),
         Case("link, 1 MiB", "there and back over two links", LATENCY, ends.link_large, 10, large, columns=_TAIL),
         Case("link, stream", "small samples, full=block", COST, ends.link_many, 5_000, many, True, (RATE,)),
-        Case("links, idle", "six links, nothing written", CORE, ends.idle, 10, (Aim("", factor=0.1),), warm=False),
+        Case("links, idle", "seven links, nothing written", CORE, ends.idle, 10, (Aim("", factor=0.1),), warm=False),
     )
 
 

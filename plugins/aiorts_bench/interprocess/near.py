@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
+from dataclasses import replace
 from itertools import repeat
 from time import perf_counter_ns
 from typing import Any, Final
@@ -18,8 +19,8 @@ from aiorts import Component, Connector, InPort, Kernel, OutPort
 from aiorts.types import TimedDouble, TimedOctetSeq
 from aiorts_bench.harness import child
 from aiorts_bench.harness.case import Ledger, Reading
-from aiorts_bench.interprocess.far import KERNEL, PATIENCE
-from aiorts_bench.interprocess.zenoh import END, LARGE, MANY, SMALL, Peer
+from aiorts_bench.interprocess.far import END, KERNEL, PATIENCE
+from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer
 from aiorts_bench.push.peers import free_port
 
 FRAME: Final = bytes(24)
@@ -37,6 +38,7 @@ class Near(Component):
     large_out = OutPort(TimedOctetSeq)
     confirmed = OutPort(TimedDouble)
     many = OutPort(TimedDouble)
+    counted = InPort(TimedDouble)
 
 
 class Far:
@@ -241,6 +243,7 @@ class Ends:
         await kernel.connect(near.inp, f"{KERNEL}/echo.out")
         await kernel.connect(near.large_out, f"{KERNEL}/echo.large_in")
         await kernel.connect(near.large_in, f"{KERNEL}/echo.large_out")
+        await kernel.connect(near.counted, f"{KERNEL}/echo.counted")
         self._confirmed = await kernel.connect(near.confirmed, f"{KERNEL}/echo.confirmed", subscription="flush")
         self._many = await kernel.connect(
             near.many, f"{KERNEL}/echo.many", full="block", timeout=PATIENCE, length=1_024
@@ -280,19 +283,23 @@ class Ends:
         return Reading(messages=count, pools={_POOL: pools}, ledger=_since(self._confirmed, before))
 
     async def link_many(self, count: int) -> Reading:
-        """Write small samples as fast as they are taken, until all are in the reader's buffer."""
+        """Write small samples as fast as they are taken, until all were read."""
         write, connector = self._near.many.write, self._many
         before = connector.statistics
         began = perf_counter_ns()
         for number in range(count):
             await write(TimedDouble(number, 1.0))
+        await write(TimedDouble(count, END))
         async with asyncio.timeout(PATIENCE):
-            while (now := connector.statistics).in_flight or now.buffered:  # noqa: ASYNC110 - nothing says when
-                await asyncio.sleep(0.000_5)
-        return Reading.timed(count, perf_counter_ns() - began, _since(connector, before))
+            answer = await self._near.counted.read()
+            elapsed = perf_counter_ns() - began
+            while connector.statistics.in_flight:  # noqa: ASYNC110 - the last acknowledgement comes by itself
+                await asyncio.sleep(0.01)
+        ledger = replace(_since(connector, before), received=int(answer.data))
+        return Reading.timed(count, elapsed, ledger)
 
     async def idle(self, count: int) -> Reading:
-        """So many tenths of a second of the other process, with six links over which nothing is written."""
+        """So many tenths of a second of the other process, with seven links over which nothing is written."""
         await asyncio.sleep(0.1)  # what was sent before is acknowledged
         before, began = await self._far.cpu_seconds(), perf_counter_ns()
         await asyncio.sleep(count / 10)

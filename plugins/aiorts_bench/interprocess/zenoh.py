@@ -14,8 +14,6 @@ from aiorts_bench.push.peers import zenoh_config
 SMALL: Final = "small"
 LARGE: Final = "large"
 MANY: Final = "many"
-END: Final = -1.0
-"""The value of the last sample of a stream, to which the other end answers how many there were."""
 _LENGTH: Final = struct.Struct("<I")
 
 
