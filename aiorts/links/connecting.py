@@ -623,6 +623,7 @@ def _reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     buffer is the reader's own.
     """
     options: dict[str, Any] = {"length": profile.length, "timeout": None, "allow_duplicate": True}
+    options["keep_last"] = profile.keep_last
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
     if profile.subscription is Subscription.FLUSH:

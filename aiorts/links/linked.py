@@ -109,7 +109,8 @@ class Confirmed(Linked):
         entry = self.waiting.popleft()
         assert isinstance(entry, Confirmation)  # noqa: S101 - `queue_up` makes no others
         self.written += 1
-        self.last = entry.sample
+        if not self.waiting:
+            self.miss(entry.sample)  # it never was in the queue: the out-port has it for `keep_last`
         return entry
 
     def settle_fate(self, entry: Confirmation, *, refused: bool) -> None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import InPort, receiver_of
+from aiorts.kernel.ports.last_sample import last_written
+from aiorts.kernel.ports.port import NOTHING
 from aiorts.links.linked import LINK, Confirmation, Confirmed, Linked, added
 from aiorts.links.timing import Wakening
 from aiorts.model.links import WriterEnd
@@ -149,9 +151,18 @@ class WriterLink:
         """Send over this channel from now on; frames carry `number`."""
         self._channel, self.why = channel, ""
         self.end.renumber(number)
-        self.end.channel_up(self._now(), peer_epoch)
+        is_another = self.end.channel_up(self._now(), peer_epoch)
         self._settle()
+        if is_another and self.connector.profile.keep_last and not self.busy:
+            self._offer_last()
         self.pump()
+
+    def _offer_last(self) -> None:
+        """Give a new reader the sample that the writer wrote last, as a new connector in one kernel does."""
+        if (sample := last_written(self.connector.out)) is not NOTHING:
+            transport = self._transport()
+            with transport.guard():
+                transport.put_last(sample)
 
     @property
     def is_connected(self) -> bool:

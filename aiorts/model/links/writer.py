@@ -81,14 +81,16 @@ class WriterEnd:
         """Frames carry this number from now on."""
         self.number = number
 
-    def channel_up(self, now: int, peer_epoch: int) -> None:
+    def channel_up(self, now: int, peer_epoch: int) -> bool:
         """There is a channel. The same reader's end as before goes on where it was; what another one was sent before
-        is of unknown fate, and numbers begin anew."""
-        if self._peer_epoch and peer_epoch != self._peer_epoch:
+        is of unknown fate, and numbers begin anew. Returns whether there was another one before."""
+        is_another = bool(self._peer_epoch) and peer_epoch != self._peer_epoch
+        if is_another:
             self._begin_anew()
         self._peer_epoch, self._up, self._was_up, self._greeted = peer_epoch, True, True, False
         self._hello_ns = self._heard_ns = now
         self._pause_ns, self._timed = FIRST_NS, (0, 0)
+        return is_another
 
     def channel_down(self, now: int) -> None:
         """The channel is gone; all is kept."""
