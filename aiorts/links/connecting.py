@@ -24,6 +24,7 @@ from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.ports.port_types import port_type
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
+from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import Answer, LinkRequest
 from aiorts.links.reader_link import ReaderLink
@@ -34,6 +35,7 @@ from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import OnLinkLost, Push, Stamp, Subscription
+from aiorts.services import is_service
 from aiorts.wire import LINK, MsgpackCodec
 
 if TYPE_CHECKING:
@@ -98,6 +100,7 @@ class Links(KernelService):
         """Reader's ends by the writer's kernel and its name of the link."""
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
+        self._calls = Calls(self)
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
 
@@ -109,7 +112,8 @@ class Links(KernelService):
     def report(self) -> Mapping[str, Any]:
         """The state of each link, by the name of its connector."""
         now = self.kernel.clock.monotonic_ns()
-        return {one.connector.name: f"{one.end.state(now)}{f': {one.why}' if one.why else ''}" for one in self._all()}
+        data = {one.connector.name: f"{one.end.state(now)}{f': {one.why}' if one.why else ''}" for one in self._all()}
+        return data | self._calls.report()
 
     # -- opening ---------------------------------------------------------------------------------------------------
 
@@ -130,6 +134,11 @@ class Links(KernelService):
         """The name by which other kernels reach this one."""
         return self._settings.name or self.kernel.address.rpartition("/")[2] or self.kernel.name
 
+    @property
+    def peers(self) -> tuple[Peer, ...]:
+        """The other kernels that are there."""
+        return tuple(self._peers)
+
     def use(self, transport: Transport) -> None:
         """Carry links with this transport, which is not open yet; before anything else is done."""
         self._transport = transport
@@ -145,6 +154,8 @@ class Links(KernelService):
         transport.answer("offer", self._offered)
         transport.answer("request", self._requested)
         transport.answer("come", self._come)
+        for what, handler in self._calls.handlers().items():
+            transport.answer(what, handler)
         await transport.open(_Face(self))
         transport.presence(self._present)
 
@@ -166,11 +177,11 @@ class Links(KernelService):
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         if not near:
             raise WiringError(f"{where}: one of the ports must be of this kernel; connect them from one of theirs")
+        like: Any = near[0]
+        if is_service(like):
+            return self._calls.resolve(ports), options
         if len({isinstance(port, OutPort) for port in near}) > 1:
             raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
-        like = near[0]
-        if not isinstance(like, InPort | OutPort):
-            raise WiringError(f"{where}: only data ports can be connected with other kernels")
         found = [self._far_port(like, port) if isinstance(port, str) else port for port in ports]
         return found, link_options(where, options)
 
@@ -211,6 +222,7 @@ class Links(KernelService):
         made = await connect(*ports, **options)
         connectors = made.connectors if isinstance(made, Connection) else (made,)
         waits = [self._first[link] for one in connectors if (link := self._link(one)) in self._first]
+        waits += self._calls.first_answers(connectors)
         try:
             for wait in waits:
                 await asyncio.shield(wait)
@@ -219,6 +231,12 @@ class Links(KernelService):
                 self.kernel.connections.end(one)
             raise
         return made
+
+    async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
+        """See `Kernels.ask`."""
+        await self.opened()
+        assert self._transport is not None  # noqa: S101 - it is open
+        return await self._transport.ask(peer, what, body, within=within)
 
     def _all(self) -> list[Link]:
         return [*self._writers.values(), *self._readers.values()]
@@ -292,6 +310,7 @@ class Links(KernelService):
             self.kernel.connections.end(connector)
 
     def _end_closed(self) -> None:
+        self._calls.end_closed()
         for connector in [one for one in (*self._writers, *self._readers) if one.closed]:
             link = self._writers.pop(connector, None) or self._readers.pop(connector)
             # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
@@ -317,20 +336,25 @@ class Links(KernelService):
     def _present(self, peer: Peer, up: bool) -> None:
         if not up:
             self._peers.pop(peer, None)
+            self._calls.present(peer, False)
             for path in [path for path, peers in self._awaited.items() if peer in peers]:
                 self._awaited[path].discard(peer)
             return
         self._peers[peer] = None
+        self._calls.present(peer, True)
         for link in self._all():
             if self._peer(link) == peer:
                 self._try(link)
 
     def _peer(self, link: Link) -> Peer | None:
-        far = self._far(link)
+        return self.peer_of(self._far(link))
+
+    def peer_of(self, path: Path) -> Peer | None:
+        """See `Kernels.peer_of`."""
         found = [
             peer
             for peer in self._peers
-            if peer.kernel == far.kernel and far.host.lower() in ("", "localhost", peer.host.lower())
+            if peer.kernel == path.kernel and path.host.lower() in ("", "localhost", peer.host.lower())
         ]
         return found[-1] if found else None
 
@@ -343,7 +367,7 @@ class Links(KernelService):
         if peer is None and not opening:
             return
         self._asking.add(link)
-        self._run(self._ask(link), f"aiorts link {link.connector.name}")
+        self.run(self._ask(link), f"aiorts link {link.connector.name}")
 
     async def _ask(self, link: Link) -> None:
         try:
@@ -378,7 +402,7 @@ class Links(KernelService):
         offer = LinkOffer(
             protocol=_PROTOCOL,
             link=connector.name,
-            writer=self._path(out),
+            writer=self.path_of(out),
             reader=self._far(link),
             writer_epoch=link.end.epoch,
             reader_epoch=0,
@@ -431,14 +455,14 @@ class Links(KernelService):
         except WiringError as error:
             return Answer(refused=str(error)).to_bytes()
         if link is not None:
-            self._run(self._join(link, replace(offer, reader_epoch=answer.epoch, number=answer.number)), "aiorts link")
+            self.run(self._join(link, replace(offer, reader_epoch=answer.epoch, number=answer.number)), "aiorts link")
         return answer.to_bytes()
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
         low, high = offer.protocol
         if low > _PROTOCOL[1] or high < _PROTOCOL[0]:
             raise WiringError(f"{offer.writer.kernel} speaks {_range(offer.protocol)}, this speaks {_range(_PROTOCOL)}")
-        found = self._there(offer.reader, caller)
+        found = self.there(offer.reader, caller)
         if isinstance(found, Answer):
             return found, None
         if not isinstance(found, InPort):
@@ -480,7 +504,7 @@ class Links(KernelService):
         """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
         request = LinkRequest.from_bytes(body)
         writer = Path.parse(request.writer)
-        found = self._there(writer, caller)
+        found = self.there(writer, caller)
         if isinstance(found, Answer):
             return found.to_bytes()
         if not isinstance(found, OutPort):
@@ -498,7 +522,7 @@ class Links(KernelService):
             self._accepting = False
         return Answer().to_bytes()
 
-    def _there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
+    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
         """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
         try:
             return self.kernel.registry.port(str(replace(path, kernel="", host="")))
@@ -510,7 +534,7 @@ class Links(KernelService):
 
     def component_added(self, component: Component) -> None:
         for peer in self._awaited.pop(component.name, ()):
-            self._run(self._tell(peer, component.name), "aiorts link")
+            self.run(self._tell(peer, component.name), "aiorts link")
 
     async def _tell(self, peer: Peer, component: str) -> None:
         assert self._transport is not None  # noqa: S101 - a peer has asked
@@ -525,6 +549,7 @@ class Links(KernelService):
         for link in self._all():
             if self._far(link).component == component and self._peer(link) == caller.peer:
                 self._try(link)
+        self._calls.come(component, caller.peer)
         return b""
 
     # -- ending --------------------------------------------------------------------------------------------------------
@@ -540,6 +565,7 @@ class Links(KernelService):
     def stopped(self) -> None:
         for link in self._all():
             link.close(for_good=link in self._own)
+        self._calls.stopped()
         for task in self._tasks:
             task.cancel()
         if self._opening is not None:
@@ -550,7 +576,7 @@ class Links(KernelService):
 
     # -- helpers -------------------------------------------------------------------------------------------------------
 
-    def _run(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
+    def run(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
         task = kernel_task(self.kernel.loop, coroutine, name)
         self._tasks.add(task)
         task.add_done_callback(self._done)
@@ -561,12 +587,12 @@ class Links(KernelService):
         if not task.cancelled() and (error := task.exception()) is not None:
             _LOG.error("links: %s failed: %s", task.get_name(), format_error(error), exc_info=error)
 
-    def _path(self, port: Port[Any]) -> Path:
+    def path_of(self, port: Port[Any]) -> Path:
         """Of a port of this kernel, as others know it."""
         return replace(Path.parse(port.path), kernel=self.reached_as)
 
     def _here(self, port: Port[Any]) -> str:
-        return port.path if port.is_far else str(self._path(port))
+        return port.path if port.is_far else str(self.path_of(port))
 
 
 class _Face:
@@ -578,7 +604,7 @@ class _Face:
         self.epoch = links.kernel.epoch or _epoch()
 
     def run_in_background(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
-        return self._links._run(coroutine, name)
+        return self._links.run(coroutine, name)
 
     def report(self, text: str) -> None:
         _report(text)

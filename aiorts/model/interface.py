@@ -26,6 +26,8 @@ _KEYWORD: Final = inspect.Parameter.KEYWORD_ONLY
 _VAR_POSITION: Final = inspect.Parameter.VAR_POSITIONAL
 _VAR_KEYWORD: Final = inspect.Parameter.VAR_KEYWORD
 _KINDS: Final[dict[Any, str]] = {_EITHER: "either", _POSITION: "position", _KEYWORD: "keyword"}
+IDEMPOTENT: Final = "_aiorts_idempotent"
+"""What marks a method that may be called again."""
 _CONTAINERS: Final = (list, dict, tuple, set, frozenset)
 
 
@@ -38,6 +40,8 @@ class Method:
     returns: Any
     doc: str
     plain: bool
+    idempotent: bool = False
+    """Whether a call may be made again where it is not known what became of it."""
 
     @property
     def profile(self) -> MethodProfile:
@@ -122,7 +126,8 @@ def read_method(name: str, function: Callable[..., Any], *, bound: bool) -> Meth
     parameters = tuple(one.replace(annotation=hints.get(one.name, one.annotation)) for one in given)
     returns = hints.get("return", signature.return_annotation)
     doc = (inspect.getdoc(function) or "") if getattr(function, "__doc__", None) else ""
-    return Method(name, parameters, returns, doc, not inspect.iscoroutinefunction(function))
+    repeats = bool(getattr(function, IDEMPOTENT, False))
+    return Method(name, parameters, returns, doc, not inspect.iscoroutinefunction(function), repeats)
 
 
 def _hints(function: Callable[..., Any]) -> dict[str, Any]:

@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     from aiorts.services.goal_keeper import GoalAccepted, GoalEnded, GoalKeeper
     from aiorts.services.goals import Goal
     from aiorts.services.outside_caller import OutsideCaller
-    from aiorts.services.service_ends import Provided, Required
+    from aiorts.services.service_arguments import GoalTypes, goal_types
+    from aiorts.services.service_call import seconds_left
+    from aiorts.services.service_ends import Provided, Required, idempotent
     from aiorts.services.service_heritage import ServiceHeritage
-    from aiorts.services.service_port import Made, Service, ServiceConnector, ServiceEnd, ServicePort
+    from aiorts.services.service_port import Made, Service, ServiceConnector, ServiceEnd, ServicePort, is_service
+    from aiorts.services.service_proxy import Relayed
     from aiorts.services.service_wiring import fault_of, pairs_of
 
 _late(
@@ -24,9 +27,12 @@ _late(
         "aiorts.services.goal_keeper": "GoalAccepted GoalEnded GoalKeeper",
         "aiorts.services.goals": "Goal",
         "aiorts.services.outside_caller": "OutsideCaller",
-        "aiorts.services.service_ends": "Provided Required",
+        "aiorts.services.service_arguments": "GoalTypes goal_types",
+        "aiorts.services.service_call": "seconds_left",
+        "aiorts.services.service_ends": "Provided Required idempotent",
         "aiorts.services.service_heritage": "ServiceHeritage",
-        "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort",
+        "aiorts.services.service_port": "Made Service ServiceConnector ServiceEnd ServicePort is_service",
+        "aiorts.services.service_proxy": "Relayed",
         "aiorts.services.service_wiring": "fault_of pairs_of",
     },
 )

@@ -27,6 +27,7 @@ from aiorts.errors import (
 from aiorts.kernel.loop.origins import located
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Self
 
     from aiorts.services.goal_keeper import Acceptance
@@ -66,7 +67,7 @@ class Goal(Generic[F, R]):
 
     __slots__ = (
         *("_chance", "_acceptance", "_doings", "_feedback", "_outcome", "_over"),
-        *("_reader", "_requested", "_waiters"),
+        *("_reader", "_requested", "_waiters", "on_cancel"),
     )
 
     def __init__(self) -> None:
@@ -85,6 +86,8 @@ class Goal(Generic[F, R]):
         """Why it is to be cancelled."""
         self._reader: asyncio.Future[None] | None = None
         self._waiters: list[asyncio.Future[None]] = []
+        self.on_cancel: Callable[[], object] | None = None
+        """For the provider: called on the loop when the goal is to be cancelled."""
 
     @property
     def state(self) -> GoalState:
@@ -323,6 +326,8 @@ class Goal(Generic[F, R]):
         if self._chance and not self._requested and self._acceptance is not None:
             self._requested = why
             self._acceptance.requested(self)
+            if self.on_cancel is not None:
+                self.on_cancel()
 
     # -- what can be done now --------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import InterfaceMismatch
 from aiorts.kernel.component import Component
+from aiorts.kernel.execution.cell import cell
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.services.service_call import ServiceCall
 from aiorts.services.service_ends import Provided, Required
@@ -28,12 +29,13 @@ class OutsideCaller:
 
     Args:
         provided: live, of a component that a kernel has.
-        name: of the caller, for messages and events.
+        name, port: of the caller, for messages and events; `name` may be the path of a component elsewhere.
     """
 
-    def __init__(self, provided: Provided[Any], name: str = "tool") -> None:
-        caller = Component(name)
-        required: Required[Any] = caller.add_port("call", Required[provided.interface]())  # type: ignore[name-defined]
+    def __init__(self, provided: Provided[Any], name: str = "tool", port: str = "call") -> None:
+        caller = Component()
+        cell(caller).rename(name)
+        required: Required[Any] = caller.add_port(port, Required[provided.interface]())  # type: ignore[name-defined]
         profile = ServiceConnectorProfile(f"{required.path}-{provided.path}", (required.path, provided.path))
         self._connector = ServiceConnector(profile, (required.port, provided.port))
         self._link = Link(required, provided, self._connector)

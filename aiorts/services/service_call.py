@@ -29,6 +29,13 @@ if TYPE_CHECKING:
     from aiorts.services.service_wiring import Answer, Link
 
 
+def seconds_left(task: asyncio.Task[Any] | None) -> float:
+    """Seconds until the deadline of the call that runs in this task."""
+    call = activity_of(task)
+    assert isinstance(call, ServiceCall)  # noqa: S101 - a provider's method asks
+    return call.seconds - (call.link.now_ns() - call.begun_ns) / 1e9
+
+
 class ServiceCall(Visit):
     """A call that may wait: to be let in, for the provider's own task, for its thread."""
 

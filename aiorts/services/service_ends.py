@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
 from aiorts.errors import DeclarationError, ServiceError, StateError
 from aiorts.kernel.execution.cell import cell
+from aiorts.model.interface import IDEMPOTENT
 from aiorts.services.service_port import ServiceEnd
 
 if TYPE_CHECKING:
@@ -22,8 +23,19 @@ if TYPE_CHECKING:
 
 I = TypeVar("I")  # noqa: E741 - an interface
 R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
 
 _TIMEOUT: Final = 1.0
+
+
+def idempotent(method: F) -> F:
+    """Mark a method of an interface that may be called again where it is not known what became of a call.
+
+    A call into another kernel that is lost, since that kernel is gone, is then made again when it is back, to the
+    call's deadline; without, it raises ServiceUnavailable.
+    """
+    setattr(method, IDEMPOTENT, True)
+    return method
 
 
 class Provided(ServiceEnd[I], Generic[I]):

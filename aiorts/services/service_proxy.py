@@ -38,6 +38,14 @@ if TYPE_CHECKING:
 Outcome: TypeAlias = tuple[Any, BaseException | None]
 
 
+class Relayed(Exception):
+    """Raised by what stands for a provider elsewhere: the caller gets this error, not one that says who raised it."""
+
+    def __init__(self, error: BaseException) -> None:
+        super().__init__(error)
+        self.error = error
+
+
 class _Proxy:
     """Stands for the provider; its attributes are the methods of the interface."""
 
@@ -165,6 +173,8 @@ def failed(
     """The caller's error for what a provider's method raised."""
     if error is None:
         return None
+    if isinstance(error, Relayed):
+        return error.error
     if issubclass(type(error), GeneratorExit) and asyncio._get_running_loop() is None:
         raise error  # the loop is gone, and this call with it
     if issubclass(type(error), TypeError):

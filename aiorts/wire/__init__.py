@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from aiorts.wire.codecs import find_codec
     from aiorts.wire.limits import CONTROL, DATA, LINK, Limits
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
+    from aiorts.wire.scan import count_values
     from aiorts.wire.schemas import json_message, schema_text
 
 __all__ = (
@@ -28,6 +29,7 @@ __all__ = (
     "MsgpackCodec",
     "PartsCodec",
     "SealedBytes",
+    "count_values",
     "find_codec",
     "json_message",
     "json_text",
@@ -46,6 +48,7 @@ _late(
         "aiorts.wire.codecs": "find_codec",
         "aiorts.wire.limits": "CONTROL DATA LINK Limits",
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
+        "aiorts.wire.scan": "count_values",
         "aiorts.wire.schemas": "json_message schema_text",
     },
 )

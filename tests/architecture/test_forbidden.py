@@ -46,6 +46,7 @@ BROAD_EXCEPT = {
     # Round a plugin's transport while it is made.
     "aiorts/links/transports.py:find_transport",
     # Round a sample of another kernel: its class may check values in its own way, and the next ones still come.
+    "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",
     # Round the answer to another kernel, which must not wait for its time-out because of a fault here.
     "aiorts/links/transport.py:answer_of",

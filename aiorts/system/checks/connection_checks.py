@@ -91,7 +91,7 @@ def _link(connection: ConnectionEntry) -> Iterator[Said]:
     for number, path in enumerate(connection.ports):
         if names_kernel(path):
             said = [key for key in connection.options if key.endswith(("subscription", "subscription_type", "io_mode"))]
-            how = "" if said else "; samples go as new/all, so a write never waits for a round trip"
+            how = "" if said else "; samples of data ports go as new/all, so a write never waits for a round trip"
             what = f"{path} is in another kernel: whether it fits is known when that kernel is there{how}"
             yield Said("note", "N-LINK", end_key(connection, number), what)
 

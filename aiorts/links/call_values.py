@@ -1,0 +1,181 @@
+"""Arguments, results and interfaces of services on their way to another kernel, as plain values.
+
+What a value is, both ends know from the interface: a record travels as one frame of bytes, a tuple as a list, a member
+of an `Enum` as its value. Nothing is imported or made because of what the other end says.
+"""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from types import UnionType
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.errors import AiortsError, InterfaceMismatch, LinkError, format_error
+from aiorts.links.layout import difference, layout_of
+from aiorts.links.messages import checked
+from aiorts.model.interface import Interface, Method, differences, spelled
+from aiorts.wire import LINK, MsgpackCodec, count_values
+
+_EMPTY: Final = inspect.Parameter.empty
+_PLAIN: Final = (bool, int, float, str, bytes)
+_LISTS: Final = (list, tuple, set, frozenset)
+_NO_RECORDS: Final = (*_PLAIN, *_LISTS, dict, object, type(None), Any, _EMPTY)
+_CODEC: Final = MsgpackCodec(LINK)
+_KINDS: Final = tuple(inspect._ParameterKind)
+_LONGEST: Final = 1_000
+
+
+def frame_of(values: list[Any]) -> bytes:
+    """These plain values as one frame. LinkError: it would be too large, or an integer is."""
+    try:
+        frame: bytes = msgpack.packb(values)
+        if len(frame) > LINK.frame:
+            raise LinkError(f"{len(frame)} bytes; at most {LINK.frame} are allowed")
+        if len(frame) > LINK.values:
+            count_values(frame, LINK)
+    except (AiortsError, OverflowError, ValueError, TypeError) as error:
+        raise LinkError(f"cannot travel: {format_error(error)}") from None
+    return frame
+
+
+def values_of(frame: bytes, kinds: tuple[type, ...]) -> list[Any]:
+    """The values of a frame, of these kinds. LinkError: they are others, or it is no frame."""
+    try:
+        count_values(frame, LINK)
+        found = msgpack.unpackb(frame, strict_map_key=False, max_ext_len=0)
+    except (AiortsError, ValueError, TypeError, msgpack.UnpackException) as error:
+        raise LinkError(f"no message of this protocol: {format_error(error)}") from None
+    return checked(found, kinds)
+
+
+# -- values --------------------------------------------------------------------------------------------------------
+
+
+def plain(hint: Any, value: Any) -> Any:
+    """A value as lists, maps and scalars. InterfaceMismatch: it cannot travel as what the interface says."""
+    if isinstance(value, Enum):
+        return value.value
+    if value is None or isinstance(value, _PLAIN):
+        return value
+    for one in _alternatives(hint):
+        kind, inner = typing.get_origin(one) or one, typing.get_args(one)
+        if one in (Any, object, _EMPTY) and type(value) in (list, dict):
+            kind = type(value)
+        if kind in _LISTS and isinstance(value, kind):
+            return [plain(part, each) for part, each in zip(_parts(kind, inner, len(value)), value, strict=False)]
+        if kind is dict and isinstance(value, dict):
+            _, part = inner or (Any, Any)
+            return {plain(Any, key): plain(part, each) for key, each in value.items()}
+        if isinstance(kind, type) and kind not in _NO_RECORDS and isinstance(value, kind):
+            try:
+                return _CODEC.encode(value)
+            except AiortsError as error:
+                raise InterfaceMismatch(f"a {type(value).__name__} cannot travel: {error}") from None
+    raise InterfaceMismatch(
+        f"a {type(value).__name__} cannot travel where the interface says {spelled(hint) or 'nothing'}"
+    )
+
+
+def restored(hint: Any, value: Any) -> Any:
+    """A value of the type that the interface says. InterfaceMismatch: a record of it is none."""
+    wrong = ""
+    for one in _alternatives(hint):
+        kind, inner = typing.get_origin(one) or one, typing.get_args(one)
+        if kind in _LISTS and type(value) is list:
+            parts = _parts(kind, inner, len(value))
+            return kind(restored(part, each) for part, each in zip(parts, value, strict=False))
+        if kind is dict and type(value) is dict:
+            of_key, part = inner or (Any, Any)
+            return {restored(of_key, key): restored(part, each) for key, each in value.items()}
+        if not isinstance(kind, type) or kind in _NO_RECORDS:
+            continue
+        try:
+            if issubclass(kind, Enum):
+                return kind(value)
+            if type(value) is bytes:
+                return _CODEC.decode(value, kind)
+        except Exception as error:  # noqa: BLE001 - the class's own check of its values may raise anything
+            wrong = format_error(error)
+    if wrong and bytes not in _alternatives(hint):
+        raise InterfaceMismatch(f"no {spelled(hint)}: {wrong}")
+    return value
+
+
+def _parts(kind: Any, inner: tuple[Any, ...], count: int) -> Iterator[Any]:
+    if kind is tuple and inner and inner[1:] != (...,):
+        return iter(inner if len(inner) == count else (Any,) * count)
+    return iter((inner[0] if inner else Any,) * count)
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    return typing.get_args(hint) if typing.get_origin(hint) in (typing.Union, UnionType) else (hint,)
+
+
+# -- interfaces ----------------------------------------------------------------------------------------------------
+
+
+def interface_text(spec: Interface) -> list[Any]:
+    """What the other end must know of an interface: its methods as they are written, and the layouts of its records."""
+    methods = [
+        [
+            method.name,
+            method.plain,
+            spelled(method.returns),
+            [
+                [one.name, _KINDS.index(one.kind), spelled(one.annotation), one.default is not _EMPTY]
+                for one in method.parameters
+            ],
+        ]
+        for method in spec.methods.values()
+    ]
+    return [spec.name, methods, _layouts(spec)]
+
+
+def interface_difference(theirs: list[Any], ours: Interface) -> str:
+    """Why `ours` cannot answer the interface of another kernel; "" where it can. LinkError: that text is none."""
+    name, methods, layouts = checked(theirs, (str, list, dict))
+    wanted, given = _methods(methods), _methods(interface_text(ours)[1])
+    if found := differences(wanted, given):
+        return f"{name[:_LONGEST]}: {found[0][:_LONGEST]}"
+    for cls, text in _layouts(ours).items():
+        theirs_text = layouts.get(cls, text)
+        if theirs_text != text:
+            return f"{cls}: {difference(str(theirs_text), text) or 'is another type'}"
+    return ""
+
+
+def _methods(text: list[Any]) -> dict[str, Method]:
+    found = {}
+    for one in text:
+        name, is_plain, returns, parameters = checked(one, (str, bool, str, list))
+        try:
+            found[name] = Method(name, tuple(map(_parameter, parameters)), returns or _EMPTY, "", is_plain)
+        except (ValueError, IndexError, TypeError) as error:
+            raise LinkError(f"no interface: {format_error(error)}") from None
+    return found
+
+
+def _parameter(text: Any) -> inspect.Parameter:
+    name, kind, annotation, has_default = checked(text, (str, int, str, bool))
+    default = None if has_default else _EMPTY
+    return inspect.Parameter(name, _KINDS[kind], default=default, annotation=annotation or _EMPTY)
+
+
+def _layouts(spec: Interface) -> Mapping[str, str]:
+    """The layouts of the records that the interface names, by the names of their classes."""
+    found: dict[str, str] = {}
+    todo = [hint for one in spec.methods.values() for hint in (one.returns, *(p.annotation for p in one.parameters))]
+    while todo:
+        hint = todo.pop(0)
+        todo += typing.get_args(hint)
+        if isinstance(hint, type) and hint not in _NO_RECORDS and not issubclass(hint, Enum):
+            try:
+                found[hint.__name__] = layout_of(hint)[1]
+            except AiortsError:
+                continue  # no record: values of it are refused when they are to travel
+    return found

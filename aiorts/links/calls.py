@@ -1,0 +1,606 @@
+"""Service ports of other kernels: what stands for them here, and who serves the calls that other kernels make.
+
+A required interface is bound to a provider that stands for the far one: each of its methods is a question to the other
+kernel, with the seconds that are left. There a caller from outside makes the call, which is let in, run and ended as
+any other. A goal is made at both ends; the one of the client follows what is said of the provider's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from aiorts.errors import (
+    AiortsError,
+    GoalCancelled,
+    GoalFailed,
+    InterfaceMismatch,
+    LinkError,
+    LinkTimeout,
+    ServiceCycle,
+    ServiceError,
+    ServiceFailed,
+    ServiceTimeout,
+    ServiceUnavailable,
+    StateError,
+    WiringError,
+)
+from aiorts.kernel.component import Component
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import current_task
+from aiorts.kernel.ports.port import is_removed
+from aiorts.links.call_values import frame_of, interface_difference, interface_text, plain, restored, values_of
+from aiorts.links.messages import Answer
+from aiorts.model.names import Path
+from aiorts.services import Goal, OutsideCaller, Provided, Relayed, Required, ServicePort, goal_types, seconds_left
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports import Port
+    from aiorts.links.transport import Caller, Peer
+    from aiorts.model.interface import Method
+    from aiorts.services import GoalTypes
+
+_LOG: Final = KernelLog()
+_WITHIN: Final = 2.0
+"""Seconds for an answer to what is no call."""
+_AGAIN: Final = 1.0
+"""Seconds until a kernel that did not answer is asked again."""
+_LATER: Final = 1.0
+"""Seconds beyond the deadline of a call in which its answer is awaited, to be counted."""
+_LONGEST: Final = 86_400.0
+"""Seconds that a call of another kernel may take at the most."""
+_BOUND: Final = 10_000
+"""Interfaces that other kernels may have bound at the same time, all together."""
+_ERRORS: Final = {
+    one.__name__: one for one in (InterfaceMismatch, ServiceCycle, ServiceFailed, ServiceTimeout, ServiceUnavailable)
+}
+_DONE: Final = "done"
+_GOAL: Final = "goal"
+_UNBOUND: Final = "unbound"
+
+
+class Kernels(Protocol):
+    """What the calls of one kernel need of its links."""
+
+    kernel: Microkernel
+
+    def peer_of(self, path: Path) -> Peer | None:
+        """The kernel of a path, if it is there."""
+        ...
+
+    async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
+        """The answer of another kernel; LinkError, LinkTimeout: there is none."""
+        ...
+
+    def run(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+        """Run a coroutine as a task of the links."""
+        ...
+
+    def path_of(self, port: Port[Any]) -> Path:
+        """Of a port of this kernel, as others know it."""
+        ...
+
+    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
+        """The port of this kernel that another one means, or the answer that it is not there yet."""
+        ...
+
+
+class Calls:
+    """The calls between this kernel and others."""
+
+    def __init__(self, links: Kernels) -> None:
+        self._links = links
+        self._new: list[FarProvider] = []
+        """Those whose connector is not made yet."""
+        self._far: dict[FarProvider, None] = {}
+        self._bound: dict[tuple[Peer, int], _Bound] = {}
+        self._number = 0
+        self._served: dict[tuple[Peer, int], asyncio.Task[Any]] = {}
+        self._offered: dict[tuple[Peer, int], Goal[Any, Any]] = {}
+        """Goals of components of this kernel that clients in others follow."""
+
+    def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Any]]:
+        """Who answers the questions of other kernels."""
+        return {
+            "bind": self._bind,
+            "unbind": self._unbind,
+            "call": self._call,
+            "cancel": self._cancel,
+            "goal": self._goal_said,
+            "cancel goal": self._cancel_goal,
+        }
+
+    def report(self) -> dict[str, str]:
+        """The state of each connector to a service of another kernel."""
+        return {one.name: one.report() for one in self._far}
+
+    # -- the required end ------------------------------------------------------------------------------------------
+
+    def resolve(self, ports: Sequence[Any]) -> list[Any]:
+        """The ports, with a provider that stands for each path.
+
+        Raises:
+            WiringError: they do not go together.
+        """
+        near = [one for one in ports if not isinstance(one, str)]
+        where = " -> ".join(one if isinstance(one, str) else one.path for one in ports)
+        ends = [end for one in near for end in (one.interfaces if isinstance(one, ServicePort) else (one,))]
+        required = [end for end in ends if isinstance(end, Required)]
+        if len(required) != len(ends):
+            raise WiringError(f"{where}: connect from the kernel of the required port")
+        for end in required:
+            if plain_methods := [one.name for one in end.spec.methods.values() if one.plain]:
+                raise WiringError(
+                    f"{where}: {end.spec.name}.{plain_methods[0]} may not wait, and a call into another kernel does: "
+                    "write `async def` in the interface"
+                )
+        found: list[Any] = []
+        for one in ports:
+            if not isinstance(one, str):
+                found.append(one)
+                continue
+            path = Path.parse(one)
+            if not path.port:
+                raise WiringError(f"{one}: is a component; give one of its ports")
+            far = [FarProvider(self._links, end, path) for end in required]
+            found += [each.end for each in far]
+            # It is bound when the connector is made; what was refused before has no use for it.
+            for each in far:
+                self._new.append(each)
+                self._links.kernel.loop.call_soon(self._begin, each)
+        return found
+
+    def first_answers(self, connectors: Sequence[Any]) -> list[asyncio.Future[None]]:
+        """Of those that were made: done when the other kernel has answered, or is not there."""
+        found = []
+        for far in tuple(self._new):
+            self._begin(far)
+            if any(one in connectors for one in far.end.connectors):
+                found.append(far.first)
+        return found
+
+    def _begin(self, far: FarProvider) -> None:
+        if far in self._new:
+            self._new.remove(far)
+            if far.end.connectors:
+                self._far[far] = None
+                self.look(far)
+
+    def look(self, far: FarProvider) -> None:
+        """Bind it, if its kernel is there."""
+        if self._links.peer_of(far.path) is None:
+            far.waits(f"there is no kernel {far.path.kernel!r} yet")
+        else:
+            self._links.run(far.bind(), f"aiorts bind {far.name}")
+
+    def present(self, peer: Peer, up: bool) -> None:
+        """Another kernel has come, or has gone."""
+        for far in tuple(self._far):
+            if up and self._links.peer_of(far.path) == peer:
+                self.look(far)
+            elif not up and far.peer == peer:
+                far.lost(f"{peer.kernel} is gone")
+        if not up:
+            for key in [key for key in self._bound if key[0] == peer]:
+                self._bound.pop(key).close()
+            for key, task in tuple(self._served.items()):
+                if key[0] == peer:
+                    task.cancel()
+
+    def come(self, component: str, peer: Peer | None) -> None:
+        """A component has come to another kernel."""
+        for far in self._far:
+            if far.path.component == component and self._links.peer_of(far.path) == peer:
+                self.look(far)
+
+    def end_closed(self) -> None:
+        """Connectors have ended."""
+        for far in [one for one in self._far if not one.end.connectors]:
+            del self._far[far]
+            far.close()
+
+    def stopped(self) -> None:
+        """The kernel ends."""
+        for far in self._far:
+            far.lost("this kernel ends")
+        for bound in self._bound.values():
+            bound.close()
+
+    async def _goal_said(self, body: bytes, caller: Caller) -> bytes:
+        number, what, value = values_of(body, (int, str, list))
+        for far in tuple(self._far):
+            if far.peer == caller.peer and far.advance(number, what, value):
+                break
+        return b""
+
+    # -- the provided end ------------------------------------------------------------------------------------------
+
+    async def _bind(self, body: bytes, caller: Caller) -> bytes:
+        """Another kernel wants an interface of this one."""
+        required, instance, provided, text = values_of(body, (str, str, str, list))
+        try:
+            found = self._links.there(Path.parse(provided), caller)
+            if isinstance(found, Answer):
+                return found.to_bytes()
+            end = self._fitting(found, text, instance, provided)
+        except AiortsError as error:
+            return Answer(refused=str(error)).to_bytes()
+        if caller.peer is None or len(self._bound) >= _BOUND:
+            return Answer(refused="too many interfaces are bound").to_bytes()
+        self._number = self._number % 0xFFFFFFFF + 1
+        path = Path.parse(required)
+        self._bound[caller.peer, self._number] = _Bound(end, path)
+        return Answer(number=self._number).to_bytes()
+
+    def _fitting(self, port: Any, text: list[Any], instance: str, path: str) -> Provided[Any]:
+        if not isinstance(port, ServicePort):
+            raise WiringError(f"{path}: is no service port")
+        ends = [end for end in port.interfaces if isinstance(end, Provided)]
+        if not ends:
+            raise WiringError(f"{path}: provides nothing")
+        wrong = {end: interface_difference(text, end.spec) for end in ends}
+        fitting = [end for end in ends if not wrong[end]]
+        if not fitting:
+            raise WiringError("; ".join(f"{end.path} provides {end.spec.name}: {wrong[end]}" for end in ends))
+        if len(fitting) == 1:
+            return fitting[0]
+        same = [end for end in fitting if end.instance == instance]
+        if len(same) == 1:
+            return same[0]
+        raise WiringError(f"{', '.join(end.path for end in fitting)} all provide that; give one the name {instance!r}")
+
+    async def _unbind(self, body: bytes, caller: Caller) -> bytes:
+        (number,) = values_of(body, (int,))
+        if caller.peer is not None and (bound := self._bound.pop((caller.peer, number), None)) is not None:
+            bound.close()
+        return b""
+
+    async def _call(self, body: bytes, caller: Caller) -> bytes:
+        number, call, method, args, kwargs, seconds = values_of(body, (int, int, str, list, dict, float))
+        bound = None if caller.peer is None else self._bound.get((caller.peer, number))
+        if caller.peer is None or bound is None or is_removed(bound.end.port):
+            return frame_of([_UNBOUND, []])
+        if not 0 < seconds <= _LONGEST or method not in bound.end.spec.methods:
+            raise LinkError(f"no call: {method[:60]!r} within {seconds} s")
+        key = caller.peer, call
+        if key in self._served:
+            raise LinkError(f"the call {call} is being served already")
+        answer: asyncio.Future[bytes] = self._links.kernel.loop.create_future()
+        task = self._links.run(self._serve(key, bound, method, args, kwargs, seconds, answer), f"aiorts call {method}")
+        self._served[key] = task
+        task.add_done_callback(partial(self._served_done, key, answer))
+        return await answer
+
+    def _served_done(self, key: tuple[Peer, int], answer: asyncio.Future[bytes], _task: object) -> None:
+        self._served.pop(key, None)
+        self._offered.pop(key, None)
+        if not answer.done():
+            answer.set_result(frame_of([ServiceUnavailable.__name__, ["the call was cancelled"]]))
+
+    async def _serve(
+        self,
+        key: tuple[Peer, int],
+        bound: _Bound,
+        name: str,
+        args: list[Any],
+        kwargs: dict[str, Any],
+        seconds: float,
+        answer: asyncio.Future[bytes],
+    ) -> None:
+        """Make the call; the task stays the goal's client where the call is answered with one."""
+        method = bound.end.spec.methods[name]
+        types = goal_types(method.returns)
+        try:
+            value = await bound.call(method, args, kwargs, seconds)
+            found = [_GOAL, []] if types is not None else [_DONE, [plain(method.returns, value)]]
+            frame = frame_of(found)
+        except (ServiceError, LinkError) as error:
+            if isinstance(error, ServiceUnavailable) and (is_removed(bound.end.port) or self._links.kernel.closed):
+                answer.set_result(frame_of([_UNBOUND, []]))
+                return
+            kind = next((one for one in _ERRORS if isinstance(error, _ERRORS[one])), InterfaceMismatch.__name__)
+            answer.set_result(frame_of([kind, [str(error)[:2_000]]]))
+            return
+        answer.set_result(frame)
+        if types is not None:
+            self._offered[key] = value
+            await self._follow(key, value, types)
+
+    async def _follow(self, key: tuple[Peer, int], goal: Goal[Any, Any], types: GoalTypes) -> None:
+        peer, call = key
+
+        async def say(what: str, value: Any) -> None:
+            await self._links.ask(peer, "goal", frame_of([call, what, [value]]), _WITHIN)
+
+        try:
+            async for feedback in goal:
+                await say("feedback", plain(types.feedback, feedback))
+            try:
+                result = plain(types.result, await goal.result())
+            except GoalCancelled:
+                await say("cancelled", None)
+            except (GoalFailed, InterfaceMismatch) as error:
+                await say("failed", str(error)[:2_000])
+            else:
+                await say("succeeded", result)
+        except (LinkError, InterfaceMismatch) as error:
+            _LOG.warning("W-LINK: a goal of %s cannot be followed: %s", peer.kernel, error)
+            goal.cancel()
+
+    async def _cancel(self, body: bytes, caller: Caller) -> bytes:
+        (call,) = values_of(body, (int,))
+        if caller.peer is not None and (task := self._served.get((caller.peer, call))) is not None:
+            task.cancel()
+        return b""
+
+    async def _cancel_goal(self, body: bytes, caller: Caller) -> bytes:
+        (call,) = values_of(body, (int,))
+        if caller.peer is not None and (goal := self._offered.get((caller.peer, call))) is not None:
+            goal.cancel()
+        return b""
+
+
+class _Bound:
+    """An interface of this kernel that one of another kernel is bound to."""
+
+    def __init__(self, end: Provided[Any], required: Path) -> None:
+        self.end = end
+        component = f"{required.kernel}/{required.component}" if required.kernel else required.component
+        self._caller = OutsideCaller(end, component, required.port or "call")
+
+    async def call(self, method: Method, args: list[Any], kwargs: dict[str, Any], seconds: float) -> Any:
+        """What the method answers. ServiceError: it does not."""
+        hints = {one.name: one.annotation for one in method.parameters}
+        in_order = [one.annotation for one in method.parameters if one.kind is not one.KEYWORD_ONLY]
+        if len(args) > len(in_order) or not kwargs.keys() <= hints.keys():
+            raise InterfaceMismatch(f"{self.end.path}.{method.name}: takes no such arguments")
+        given = [restored(hint, value) for hint, value in zip(in_order, args, strict=False)]
+        named = {name: restored(hints[name], value) for name, value in kwargs.items()}
+        return await self._caller.call(method.name, given, named, seconds)
+
+    def close(self) -> None:
+        """End what still runs for it."""
+        self._caller.close()
+
+
+class FarProvider:
+    """Stands for a provided interface of another kernel, at the end of one service connector."""
+
+    def __init__(self, links: Kernels, required: Required[Any], path: Path) -> None:
+        self._links, self._required, self.path = links, required, path
+        self.first: asyncio.Future[None] = links.kernel.loop.create_future()
+        """Done with the first answer, or with what refused it."""
+        self.peer: Peer | None = None
+        """The kernel that it is bound in; None: it is not bound."""
+        self._why = "not connected yet"
+        self._number = 0
+        self._calls = 0
+        self._late = 0
+        self._binding = False
+        self._changed: list[asyncio.Future[None]] = []
+        self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
+        component = Component()
+        cell(component).rename(f"{path.kernel}/{path.component}" if not path.host else str(path).partition(".")[0])
+        cell(component).kernel = links.kernel
+        methods = {name: self._method(method) for name, method in required.spec.methods.items()}
+        kind: Any = Provided[required.interface]  # type: ignore[name-defined]
+        declared = kind(SimpleNamespace(**methods, far=self), concurrent=True, always=True, cancel_timeout=_LONGEST)
+        self.end: Provided[Any] = component.add_port(path.port, declared)
+
+    @property
+    def name(self) -> str:
+        """Of the connector."""
+        return next((one.name for one in self.end.connectors), f"{self._required.path}-{self.end.path}")
+
+    def report(self) -> str:
+        """Its state, for tools."""
+        late = f", {self._late} answers came too late" if self._late else ""
+        return f"{'up' if self.peer is not None else f'down: {self._why}'}{late}"
+
+    # -- being bound -----------------------------------------------------------------------------------------------
+
+    async def bind(self) -> None:
+        """Have the other kernel bind it; a refusal ends the connector."""
+        peer = self._links.peer_of(self.path)
+        if peer is None or self.peer == peer or self._binding:
+            return
+        self._binding = True
+        required = str(self._links.path_of(self._required.port))
+        body = frame_of([required, self._required.instance, str(self.path), interface_text(self._required.spec)])
+        try:
+            answer = Answer.from_bytes(await self._links.ask(peer, "bind", body, _WITHIN))
+        except LinkError as error:
+            self._links.kernel.call_later(_AGAIN, self._look_again)
+            return self.waits(str(error))
+        except asyncio.CancelledError:
+            self._answer(None)
+            raise
+        finally:
+            self._binding = False
+        if answer.absent:
+            return self.waits(answer.absent)
+        if answer.refused:
+            return self._refused(answer.refused)
+        if self.peer is not None:
+            self.lost(f"{peer.kernel} was started anew")
+        self.peer, self._number = peer, answer.number
+        self._answer(None)
+        self._wake()
+        return None
+
+    def _look_again(self) -> None:
+        if self.end.connectors and not self._links.kernel.closed:
+            self._links.run(self.bind(), f"aiorts bind {self.name}")
+
+    def waits(self, why: str) -> None:
+        """It cannot be bound yet."""
+        self._why = why
+        if not self.first.done():
+            _LOG.warning("W-LINK: %s: waits: %s", self.name, why)
+        self._answer(None)
+
+    def _refused(self, why: str) -> None:
+        self._why = why
+        _LOG.error("%s: refused by %s: %s", self.name, self.path.kernel, why)
+        self._answer(WiringError(f"{self._required.path} -> {self.end.path}: {why}"))
+        for connector in self.end.connectors:
+            self._links.kernel.connections.end(connector)
+
+    def _answer(self, error: AiortsError | None) -> None:
+        if not self.first.done():
+            if error is None:
+                self.first.set_result(None)
+            else:
+                self.first.set_exception(error)
+                self.first.exception()  # whoever did not wait for it has read it in the log
+
+    def lost(self, why: str) -> None:
+        """Its kernel is gone, or this one ends: goals that run have failed."""
+        self.peer, self._why = None, why
+        goals, self._goals = self._goals, {}
+        for goal, types in goals.values():
+            _advance(goal, types, "failed", why)
+
+    def close(self) -> None:
+        """It has no connector any more."""
+        peer, self.peer = self.peer, None
+        self._why = "was disconnected"
+        self._wake()
+        if peer is not None and not self._links.kernel.closed:
+            self._tell(peer, "unbind", self._number)
+
+    def _wake(self) -> None:
+        changed, self._changed = self._changed, []
+        for one in changed:
+            if not one.done():
+                one.set_result(None)
+
+    def _tell(self, peer: Peer, what: str, number: int) -> None:
+        async def tell() -> None:
+            try:
+                await self._links.ask(peer, what, frame_of([number]), _WITHIN)
+            except LinkError:
+                return  # it has gone
+
+        self._links.run(tell(), f"aiorts {what}")
+
+    # -- calls -----------------------------------------------------------------------------------------------------
+
+    def _method(self, method: Method) -> Any:
+        async def call(*args: Any, **kwargs: Any) -> Any:
+            return await self._call(method, args, kwargs)
+
+        call.__name__ = method.name
+        call.__signature__ = method.signature.replace(return_annotation=method.returns)  # type: ignore[attr-defined]
+        call.__annotations__ = {
+            one.name: one.annotation for one in method.parameters if one.annotation is not one.empty
+        }
+        if method.returns is not method.signature.empty:
+            call.__annotations__["return"] = method.returns
+        return call
+
+    async def _call(self, method: Method, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        named = f"{self._required.path} -> {self.end.path}.{method.name}"
+        try:
+            given = method.signature.bind(*args, **kwargs)
+        except TypeError as error:
+            raise Relayed(TypeError(f"{named}{method.signature}: {error}")) from None
+        hints = {one.name: one.annotation for one in method.parameters}
+        order = [one.name for one in method.parameters]
+        try:
+            in_order = [plain(hints[name], value) for name, value in zip(order, given.args, strict=False)]
+            by_name = {name: plain(hints[name], value) for name, value in given.kwargs.items()}
+        except InterfaceMismatch as error:
+            raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
+        while True:
+            try:
+                return await self._ask(method, named, in_order, by_name)
+            except LinkTimeout as error:
+                raise Relayed(ServiceTimeout(f"{named}: {error}")) from None
+            except LinkError as error:
+                if not method.idempotent:
+                    raise Relayed(ServiceUnavailable(f"{named}: {error}")) from None
+                await self._bound_again()
+
+    async def _bound_again(self) -> None:
+        """Wait until it is bound, to the deadline of the call."""
+        if self.peer is None:
+            changed: asyncio.Future[None] = self._links.kernel.loop.create_future()
+            self._changed.append(changed)
+            await changed
+        if not self.end.connectors:
+            raise Relayed(ServiceUnavailable(f"{self._required.path} -> {self.end.path}: was disconnected"))
+
+    async def _ask(self, method: Method, named: str, args: list[Any], kwargs: dict[str, Any]) -> Any:
+        peer, seconds = self.peer, seconds_left(current_task())
+        if peer is None:
+            raise LinkError(self._why)
+        self._calls = number = self._calls % 0xFFFFFFFF + 1
+        try:
+            body = frame_of([self._number, number, method.name, args, kwargs, float(max(seconds, 0.001))])
+        except LinkError as error:
+            raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
+        asked = self._links.run(self._links.ask(peer, "call", body, seconds + _LATER), f"aiorts ask {method.name}")
+        accepted, types = False, goal_types(method.returns)
+        if types is not None:
+            goal = Goal[Any, Any]()
+            goal.on_cancel = partial(self._tell, peer, "cancel goal", number)
+            self._goals[number] = goal, types
+        try:
+            kind, values = values_of(await asyncio.shield(asked), (str, list))
+            if kind == _GOAL and types is not None:
+                accepted = True
+                return goal
+        except asyncio.CancelledError:
+            if not asked.done():
+                asked.add_done_callback(self._answered_late)
+                self._tell(peer, "cancel", number)
+            raise
+        finally:
+            if not accepted:
+                self._goals.pop(number, None)
+        value = values[0] if values else ""
+        if kind == _DONE and types is None:
+            try:
+                return restored(method.returns, value)
+            except InterfaceMismatch as error:
+                raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
+        if kind == _UNBOUND:
+            self.lost("its component was removed")
+            self._links.run(self.bind(), f"aiorts bind {self.name}")
+            raise LinkError(self._why)
+        raise Relayed(_ERRORS.get(kind, ServiceFailed)(str(value)))
+
+    def _answered_late(self, asked: asyncio.Task[bytes]) -> None:
+        if not asked.cancelled() and asked.exception() is None:
+            self._late += 1
+
+    def advance(self, number: int, what: str, value: list[Any]) -> bool:
+        """Something is said of a goal; False: of none of these."""
+        if number not in self._goals or len(value) != 1:
+            return False
+        _advance(*self._goals[number], what, value[0])
+        if what != "feedback":
+            self._goals.pop(number, None)
+        return True
+
+
+def _advance(goal: Goal[Any, Any], types: GoalTypes, what: str, value: Any) -> None:
+    """Do with the client's goal what was done with the provider's."""
+    try:
+        if what == "feedback":
+            goal.feedback(restored(types.feedback, value))
+        elif what == "succeeded":
+            goal.succeed(restored(types.result, value))
+        elif what == "cancelled" and goal.cancel_requested:
+            goal.cancelled()
+        else:
+            goal.fail(str(value))
+    except (StateError, InterfaceMismatch) as error:
+        if goal.state in ("offered", "running"):
+            goal.fail(error)
