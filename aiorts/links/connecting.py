@@ -24,17 +24,18 @@ from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.ports.port_types import port_type
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
+from aiorts.links import versions
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
-from aiorts.links.messages import Answer, LinkRequest
+from aiorts.links.messages import Answer, LinkRequest, versions_of
+from aiorts.links.reader_end import of_shape, reader_options
 from aiorts.links.reader_link import ReaderLink
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.transports import find_transport
 from aiorts.links.writer_link import WINDOW, WriterLink
-from aiorts.model.buffer import FullPolicy
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
-from aiorts.model.policy import OnLinkLost, Push, Stamp, Subscription
+from aiorts.model.policy import OnLinkLost
 from aiorts.services import is_service
 from aiorts.wire import LINK, MsgpackCodec
 
@@ -43,12 +44,9 @@ if TYPE_CHECKING:
     from aiorts.kernel.loop.deadlines import StopBudget
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
-    from aiorts.model.links import Buffer
-    from aiorts.model.profile import ConnectorProfile
 
 Link: TypeAlias = "WriterLink | ReaderLink"
 _LOG: Final = KernelLog()
-_PROTOCOL: Final = (1, 1)
 _WINDOW_BYTES: Final = 8 << 20
 _ASK_SECONDS: Final = 2.0
 _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
@@ -257,7 +255,7 @@ class Links(KernelService):
         kind, shape = connector.in_.type, connector.in_.shape
         decode = self._codec.parts_decoder(kind)
         if shape is not None:
-            decode = _of_shape(decode, port_type(kind).check_shape, shape)
+            decode = of_shape(decode, port_type(kind).check_shape, shape)
         link = self._readers[connector] = ReaderLink(
             self.kernel, connector, _epoch(), decode, lost=self._lost, ended=self._ended, report=_report
         )
@@ -400,7 +398,7 @@ class Links(KernelService):
         out = connector.out
         schema, text = layout_of(out.type)
         offer = LinkOffer(
-            protocol=_PROTOCOL,
+            protocol=versions.SPOKEN,
             link=connector.name,
             writer=self.path_of(out),
             reader=self._far(link),
@@ -415,10 +413,11 @@ class Links(KernelService):
             window=WINDOW,
             window_bytes=_WINDOW_BYTES,
         )
-        answer = Answer.from_bytes(await self._transport.ask(peer, "offer", offer.to_bytes(), within=_ASK_SECONDS))
+        answer = await self._question(peer, "offer", offer.to_bytes())
         if not answer.number:
             return self._not_now(link, answer)
-        agreed = replace(offer, reader_epoch=answer.epoch, number=answer.number)
+        version = versions.agreed(peer.kernel, answer.protocol)
+        agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
         channel = await self._transport.channel(agreed, link)
         if self._writers.get(connector) is not link:
             channel.close()
@@ -430,10 +429,21 @@ class Links(KernelService):
     async def _request(self, link: ReaderLink, peer: Peer) -> None:
         assert self._transport is not None  # noqa: S101 - it is open
         connector = link.connector
-        request = LinkRequest(self._here(connector.out), self._here(connector.in_), chosen_options(connector.profile))
-        answer = Answer.from_bytes(await self._transport.ask(peer, "request", request.to_bytes(), within=_ASK_SECONDS))
+        options = chosen_options(connector.profile)
+        request = LinkRequest(self._here(connector.out), self._here(connector.in_), options, versions.SPOKEN)
+        answer = await self._question(peer, "request", request.to_bytes())
         if answer.absent or answer.refused:
             self._not_now(link, answer)
+
+    async def _question(self, peer: Peer, what: str, body: bytes) -> Answer:
+        """The answer of another kernel; where it speaks no version of this one, that is why it is refused."""
+        assert self._transport is not None  # noqa: S101 - it is open
+        answer = Answer.from_bytes(await self._transport.ask(peer, what, body, within=_ASK_SECONDS))
+        try:
+            versions.agreed(peer.kernel, answer.protocol)
+        except WiringError as error:
+            return Answer(refused=str(error))
+        return answer
 
     def _not_now(self, link: Link, answer: Answer) -> None:
         connector = link.connector
@@ -449,19 +459,17 @@ class Links(KernelService):
 
     async def _offered(self, body: bytes, caller: Caller) -> bytes:
         """The answer to an offer of another kernel."""
-        offer = LinkOffer.from_bytes(body)
         try:
+            version = versions.agreed(_name(caller), versions_of(body))
+            offer = replace(LinkOffer.from_bytes(body), protocol=(version, version))
             answer, link = self._accept(offer, caller)
         except WiringError as error:
-            return Answer(refused=str(error)).to_bytes()
+            return _refusal("an offer", caller, error)
         if link is not None:
             self.run(self._join(link, replace(offer, reader_epoch=answer.epoch, number=answer.number)), "aiorts link")
-        return answer.to_bytes()
+        return _sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
-        low, high = offer.protocol
-        if low > _PROTOCOL[1] or high < _PROTOCOL[0]:
-            raise WiringError(f"{offer.writer.kernel} speaks {_range(offer.protocol)}, this speaks {_range(_PROTOCOL)}")
         found = self.there(offer.reader, caller)
         if isinstance(found, Answer):
             return found, None
@@ -483,7 +491,7 @@ class Links(KernelService):
         out = far_port(self.kernel, in_, offer.writer, offer.unit, offer.shape)
         self._accepting = True
         try:
-            (connector,) = self.kernel.connections.make((out, in_), _reader_options(offer.profile))
+            (connector,) = self.kernel.connections.make((out, in_), reader_options(offer.profile))
         finally:
             self._accepting = False
         return self._read_end(connector)
@@ -502,25 +510,30 @@ class Links(KernelService):
 
     async def _requested(self, body: bytes, caller: Caller) -> bytes:
         """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
-        request = LinkRequest.from_bytes(body)
-        writer = Path.parse(request.writer)
-        found = self.there(writer, caller)
+        try:
+            versions.agreed(_name(caller), versions_of(body))
+            return _sent(self._connected(LinkRequest.from_bytes(body), caller))
+        except WiringError as error:
+            return _refusal("a request", caller, error)
+
+    def _connected(self, request: LinkRequest, caller: Caller) -> Answer:
+        found = self.there(Path.parse(request.writer), caller)
         if isinstance(found, Answer):
-            return found.to_bytes()
+            return found
         if not isinstance(found, OutPort):
-            return Answer(refused=f"{request.writer}: is no out-port").to_bytes()
+            raise WiringError(f"{request.writer}: is no out-port")
         for connector, link in self._writers.items():
             if connector.out is found and connector.in_.path == request.reader:
                 self._try(link)
-                return Answer().to_bytes()
+                return Answer()
         self._accepting = True
         try:
             self.kernel.connections.make((found, request.reader), request.options)
         except AiortsError as error:
-            return Answer(refused=str(error)).to_bytes()
+            return Answer(refused=str(error))
         finally:
             self._accepting = False
-        return Answer().to_bytes()
+        return Answer()
 
     def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
         """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
@@ -610,19 +623,6 @@ class _Face:
         _report(text)
 
 
-def _of_shape(
-    decode: Callable[[Buffer, Sequence[Buffer]], Any], check: Callable[[Any, Any], object], shape: tuple[int, ...]
-) -> Callable[[Buffer, Sequence[Buffer]], Any]:
-    """The same `decode`, whose samples must have this shape."""
-
-    def checked(head: Buffer, parts: Sequence[Buffer]) -> Any:
-        sample = decode(head, parts)
-        check(sample, shape)
-        return sample
-
-    return checked
-
-
 def _observed(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
         _LOG.error("links: the transport did not close: %s", format_error(error))
@@ -636,24 +636,14 @@ def _epoch() -> int:
     return int.from_bytes(os.urandom(8), "big")
 
 
-def _range(protocol: tuple[int, int]) -> str:
-    low, high = protocol
-    return str(low) if low == high else f"{low}-{high}"
+def _name(caller: Caller) -> str:
+    return caller.identity if caller.peer is None else caller.peer.kernel
 
 
-def _reader_options(profile: ConnectorProfile) -> dict[str, Any]:
-    """The options of the connector at the reader's end, by those that the link was made with.
+def _sent(answer: Answer) -> bytes:
+    return replace(answer, protocol=versions.SPOKEN).to_bytes()
 
-    A link loses nothing inside its window: what finds the reader's buffer full waits at the reader's end, and when the
-    window is used up the writer's buffer decides. With flush the writer waits for the answer, so the policy of the full
-    buffer is the reader's own.
-    """
-    options: dict[str, Any] = {"length": profile.length, "timeout": None, "allow_duplicate": True}
-    options["keep_last"] = profile.keep_last
-    if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
-        options["stamp"] = profile.stamp
-    if profile.subscription is Subscription.FLUSH:
-        return {**options, "full": profile.full}
-    if profile.push is Push.NEW:
-        return {**options, "subscription": Subscription.NEW, "push": Push.NEW}
-    return {**options, "full": FullPolicy.BLOCK}
+
+def _refusal(what: str, caller: Caller, error: WiringError) -> bytes:
+    _LOG.warning("W-LINK: refused %s of %s: %s", what, _name(caller), error)
+    return _sent(Answer(refused=str(error)))

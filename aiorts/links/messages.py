@@ -25,18 +25,22 @@ class Answer:
     """Why it is not possible yet: what has to come."""
     refused: str = ""
     """Why it is not possible."""
+    protocol: tuple[int, int] = (0, 0)
+    """The versions that the kernel speaks which answers."""
 
     def to_bytes(self) -> bytes:
         """The answer as one frame."""
-        return packed([self.number, self.epoch, self.absent[:_LONGEST], self.refused[:_LONGEST]])
+        texts = [self.absent[:_LONGEST], self.refused[:_LONGEST]]
+        return packed([self.number, self.epoch, *texts, list(self.protocol)])
 
     @classmethod
     def from_bytes(cls, body: bytes) -> Answer:
         """The answer of a frame. LinkError: it is none."""
-        number, epoch, absent, refused = fields(body, (int, int, str, str))
+        number, epoch, absent, refused, protocol = fields(body, (int, int, str, str, list))
         if not 0 <= number < 2**32 or not 0 <= epoch < 2**64:
             raise LinkError(f"an answer with the number {number} and the epoch {epoch}")
-        return cls(number, epoch, absent, refused)
+        low, high = checked(protocol, (int, int))
+        return cls(number, epoch, absent, refused, (low, high))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +50,29 @@ class LinkRequest:
     writer: str
     reader: str
     options: dict[str, Any]
+    protocol: tuple[int, int]
+    """The versions that the kernel speaks which asks."""
 
     def to_bytes(self) -> bytes:
         """The request as one frame."""
-        return packed([self.writer, self.reader, self.options])
+        return packed([list(self.protocol), self.writer, self.reader, self.options])
 
     @classmethod
     def from_bytes(cls, body: bytes) -> LinkRequest:
         """The request of a frame. LinkError: it is none."""
-        writer, reader, options = fields(body, (str, str, dict))
+        protocol, writer, reader, options = fields(body, (list, str, str, dict))
         if not all(isinstance(key, str) for key in options):
             raise LinkError("a request whose options are not named by texts")
-        return cls(writer, reader, options)
+        low, high = checked(protocol, (int, int))
+        return cls(writer, reader, options, (low, high))
+
+
+def versions_of(body: bytes) -> tuple[int, int]:
+    """The versions that the kernel speaks which sent this offer or request; all else in it may be of a later one.
+    LinkError: it says none."""
+    (protocol,) = fields(body, (list,))
+    low, high = checked(protocol, (int, int))
+    return low, high
 
 
 def packed(values: list[Any]) -> bytes:
@@ -67,7 +82,7 @@ def packed(values: list[Any]) -> bytes:
 
 
 def fields(body: bytes, kinds: tuple[type, ...]) -> list[Any]:
-    """The values of a frame, of these kinds. LinkError: they are others, or it is no frame."""
+    """The first values of a frame, of these kinds. LinkError: they are others, or it is no frame."""
     if len(body) > _LARGEST:
         raise LinkError(f"a message of {len(body)} bytes; at most {_LARGEST} are allowed")
     try:
@@ -78,9 +93,10 @@ def fields(body: bytes, kinds: tuple[type, ...]) -> list[Any]:
 
 
 def checked(values: Any, kinds: tuple[type, ...]) -> list[Any]:
-    """These values, a list of exactly these kinds. LinkError: they are something else."""
-    if type(values) is not list or len(values) != len(kinds):
-        raise LinkError("no message of this protocol: another number of fields")
-    if any(type(value) is not kind for value, kind in zip(values, kinds, strict=True)):
+    """The first values of a list, of exactly these kinds; what follows is of a later version, and ignored.
+    LinkError: they are something else."""
+    if type(values) is not list or len(values) < len(kinds):
+        raise LinkError("no message of this protocol: too few fields")
+    if any(type(value) is not kind for value, kind in zip(values, kinds, strict=False)):
         raise LinkError("no message of this protocol: fields of other kinds")
-    return values
+    return values[: len(kinds)]
