@@ -9,6 +9,7 @@ from anyio import WouldBlock
 
 from aiorts.errors import format_error
 from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.far import FarOutPort
 from aiorts.links.timing import Wakening
 from aiorts.model.links import ReaderEnd
 
@@ -52,6 +53,8 @@ class ReaderLink:
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
         self._undecodable = False
         self._ended = False
+        if isinstance(connector.out, FarOutPort):
+            connector.out.held = lambda: self.end.held
 
     @property
     def is_connected(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from random import Random
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -285,3 +286,42 @@ def test_half_a_window_of_bytes_is_acknowledged_at_once() -> None:
         reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
         left.append(writer.ledger.in_flight)
     assert left == [1, 0]
+
+
+@pytest.mark.parametrize("window", [0, -1, 65_536])
+@pytest.mark.parametrize("end", [WriterEnd, ReaderEnd])
+def test_a_window_has_bounds(end: Any, window: int) -> None:
+    end(1, 1, window=65_535)
+    with pytest.raises(ValueError, match=r"window = .*: expected 1 to 65,535 samples"):
+        end(1, 1, window=window)
+
+
+def test_the_widest_window_whose_samples_are_all_refused_is_acknowledged() -> None:
+    writer, reader = WriterEnd(1, 1, window=65_535), ReaderEnd(1, 2, window=65_535)
+    writer.channel_up(0, 2)
+    reader.channel_up(0, 1)
+    reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
+    for _ in range(65_535):
+        writer.offer(0, b"")
+    assert writer.room == 0
+    writer.poll(0, lambda head, parts: reader.receive(0, head, parts) is None)
+    while (sample := reader.take()) is not None:
+        reader.failed(0, sample[0], "rejected")
+    reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
+    assert (writer.ledger.dropped, writer.ledger.in_flight) == (65_535, 0)
+
+
+def test_sent_again_counts_the_samples_that_the_channel_took_again() -> None:
+    writer, reader = WriterEnd(1, 1), ReaderEnd(1, 2)
+    writer.channel_up(0, 2)
+    reader.channel_up(0, 1)
+    reader.poll(0, lambda head, parts: writer.receive(0, head) is None)
+    for _ in range(3):
+        writer.offer(0, b"x")
+    writer.poll(0, lambda head, parts: True)  # lost
+    assert writer.ledger.sent_again == 0
+    writer.offer(0, b"y")
+    writer.poll(300 * MS, lambda head, parts: False)  # no room
+    assert writer.ledger.sent_again == 0
+    writer.poll(400 * MS, lambda head, parts: True)
+    assert writer.ledger.sent_again == 3

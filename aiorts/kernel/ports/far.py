@@ -6,7 +6,7 @@ is a part of the system like any other: it is in `Kernel.connectors`, in profile
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -30,8 +30,10 @@ class FarInPort(InPort[Any]):
 class FarOutPort(OutPort[Any]):
     """Stands for an out-port of another kernel: what is received from there is written at it."""
 
-    __slots__ = ()
+    __slots__ = ("held",)
     is_far = True
+    held: Callable[[], int]
+    """How many samples have come that are not written yet, since a reader has no room; set by the service."""
 
 
 class FarPorts(Protocol):
@@ -61,6 +63,12 @@ def far_port(
     kind = FarInPort if isinstance(like, OutPort) else FarOutPort
     port = kind(like.type, unit=unit, shape=shape)
     host.ports[path.port] = port
+    if isinstance(port, FarOutPort):
+        port.held = _nothing
     port._attach(host, path.port)
     port._refresh()
     return port
+
+
+def _nothing() -> int:
+    return 0

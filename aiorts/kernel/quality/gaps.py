@@ -17,6 +17,7 @@ from aiorts.kernel.execution.member import is_open
 from aiorts.kernel.loop.bus import ContextStarted, ContextStopped, Event, MemberAdded, MemberRemoved, StateChanged
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.ports.port import host_of, refresh
 from aiorts.late import dataclass
 
@@ -74,8 +75,9 @@ class _Watch:
     @property
     def written(self) -> int:
         """What was written so far, and what waits for room."""
-        transport = transport_of(self.connector)
-        return transport.total() + sum(not entry.done for entry in transport.waiting or ())
+        transport, out = transport_of(self.connector), self.connector.out
+        held = out.held() if isinstance(out, FarOutPort) else 0
+        return transport.total() + sum(not entry.done for entry in transport.waiting or ()) + held
 
 
 class Gaps:
@@ -147,6 +149,9 @@ class Gaps:
             self._pause(watch)
 
     def _is_active(self, port: Port[Any]) -> bool:
+        if port.is_far:
+            # Of a link the end of the reader judges: it knows of what arrives, and not whether the writer is active.
+            return port.direction == "out"
         host = host_of(port)
         component = None if host is None or host.retired else self._kernel.components.get(host.name)
         return component is not None and is_open(component)

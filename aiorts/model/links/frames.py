@@ -25,6 +25,7 @@ BATCH: Final = 512
 BATCH_BYTES: Final = 32_768
 """Bytes of the samples of one frame at the most, if it is more than one sample."""
 
+_WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")
 _NUMBERED: Final = struct.Struct("<BBHIQQ")
 _FATE: Final = struct.Struct("<QB")
@@ -32,6 +33,12 @@ _FATE: Final = struct.Struct("<QB")
 
 class BadFrame(ValueError):
     """Bytes that are no frame of this link."""
+
+
+def check_window(window: int) -> None:
+    """ValueError: an acknowledgement cannot say what became of so many samples."""
+    if not 1 <= window <= _WIDEST:
+        raise ValueError(f"window = {window}: expected 1 to {_WIDEST:,} samples")
 
 
 def hello(link: int, epoch: int, received: int) -> bytes:

@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 
 from aiorts.late import dataclass
 from aiorts.model.links import frames
-from aiorts.model.links.frames import BadFrame, Buffer, Send
+from aiorts.model.links.frames import BadFrame, Buffer, Send, check_window
 from aiorts.model.links.state import LinkState
 
 _ERA: Final = 1 << 64
@@ -42,11 +42,12 @@ class ReaderEnd:
 
     Args:
         number: that frames carry (`renumber`). epoch: of this end.
-        window: samples that the writer's end may have unacknowledged, window_bytes: the same in bytes. What is far
-            beyond that is not taken: it comes again.
+        window: samples that the writer's end may have unacknowledged, 1 to 65,535.
+        window_bytes: the same in bytes. What is far beyond that is not taken: it comes again.
     """
 
     def __init__(self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20) -> None:
+        check_window(window)
         self.number, self.epoch = number, epoch
         self.ledger = ReaderLedger()
         self.peer_ended = False

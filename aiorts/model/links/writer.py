@@ -7,7 +7,7 @@ from typing import Final
 
 from aiorts.late import dataclass
 from aiorts.model.links import frames
-from aiorts.model.links.frames import BATCH, BATCH_BYTES, BadFrame, Buffer, Send
+from aiorts.model.links.frames import BATCH, BATCH_BYTES, BadFrame, Buffer, Send, check_window
 from aiorts.model.links.state import LinkState
 
 _MS: Final = 1_000_000
@@ -31,6 +31,7 @@ class WriterLedger:
     """What the reader's end did not put into the buffer, with those of unknown fate and those withdrawn."""
     in_flight: int = 0
     sent_again: int = 0
+    """Samples that the channel took once more."""
     bad_frames: int = 0
 
 
@@ -40,10 +41,12 @@ class WriterEnd:
     Args:
         number: that frames carry; the reader's end chooses it for each channel (`renumber`).
         epoch: of this end.
-        window: samples that may be unacknowledged. window_bytes: the same in bytes; one larger sample goes alone.
+        window: samples that may be unacknowledged, 1 to 65,535.
+        window_bytes: the same in bytes; one larger sample goes alone.
     """
 
     def __init__(self, number: int, epoch: int, *, window: int = 256, window_bytes: int = 8 << 20) -> None:
+        check_window(window)
         self.number, self.epoch = number, epoch
         self.ledger = WriterLedger()
         self.peer_ended = False
@@ -228,7 +231,6 @@ class WriterEnd:
             self._pause_ns = min(2 * self._pause_ns, LONGEST_NS)
             self._again_ns = now + self._pause_ns
             if self._sent > self._received:
-                self.ledger.sent_again += self._sent - self._received
                 self._sent = max(self._received, self._oldest - 1)
             else:
                 # All has come, and the reader has no room, or its acknowledgement was lost: hello asks for another.
@@ -260,6 +262,8 @@ class WriterEnd:
             if not send(frames.data(self.number, first, self._oldest, heads, confirm=confirm), parts):
                 return
             self._sent = number
+            if first <= self._highest:
+                self.ledger.sent_again += min(number, self._highest) - first + 1
             if number > self._highest:
                 self._highest = number
                 if not self._timed[0]:
