@@ -36,10 +36,10 @@ class Answer:
     @classmethod
     def from_bytes(cls, body: bytes) -> Answer:
         """The answer of a frame. LinkError: it is none."""
-        number, epoch, absent, refused, protocol = fields(body, (int, int, str, str, list))
+        number, epoch, absent, refused, protocol = fields(body, (int, int, str, str, list), longer=True)
         if not 0 <= number < 2**32 or not 0 <= epoch < 2**64:
             raise LinkError(f"an answer with the number {number} and the epoch {epoch}")
-        low, high = checked(protocol, (int, int))
+        low, high = checked(protocol, (int, int), longer=True)
         return cls(number, epoch, absent, refused, (low, high))
 
 
@@ -60,18 +60,18 @@ class LinkRequest:
     @classmethod
     def from_bytes(cls, body: bytes) -> LinkRequest:
         """The request of a frame. LinkError: it is none."""
-        protocol, writer, reader, options = fields(body, (list, str, str, dict))
+        protocol, writer, reader, options = fields(body, (list, str, str, dict), longer=True)
         if not all(isinstance(key, str) for key in options):
             raise LinkError("a request whose options are not named by texts")
-        low, high = checked(protocol, (int, int))
+        low, high = checked(protocol, (int, int), longer=True)
         return cls(writer, reader, options, (low, high))
 
 
 def versions_of(body: bytes) -> tuple[int, int]:
     """The versions that the kernel speaks which sent this offer or request; all else in it may be of a later one.
     LinkError: it says none."""
-    (protocol,) = fields(body, (list,))
-    low, high = checked(protocol, (int, int))
+    (protocol,) = fields(body, (list,), longer=True)
+    low, high = checked(protocol, (int, int), longer=True)
     return low, high
 
 
@@ -81,22 +81,22 @@ def packed(values: list[Any]) -> bytes:
     return frame
 
 
-def fields(body: bytes, kinds: tuple[type, ...]) -> list[Any]:
-    """The first values of a frame, of these kinds. LinkError: they are others, or it is no frame."""
+def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False) -> list[Any]:
+    """The values of a frame, as `checked`. LinkError: they are others, or it is no frame."""
     if len(body) > _LARGEST:
         raise LinkError(f"a message of {len(body)} bytes; at most {_LARGEST} are allowed")
     try:
         values = msgpack.unpackb(body, strict_map_key=False, max_ext_len=0)
     except (ValueError, TypeError, msgpack.UnpackException) as error:
         raise LinkError(f"no message of this protocol: {type(error).__name__}") from None
-    return checked(values, kinds)
+    return checked(values, kinds, longer=longer)
 
 
-def checked(values: Any, kinds: tuple[type, ...]) -> list[Any]:
-    """The first values of a list, of exactly these kinds; what follows is of a later version, and ignored.
+def checked(values: Any, kinds: tuple[type, ...], *, longer: bool = False) -> list[Any]:
+    """These values, a list of exactly these kinds; with `longer` more may follow, of a later version: they are left out.
     LinkError: they are something else."""
-    if type(values) is not list or len(values) < len(kinds):
-        raise LinkError("no message of this protocol: too few fields")
+    if type(values) is not list or len(values) < len(kinds) or (len(values) > len(kinds) and not longer):
+        raise LinkError("no message of this protocol: another number of fields")
     if any(type(value) is not kind for value, kind in zip(values, kinds, strict=False)):
         raise LinkError("no message of this protocol: fields of other kinds")
     return values[: len(kinds)]

@@ -98,11 +98,11 @@ class LinkOffer:
     @classmethod
     def from_bytes(cls, body: bytes) -> LinkOffer:
         """The offer of a frame. LinkError: it is none."""
-        protocol, link, ends, kind, options = fields(body, (list, str, list, list, list))
-        low, high = checked(protocol, (int, int))
-        writer, reader, writer_epoch, reader_epoch, number = checked(ends, (str, str, int, int, int))
-        schema, type_text, unit, shape = checked(kind, (bytes, str, str, list))
-        name, chosen, window, window_bytes = checked(options, (str, dict, int, int))
+        protocol, link, ends, kind, options = fields(body, (list, str, list, list, list), longer=True)
+        low, high = checked(protocol, (int, int), longer=True)
+        writer, reader, writer_epoch, reader_epoch, number = checked(ends, (str, str, int, int, int), longer=True)
+        schema, type_text, unit, shape = checked(kind, (bytes, str, str, list), longer=True)
+        name, chosen, window, window_bytes = checked(options, (str, dict, int, int), longer=True)
         if not all(type(length) is int for length in shape):
             raise LinkError("an offer whose shape has other than whole numbers")
         try:
