@@ -93,7 +93,7 @@ def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False) -> lis
 
 
 def checked(values: Any, kinds: tuple[type, ...], *, longer: bool = False) -> list[Any]:
-    """These values, a list of exactly these kinds; with `longer` more may follow, of a later version: they are left out.
+    """These values, a list of exactly these kinds; with `longer` those of a later version may follow and are left out.
     LinkError: they are something else."""
     if type(values) is not list or len(values) < len(kinds) or (len(values) > len(kinds) and not longer):
         raise LinkError("no message of this protocol: another number of fields")
