@@ -16,6 +16,7 @@ from typing import Any, Final, Protocol
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import Feature, FeaturedTransport, features_of, offer
 from aiorts.kernel.ports.transport import Waiting
+from aiorts.kernel.quality.dated import Dated, times_of
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy
 from aiorts.model.policy import Dataflow, Subscription
@@ -23,6 +24,7 @@ from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 LINK: Final = "on_link_lost"
 """The option that makes a connector one of a link, and the key of the link in `extra`."""
+_TAKEN: Final = "taken"
 
 
 class Drain(Protocol):
@@ -140,6 +142,22 @@ class Confirmed(Linked):
         self.receiver.room_made()
 
 
+class Aged(Dated):
+    """A transport that knows when the sample was written that was taken last. See `Transport`."""
+
+    __slots__ = ()
+
+    def take(self) -> Any:
+        self.extra[_TAKEN] = times_of(self.moments.queue, self.queue)[0]
+        return super().take()
+
+    @property
+    def taken_ns(self) -> int:
+        """When the sample was written that was taken last."""
+        found: int = self.extra[_TAKEN]
+        return found
+
+
 def added(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
     """The sums, by reason."""
     return {reason: one.get(reason, 0) + other.get(reason, 0) for reason in dict.fromkeys((*one, *other))}
@@ -157,7 +175,12 @@ def _confirmed() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Confirmed, Confirmed  # of which none is periodic
 
 
+def _aged() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    return Aged, Aged
+
+
 FEATURES: Final = (
+    Feature(LINK, lambda profile: profile.on_link_lost is not None and profile.lifespan is not None, _aged),
     Feature(LINK, lambda profile: profile.on_link_lost is not None and not _confirms(profile), _linked),
     Feature(LINK, lambda profile: profile.on_link_lost is not None and _confirms(profile), _confirmed),
 )

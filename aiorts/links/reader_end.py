@@ -21,7 +21,7 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     buffer is the reader's own.
     """
     options: dict[str, Any] = {"length": profile.length, "timeout": None, "allow_duplicate": True}
-    options |= {"keep_last": profile.keep_last, "max_gap": profile.max_gap}
+    options |= {"keep_last": profile.keep_last, "lifespan": profile.lifespan, "max_gap": profile.max_gap}
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
     if profile.subscription is Subscription.FLUSH:

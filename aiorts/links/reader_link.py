@@ -10,6 +10,7 @@ from anyio import WouldBlock
 from aiorts.errors import format_error
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
+from aiorts.kernel.quality.dated import Dated
 from aiorts.links.timing import Wakening
 from aiorts.model.links import ReaderEnd
 
@@ -53,6 +54,7 @@ class ReaderLink:
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
         self._undecodable = False
         self._ended = False
+        self._ages = connector.profile.lifespan is not None
         if isinstance(connector.out, FarOutPort):
             connector.out.held = lambda: self.end.held
 
@@ -113,6 +115,7 @@ class ReaderLink:
     def _deliver(self) -> None:
         """Write what came, as long as the reader has room; what has none is not acknowledged."""
         end, write, decode, now = self.end, self.connector.out.write_nowait, self._decode, self._now()
+        ages = self._ages
         taken = last = 0
         while not self._waits and not self._ended and (received := end.take()) is not None:
             ticket, head, parts = received
@@ -126,6 +129,8 @@ class ReaderLink:
                     self._undecodable = True
                     self._report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
                 continue
+            if ages:
+                self._date(end.date)
             try:
                 has_room = write(record)
             except WouldBlock:
@@ -140,6 +145,14 @@ class ReaderLink:
                 end.failed(now, ticket, "rejected")
                 taken = 0
         end.done(now, last, taken)
+        if ages and not self._waits:
+            self._date(None)
+
+    def _date(self, written_ns: int | None) -> None:
+        """The next sample was written at this time of the kernel's clock; None: those that come are written now."""
+        transport = transport_of(self.connector)
+        if isinstance(transport, Dated):
+            transport.moments.given_ns = written_ns
 
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""
@@ -152,6 +165,8 @@ class ReaderLink:
 
     def _room_made(self, _future: object) -> None:
         number, self._waits = self._waits, 0
+        if self._ages:
+            self._date(None)
         if self._ended:
             return
         self.end.done(self._now(), number, 1)

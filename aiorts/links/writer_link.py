@@ -6,12 +6,14 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from anyio import WouldBlock
+
 from aiorts.errors import AiortsError
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.kernel.ports.last_sample import last_written
 from aiorts.kernel.ports.port import NOTHING
-from aiorts.links.linked import LINK, Confirmation, Confirmed, Linked, added
+from aiorts.links.linked import LINK, Aged, Confirmation, Confirmed, Linked, added
 from aiorts.links.timing import Wakening
 from aiorts.model.links import WriterEnd
 from aiorts.model.policy import Push
@@ -60,6 +62,7 @@ class WriterLink:
         self._channel: Channel | None = None
         self._wakening = Wakening(kernel, self._poll)
         self._turn_due = self._taking = False
+        self._ages = profile.lifespan is not None
         self._drains_full = profile.push is not Push.NEW
         self._acknowledged = 0
         self._dropped: dict[str, int] = {}
@@ -113,7 +116,7 @@ class WriterLink:
         transport = transport_of(self.connector)
         transport.settle()
         now = self._now()
-        queue, read = transport.queue, far.read_nowait
+        queue, read = transport.queue, self._read_aged if self._ages else far.read_nowait
         while end.room > 0:
             if queue:
                 try:
@@ -121,6 +124,8 @@ class WriterLink:
                 except AiortsError as error:
                     self._not_sent(error)
                     continue
+                except WouldBlock:
+                    continue  # it has expired in this moment
                 end.offer(now, head, parts)
             else:
                 if not isinstance(transport, Confirmed) or (entry := transport.next_waiting()) is None:
@@ -131,8 +136,17 @@ class WriterLink:
                     self._not_sent(error)
                     transport.settle_fate(entry, refused=True)
                     continue
+                if self._ages:
+                    end.date = now
                 entry.number = end.offer(now, head, parts, confirm=True)
                 self._confirmations.append(entry)
+
+    def _read_aged(self) -> Any:
+        sample = self.connector.in_.read_nowait()
+        transport = transport_of(self.connector)
+        assert isinstance(transport, Aged)  # noqa: S101 - its profile has `lifespan`
+        self.end.date = transport.taken_ns
+        return sample
 
     def _not_sent(self, error: AiortsError) -> None:
         self._count("unsendable", 1)

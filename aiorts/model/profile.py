@@ -58,7 +58,8 @@ class ConnectorProfile:
     keep_last: bool = False
     """Whether a new connector is offered the sample that the writer wrote last, also before it was made."""
     lifespan: float | None = None
-    """Seconds after which a sample that was not read is dropped; None keeps it."""
+    """Seconds after which a sample that was not read is dropped; None keeps it. Of a link both ends count what a sample
+    waits there; the time on the way is not counted, since the clocks of two kernels are not compared."""
     max_gap: float | None = None
     """Seconds without a write after which the writer counts as silent, while both ends are active; None never."""
     extra: Mapping[str, str] = field(default_factory=lambda: _NOTHING)

@@ -20,7 +20,7 @@ _KEY: Final = "dated"
 class Moments:
     """When the samples of one connector were written, on the kernel's monotonic clock."""
 
-    __slots__ = ("backlog", "left_ns", "now_ns", "queue")
+    __slots__ = ("backlog", "given_ns", "left_ns", "now_ns", "queue")
 
     def __init__(self, transport: Transport) -> None:
         self.now_ns: Callable[[], int] = transport.clock.monotonic_ns
@@ -31,6 +31,8 @@ class Moments:
         """Of each sample in the backlog, as above."""
         self.left_ns = 0
         """Of the sample that left the backlog last."""
+        self.given_ns: int | None = None
+        """Of the sample that comes next, where it was written in another kernel before; None: it is written now."""
 
 
 class Dated(FeaturedTransport):
@@ -48,7 +50,8 @@ class Dated(FeaturedTransport):
 
     def written_ns(self) -> int:
         """When the sample was written that comes into the reader's queue now."""
-        return self.moments.now_ns()
+        moments = self.moments
+        return moments.now_ns() if moments.given_ns is None else moments.given_ns
 
     def carry_on(self, old: Transport) -> None:
         moments = old.moments if isinstance(old, Dated) else None

@@ -20,6 +20,8 @@ ACK: Final = 3
 BYE: Final = 4
 CONFIRM: Final = 1
 """Flag of data: acknowledge at once."""
+AGED: Final = 2
+"""Flag of data: before the samples stands how old each is, in nanoseconds."""
 BATCH: Final = 512
 """Samples of one frame at the most."""
 BATCH_BYTES: Final = 32_768
@@ -46,8 +48,14 @@ def hello(link: int, epoch: int, received: int) -> bytes:
     return _NUMBERED.pack(HELLO, 0, 0, link, epoch, received)
 
 
-def data(link: int, first: int, oldest: int, samples: Sequence[bytes], *, confirm: bool) -> bytes:
-    """Samples from number `first` on; the writer keeps those from `oldest` on."""
+def data(
+    link: int, first: int, oldest: int, samples: Sequence[bytes], *, confirm: bool, ages: Sequence[int] = ()
+) -> bytes:
+    """Samples from number `first` on, with the ages that are known; the writer keeps those from `oldest` on."""
+    if ages:
+        frame = data(link, first, oldest, samples, confirm=confirm)
+        head = _NUMBERED.pack(DATA, confirm | AGED, len(samples), link, first, oldest)
+        return b"".join((head, struct.pack(f"<{len(ages)}Q", *ages), frame[_NUMBERED.size :]))
     if len(samples) == 1:
         # The only sample is the rest of the frame: a length for each is needed of several alone.
         return _NUMBERED.pack(DATA, confirm, 1, link, first, oldest) + samples[0]
@@ -83,9 +91,18 @@ def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
     return kind, flags, count, one, two
 
 
-def samples_of(frame: Buffer, count: int) -> list[memoryview]:
-    """The bytes of each sample of a data frame, not copied."""
+def ages_of(frame: Buffer, count: int) -> tuple[int, ...]:
+    """The age of each sample of a data frame with AGED."""
+    if not 0 < count <= BATCH or len(frame) < _NUMBERED.size + 8 * count:
+        raise BadFrame("too short for ages")
+    return struct.unpack_from(f"<{count}Q", frame, _NUMBERED.size)
+
+
+def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
+    """The bytes of each sample of a data frame with so many ages, not copied."""
     view = memoryview(frame)
+    if ages:
+        view = view[8 * ages :]
     if count == 1:
         return [view[_NUMBERED.size :]]
     start = _NUMBERED.size + 4 * count

@@ -52,6 +52,11 @@ class ReaderEnd:
         self.ledger = ReaderLedger()
         self.peer_ended = False
         """Whether the writer's end was disconnected."""
+        self.date: int | None = None
+        """When the sample that was taken last was written, by this end's clock, less its time on the way; None: it is
+        of a link whose samples do not expire."""
+        self._dates: dict[int, int] = {}
+        """Of what is held, by ticket."""
         self._window, self._window_bytes = window, window_bytes
         self._bytes = 0
         """Bytes of what is held."""
@@ -102,7 +107,9 @@ class ReaderEnd:
         try:
             kind, flags, count, one, oldest = frames.head_of(head, self.number)
             if kind == frames.DATA:
-                self._take_in(now, one, oldest, frames.samples_of(head, count), parts, bool(flags & frames.CONFIRM))
+                ages = frames.ages_of(head, count) if flags & frames.AGED else ()
+                samples = frames.samples_of(head, count, len(ages))
+                self._take_in(now, one, oldest, samples, parts, bool(flags & frames.CONFIRM), ages)
             elif kind == frames.HELLO:
                 if one != self._peer_epoch:
                     raise BadFrame("of another end")
@@ -115,7 +122,14 @@ class ReaderEnd:
             self.ledger.bad_frames += 1
 
     def _take_in(
-        self, now: int, first: int, oldest: int, samples: list[memoryview], parts: Sequence[Buffer], confirm: bool
+        self,
+        now: int,
+        first: int,
+        oldest: int,
+        samples: list[memoryview],
+        parts: Sequence[Buffer],
+        confirm: bool,
+        ages: Sequence[int],
     ) -> None:
         if parts and len(samples) != 1:
             raise BadFrame("parts of several samples")
@@ -140,6 +154,9 @@ class ReaderEnd:
         self._unacknowledged += size
         next_ticket = self._era + self._received + 1
         held.extend(zip(range(next_ticket, next_ticket + len(fresh)), fresh, repeat(parts)))
+        if ages:
+            ages = ages[self._received + 1 - first :]
+            self._dates.update((next_ticket + place, now - ages[place]) for place in range(len(fresh)))
         self._received += len(fresh)
         ledger.received += len(fresh)
         ledger.held += len(fresh)
@@ -153,7 +170,9 @@ class ReaderEnd:
         if not self._held:
             return None
         found = self._held.popleft()
-        _, head, parts = found
+        ticket, head, parts = found
+        if self._dates:
+            self.date = self._dates.pop(ticket, None)
         self._bytes -= len(head) if not parts else len(head) + sum(map(len, parts))
         return found
 

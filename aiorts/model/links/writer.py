@@ -55,6 +55,10 @@ class WriterEnd:
         self._peer_epoch = 0
         self._kept: dict[int, tuple[bytes, Sequence[memoryview], bool]] = {}
         """What is not acknowledged, by number, without a gap."""
+        self.date: int | None = None
+        """When the sample was written that is offered next, where samples expire: frames say how old each is."""
+        self._dates: dict[int, int] = {}
+        """Of what is kept, by number."""
         self._bytes = 0
         self._oldest = 1
         """The number of the first that is kept, or of the next one."""
@@ -103,6 +107,7 @@ class WriterEnd:
         unsent = [self._kept[number] for number in range(self._highest + 1, self._next)]
         self._give_up("unknown_fate", self._highest)
         self._kept = dict(enumerate(unsent, 1))
+        self._dates = {number - self._highest: date for number, date in self._dates.items()}
         self._oldest, self._next = 1, 1 + len(unsent)
         self._sent = self._highest = self._received = 0
 
@@ -132,6 +137,8 @@ class WriterEnd:
         number = self._next
         self._next += 1
         self._kept[number] = (head, parts, confirm)
+        if self.date is not None:
+            self._dates[number] = self.date
         self._bytes += len(head) if not parts else len(head) + sum(part.nbytes for part in parts)
         self.ledger.offered += 1
         self.ledger.in_flight += 1
@@ -195,6 +202,8 @@ class WriterEnd:
         for number in range(first, last + 1):
             head, parts, _ = kept.pop(number)
             self._bytes -= len(head) if not parts else len(head) + sum(part.nbytes for part in parts)
+        if self._dates:
+            self._dates = {number: date for number, date in self._dates.items() if number > last}
         self._oldest = last + 1
         count = last - first + 1
         ledger = self.ledger
@@ -259,7 +268,10 @@ class WriterEnd:
                 confirm |= confirms
                 heads.append(head)
                 number += 1
-            if not send(frames.data(self.number, first, self._oldest, heads, confirm=confirm), parts):
+            frame = frames.data(
+                self.number, first, self._oldest, heads, confirm=confirm, ages=self._ages(now, first, number)
+            )
+            if not send(frame, parts):
                 return
             self._sent = number
             if first <= self._highest:
@@ -268,6 +280,10 @@ class WriterEnd:
                 self._highest = number
                 if not self._timed[0]:
                     self._timed = (number, now)
+
+    def _ages(self, now: int, first: int, last: int) -> Sequence[int]:
+        dates = self._dates
+        return [max(0, now - dates.get(number, now)) for number in range(first, last + 1)] if dates else ()
 
     def end(self, now: int, send: Send) -> None:
         """This end was disconnected: say so. What was sent and is not acknowledged is of unknown fate, the rest is
