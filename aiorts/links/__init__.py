@@ -8,6 +8,7 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.links.connecting import Links, LinksSettings
+    from aiorts.links.ledgers import LinkLedger
     from aiorts.links.transport import (
         Caller,
         Channel,
@@ -25,6 +26,7 @@ __all__ = (
     "Channel",
     "ChannelEvents",
     "KernelFace",
+    "LinkLedger",
     "LinkOffer",
     "Links",
     "LinksSettings",
@@ -38,6 +40,7 @@ _late(
     globals(),
     {
         "aiorts.links.connecting": "Links LinksSettings",
+        "aiorts.links.ledgers": "LinkLedger",
         "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of",
         "aiorts.links.transports": "find_transport",
     },

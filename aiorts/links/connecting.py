@@ -27,6 +27,7 @@ from aiorts.late import dataclass
 from aiorts.links import versions
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
+from aiorts.links.ledgers import Ledgers, LinkLedger
 from aiorts.links.messages import Answer, LinkRequest, versions_of
 from aiorts.links.reader_end import of_shape, reader_options
 from aiorts.links.reader_link import ReaderLink
@@ -99,6 +100,7 @@ class Links(KernelService):
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
         self._calls = Calls(self)
+        self._ledgers = Ledgers(self, self._writers, self._offers)
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
 
@@ -112,6 +114,16 @@ class Links(KernelService):
         now = self.kernel.clock.monotonic_ns()
         data = {one.connector.name: f"{one.end.state(now)}{f': {one.why}' if one.why else ''}" for one in self._all()}
         return data | self._calls.report()
+
+    async def ledger(self, connector: Connector, within: float = _ASK_SECONDS) -> LinkLedger:
+        """The ledger of a link from end to end, asked for at either end; the other kernel answers in `within` seconds.
+
+        Raises:
+            LinkError: it does not answer, or the connector is none of a link.
+        """
+        if (link := self._link(connector)) is None:
+            raise LinkError(f"{connector.name}: ledger: both ports are in this kernel; look at its statistics")
+        return await self._ledgers.of(link, within)
 
     # -- opening ---------------------------------------------------------------------------------------------------
 
@@ -152,7 +164,7 @@ class Links(KernelService):
         transport.answer("offer", self._offered)
         transport.answer("request", self._requested)
         transport.answer("come", self._come)
-        for what, handler in self._calls.handlers().items():
+        for what, handler in {**self._calls.handlers(), **self._ledgers.handlers()}.items():
             transport.answer(what, handler)
         await transport.open(_Face(self))
         transport.presence(self._present)

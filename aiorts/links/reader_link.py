@@ -17,6 +17,7 @@ from aiorts.model.links import ReaderEnd
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports.connector import Connector
+    from aiorts.kernel.ports.transport import Waiting
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
 
@@ -52,7 +53,9 @@ class ReaderLink:
         self._wakening = Wakening(kernel, self._poll)
         self._waits = 0
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
-        self._undecodable = False
+        self.undecodable = 0
+        """Samples that could not be decoded."""
+        self._waiting: Waiting | None = None
         self._ended = False
         self._ages = connector.profile.lifespan is not None
         if isinstance(connector.out, FarOutPort):
@@ -67,6 +70,11 @@ class ReaderLink:
     def busy(self) -> bool:
         """Whether samples that have come wait for room in the reader's buffer."""
         return bool(self._waits or self.end.held)
+
+    @property
+    def held(self) -> int:
+        """Samples that have come and are not in the reader's buffer."""
+        return self.end.held + (self._waiting is not None and not self._waiting.done)
 
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         """Receive over this channel from now on the frames that carry `number`."""
@@ -125,8 +133,8 @@ class ReaderLink:
                 end.done(now, last, taken)
                 end.failed(now, ticket, "undecodable")
                 taken = 0
-                if not self._undecodable:
-                    self._undecodable = True
+                self.undecodable += 1
+                if self.undecodable == 1:
                     self._report(f"{self.connector.name}: dropped what cannot be decoded: {format_error(error)}")
                 continue
             if ages:
@@ -157,14 +165,15 @@ class ReaderLink:
     def _wait(self, number: int, record: Any) -> None:
         """Have the connector say when the reader has made room for this sample, which is in the buffer then."""
         future = self._kernel.loop.create_future()
-        if transport_of(self.connector).wait_for_room(record, future) is None:
+        self._waiting = transport_of(self.connector).wait_for_room(record, future)
+        if self._waiting is None:
             self.end.done(self._now(), number, 1)
             return
         self._waits = number
         future.add_done_callback(self._room_made)
 
     def _room_made(self, _future: object) -> None:
-        number, self._waits = self._waits, 0
+        number, self._waits, self._waiting = self._waits, 0, None
         if self._ages:
             self._date(None)
         if self._ended:

@@ -29,6 +29,8 @@ WINDOW: Final = 256
 _NEWEST: Final = 2
 """The same where only the newest sample counts: one on its way and one behind it."""
 _ACKNOWLEDGED: Final = "acknowledged"
+_OWN_FATES: Final = ("unknown_fate", "disconnected")
+"""Why samples are dropped that the reader's end has not answered for."""
 
 
 class WriterLink:
@@ -66,6 +68,10 @@ class WriterLink:
         self._drains_full = profile.push is not Push.NEW
         self._acknowledged = 0
         self._dropped: dict[str, int] = {}
+        self.refused: Mapping[str, int] = {}
+        """Samples that the reader's end there is now did not take, by reason."""
+        self.acknowledged_before = 0
+        """By reader's ends that are no more."""
         self._confirmations: deque[Confirmation] = deque()
         self._unsendable = False
         self._ended = False
@@ -75,7 +81,7 @@ class WriterLink:
     # -- the connector ---------------------------------------------------------------------------------------------
 
     def drained(self) -> tuple[int, int, Mapping[str, int]]:
-        return self._acknowledged, self.end.ledger.in_flight, self._dropped
+        return self._acknowledged, self.end.ledger.in_flight, added(self._dropped, self.refused)
 
     def pump(self) -> None:
         """Take from the connector what the window has room for, and send."""
@@ -167,6 +173,9 @@ class WriterLink:
         self.end.renumber(number)
         is_another = self.end.channel_up(self._now(), peer_epoch)
         self._settle()
+        if is_another:
+            self._dropped, self.refused = added(self._dropped, self.refused), {}
+            self.acknowledged_before = self._acknowledged
         if is_another and self.connector.profile.keep_last and not self.busy:
             self._offer_last()
         self.pump()
@@ -231,8 +240,10 @@ class WriterLink:
         for first, last, fate in self.end.fates():
             if fate == _ACKNOWLEDGED:
                 self._acknowledged += last - first + 1
+            elif fate in _OWN_FATES:
+                self._count(fate, last - first + 1)
             else:
-                self._count(fate.removeprefix("dropped:"), last - first + 1)
+                self.refused = added(self.refused, {fate: last - first + 1})
             confirmations = self._confirmations
             while confirmations and confirmations[0].number <= last:
                 entry = confirmations.popleft()

@@ -37,6 +37,7 @@ async def play(seed: int) -> tuple[list[int], int, dict[str, int], bool]:
         source, sink = await one.add(Source()), await two.add(Sink())
         connector = await one.connect(source.out, "two/sink0.inp", full="block", timeout=None, length=8)
         seen: list[int] = []
+        unexplained: list[int] = []
 
         async def read() -> None:
             while len(seen) < 300:
@@ -48,6 +49,8 @@ async def play(seed: int) -> tuple[list[int], int, dict[str, int], bool]:
             await source.out.write(TimedLong(tm=0, data=value))
             if random.random() < 0.05:
                 await asyncio.sleep(random.choice((0.001, 0.05)))
+            if random.random() < 0.05:
+                unexplained.append((await one.service(Links).ledger(connector)).unexplained)
             if random.random() < 0.01:
                 network.cut("one", "two")
                 await asyncio.sleep(random.choice((0.01, 1.0, 14.0)))
@@ -56,7 +59,10 @@ async def play(seed: int) -> tuple[list[int], int, dict[str, int], bool]:
         while connector.statistics.in_flight:
             await asyncio.sleep(0.1)
         ledger = connector.statistics
-        return seen, ledger.written, dict(ledger.dropped), ledger.balanced
+        joined = await one.service(Links).ledger(connector)
+        assert (joined.written, joined.delivered, joined.buffered, joined.in_flight) == (300, 300, 0, 0)
+        assert joined == await two.service(Links).ledger(next(iter(two.connectors.values())))
+        return seen, ledger.written, dict(ledger.dropped), ledger.balanced and not any(unexplained)
 
 
 def test_whatever_the_network_does_each_sample_is_read_once_and_in_order() -> None:

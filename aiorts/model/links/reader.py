@@ -181,6 +181,16 @@ class ReaderEnd:
         """Samples that have come and were not taken."""
         return len(self._held)
 
+    @property
+    def received(self) -> int:
+        """All up to this number have come of the writer's end there is now."""
+        return self._received
+
+    @property
+    def peer_epoch(self) -> int:
+        """Of the writer's end; 0: there was none yet."""
+        return self._peer_epoch
+
     def done(self, now: int, ticket: int, count: int = 1) -> None:
         """So many samples are in the reader's buffer, the last of them with this ticket."""
         if count:

@@ -132,6 +132,16 @@ class WriterEnd:
             return 0
         return self._window - kept
 
+    @property
+    def numbered(self) -> int:
+        """The number of the sample that was offered last; 0: none was since numbers began."""
+        return self._next - 1
+
+    @property
+    def peer_epoch(self) -> int:
+        """Of the reader's end; 0: there was none yet."""
+        return self._peer_epoch
+
     def offer(self, now: int, head: bytes, parts: Sequence[memoryview] = (), *, confirm: bool = False) -> int:
         """Take one sample; returns its number. There is room. `confirm`: have it acknowledged at once."""
         number = self._next

@@ -1,0 +1,187 @@
+"""The ledger of a link as one: the kernel of the writer asks that of the reader, and joins both.
+
+Both ends count at one number and not at one time: what the reader's end has not received when it answers is in flight,
+whatever has become of it since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import LinkError
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.late import dataclass
+from aiorts.links.linked import added
+from aiorts.links.messages import fields, packed
+from aiorts.links.writer_link import WriterLink
+from aiorts.model.names import Path
+
+if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.calls import Kernels
+    from aiorts.links.reader_link import ReaderLink
+    from aiorts.links.transport import Caller
+
+_LARGEST: Final = 2**63
+_WITHIN: Final = 2.0
+"""Seconds in which the reader's kernel answers that of the writer."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkLedger:
+    """The ledger of a link, from the writer to the reader: written = delivered + sum(dropped.values()) + buffered +
+    in_flight + acknowledged_before."""
+
+    written: int
+    """Samples that the writer wrote, those that `keep_last` offered again, and those of writers before this one that
+    the reader has counted."""
+    delivered: int
+    """Samples that the reader read."""
+    dropped: Mapping[str, int]
+    """Samples that were lost at either end, by reason."""
+    buffered: int
+    """Samples that wait at either end: to be sent, or to be read."""
+    in_flight: int
+    """Samples that were taken to be sent, and had not come when the reader's end was asked."""
+    acknowledged_before: int
+    """Samples that were in the buffer of readers before this one: whether they were read is not known any more."""
+
+    @property
+    def unexplained(self) -> int:
+        """Samples that neither end accounts for; 0 unless there is a fault in the protocol."""
+        known = self.delivered + sum(self.dropped.values()) + self.buffered + self.in_flight
+        return self.written - known - self.acknowledged_before
+
+    def __str__(self) -> str:
+        lost = ", ".join(f"{reason} {count}" for reason, count in self.dropped.items())
+        before = f" + {self.acknowledged_before} acknowledged before" if self.acknowledged_before else ""
+        return (
+            f"{self.written} written = {self.delivered} delivered + {sum(self.dropped.values())} dropped"
+            f"{f' ({lost})' if lost else ''} + {self.buffered} buffered + {self.in_flight} in flight{before}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Report:
+    """What the reader's end counts. `besides` of all it has are not of the writer's end that there is now."""
+
+    writer_epoch: int
+    reader_epoch: int
+    received: int
+    delivered: int
+    buffered: int
+    besides: int
+    dropped: dict[str, int]
+
+    def to_bytes(self) -> bytes:
+        counts = [self.received, self.delivered, self.buffered, self.besides]
+        return packed([self.writer_epoch, self.reader_epoch, *counts, self.dropped])
+
+    @classmethod
+    def from_bytes(cls, body: bytes) -> _Report:
+        writer, reader, *counts, dropped = fields(body, (int, int, int, int, int, int, dict), longer=True)
+        _check_counts(counts, dropped)
+        received, delivered, buffered, besides = counts
+        return cls(writer, reader, received, delivered, buffered, besides, dropped)
+
+
+class Ledgers:
+    """Asks and answers what the links of one kernel count.
+
+    Args:
+        writers: the writer's ends by connector. readers: the reader's ends by the writer's kernel and its name of the
+            link.
+    """
+
+    def __init__(
+        self, links: Kernels, writers: Mapping[Connector, WriterLink], readers: Mapping[tuple[str, str], ReaderLink]
+    ) -> None:
+        self._links, self._writers, self._readers = links, writers, readers
+
+    def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
+        """What other kernels may ask."""
+        return {"ledger": self._reported, "joined": self._joined}
+
+    async def of(self, link: WriterLink | ReaderLink, within: float) -> LinkLedger:
+        """The ledger of a link, asked for at either end.
+
+        Raises:
+            LinkError: the other kernel is not there or does not answer, or either end is another one now.
+        """
+        connector = link.connector
+        far = Path.parse((connector.in_ if isinstance(link, WriterLink) else connector.out).path)
+        peer = self._links.peer_of(far)
+        if peer is None:
+            raise LinkError(f"{connector.name}: ledger: there is no kernel {far.kernel!r}")
+        if isinstance(link, WriterLink):
+            body = await self._links.ask(peer, "ledger", packed([connector.name]), within)
+            return _join(link, _Report.from_bytes(body))
+        name = next((name for (_, name), one in self._readers.items() if one is link), None)
+        if name is None:
+            raise LinkError(f"{connector.name}: ledger: {link.why}")
+        # The writer's kernel asks this one in turn.
+        return _read(await self._links.ask(peer, "joined", packed([name]), 2 * within))
+
+    async def _reported(self, body: bytes, caller: Caller) -> bytes:
+        (name,) = fields(body, (str,), longer=True)
+        link = None if caller.peer is None else self._readers.get((caller.peer.kernel, name))
+        if link is None:
+            raise LinkError(f"has no link {name!r:.80}")
+        return _report(link).to_bytes()
+
+    async def _joined(self, body: bytes, caller: Caller) -> bytes:
+        (name,) = fields(body, (str,), longer=True)
+        for connector, link in self._writers.items():
+            if connector.name == name and self._links.peer_of(Path.parse(connector.in_.path)) == caller.peer:
+                ledger = await self.of(link, _WITHIN)
+                counts = [ledger.written, ledger.delivered, ledger.buffered, ledger.in_flight]
+                return packed([*counts, ledger.acknowledged_before, dict(ledger.dropped)])
+        raise LinkError(f"has no link {name!r:.80}")
+
+
+def _report(link: ReaderLink) -> _Report:
+    end, found = link.end, link.connector.statistics
+    counted = end.ledger
+    return _Report(
+        end.peer_epoch,
+        end.epoch,
+        end.received,
+        found.arrived,
+        found.buffered + link.held,
+        counted.received - end.received + transport_of(link.connector).offered,
+        added(found.dropped, {"undecodable": link.undecodable} if link.undecodable else {}),
+    )
+
+
+def _join(link: WriterLink, there: _Report) -> LinkLedger:
+    """Both ends at the number up to which the reader's end has received."""
+    end, here = link.end, link.connector.statistics
+    if (end.epoch, end.peer_epoch) != (there.writer_epoch, there.reader_epoch) or there.received > end.numbered:
+        raise LinkError(f"{link.connector.name}: ledger: one of its ends is another one now; ask again")
+    # What the reader's end has refused, both have counted.
+    lost = added(here.dropped, {reason: -count for reason, count in link.refused.items()})
+    dropped = {reason: count for reason, count in added(lost, there.dropped).items() if count}
+    return LinkLedger(
+        here.written + there.besides,
+        there.delivered,
+        MappingProxyType(dropped),
+        here.buffered + there.buffered,
+        end.numbered - there.received,
+        link.acknowledged_before,
+    )
+
+
+def _read(body: bytes) -> LinkLedger:
+    *counts, dropped = fields(body, (int, int, int, int, int, dict), longer=True)
+    _check_counts(counts, dropped)
+    written, delivered, buffered, in_flight, before = counts
+    return LinkLedger(written, delivered, MappingProxyType(dropped), buffered, in_flight, before)
+
+
+def _check_counts(counts: list[Any], dropped: dict[Any, Any]) -> None:
+    if any(type(reason) is not str or type(count) is not int for reason, count in dropped.items()) or not all(
+        0 <= count < _LARGEST for count in (*counts, *dropped.values())
+    ):
+        raise LinkError("no ledger of a link")

@@ -1,0 +1,153 @@
+"""The ledger of a link from end to end: one equation, asked for at either end at any moment."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import AsyncExitStack, suppress
+from random import Random
+from typing import Any
+
+import pytest
+from anyio import WouldBlock
+
+from aiorts import EventContext, Kernel, LifecycleState
+from aiorts.errors import LinkError, WriteTimeout
+from aiorts.links import LinkLedger, Links
+from aiorts.links.messages import packed
+from aiorts.testing import MemoryNetwork, simulate
+from campaign import cases
+from links.memory_kernels import Sink, Source, kernel_of, long, until
+
+OPTIONS: list[dict[str, Any]] = [
+    {"full": "overwrite", "length": 4},
+    {"full": "reject", "length": 4},
+    {"subscription": "flush", "full": "reject", "length": 3, "timeout": 0.05},
+    {"subscription": "flush", "full": "overwrite", "length": 3},
+    {"subscription": "new", "push": "new"},
+    {"subscription": "periodic", "push_rate": 50.0, "push": "all", "out_length": 9},
+    {"keep_last": True, "full": "overwrite"},
+    {"keep_last": True, "lifespan": 0.2, "full": "overwrite"},
+    {"keep_last": True, "subscription": "flush", "full": "overwrite"},
+]
+
+
+async def ask(kernel: Kernel) -> LinkLedger:
+    (connector,) = kernel.connectors.values()
+    return await kernel.service(Links).ledger(connector)
+
+
+async def play(seed: int) -> list[LinkLedger]:
+    """Writes, reads, cuts, restarts, and looks at the ledger from either end at random moments."""
+    random = Random(seed)
+    network = MemoryNetwork(
+        seed=seed, loss=random.choice((0, 0.2)), duplicate=0.1, reorder=0.1, delay=random.choice((0.0, 0.003))
+    )
+    found: list[LinkLedger] = []
+    async with kernel_of(network, "one") as one, AsyncExitStack() as stack:
+        source = await one.add(Source())
+
+        async def start() -> tuple[Kernel, Sink, Any]:
+            two = await stack.enter_async_context(kernel_of(network, "two"))
+            sink = await two.add(Sink())
+            return two, sink, await two.start(EventContext(), sink, activate=random.random() < 0.7)
+
+        two, sink, context = await start()
+        options = random.choice(OPTIONS)
+        connector = await one.connect(source.out, "two/sink0.inp", **options)
+        for value in range(random.randrange(20, 80)):
+            for _ in range(random.choice((1, 1, 4))):
+                with suppress(WouldBlock):
+                    source.out.write_nowait(long(value))
+            act = random.randrange(14)
+            if act < 4:
+                sink.inp.drain()
+            elif act == 4 and "flush" in options.values():
+                with suppress(WriteTimeout, TimeoutError):
+                    await asyncio.wait_for(source.out.write(long(value)), 0.01)
+            elif act == 5:
+                network.cut("one", "two")
+                await asyncio.sleep(random.choice((0.0, 0.5)))
+                network.restore("one", "two")
+            elif act == 6:
+                await stack.aclose()
+                two, sink, context = await start()
+            elif act == 7:
+                is_active = sink.states[context.name] is LifecycleState.ACTIVE
+                await (context.deactivate(sink) if is_active else context.activate(sink))
+            elif act < 11:
+                with suppress(LinkError):
+                    found.append(await ask(random.choice((one, two)) if two.connectors else one))
+            await asyncio.sleep(random.choice((0.0, 0.001, 0.02, 0.1)))
+        network.loss = 0.0
+        sink.inp.drain()
+        await until(lambda: two.connectors and connector.statistics.buffered == 0, 60)
+        for _ in range(400):
+            sink.inp.drain()
+            await asyncio.sleep(0.05)
+            if not connector.statistics.in_flight:
+                break
+        found += [await ask(one), await ask(two)]
+        assert found[-1] == found[-2]
+        assert found[-1].in_flight == 0
+        assert connector.statistics.balanced
+    return found
+
+
+def test_at_any_moment_every_sample_is_accounted_for_once() -> None:
+    for seed in range(cases(2_000)):
+        for ledger in simulate(play(seed), seed=seed):
+            assert ledger.unexplained == 0, (seed, str(ledger))
+            assert min(ledger.written, ledger.delivered, ledger.buffered, ledger.in_flight) >= 0, (seed, str(ledger))
+            assert all(count > 0 for count in ledger.dropped.values()), (seed, str(ledger))
+
+
+def test_the_ledger_of_a_link_is_the_same_from_either_end() -> None:
+    async def run() -> None:
+        network = MemoryNetwork(delay=0.001)
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            await one.connect(source.out, "two/sink0.inp", length=8)
+            for value in range(20):
+                source.out.write_nowait(long(value))
+            await until(lambda: sink.inp.is_new)
+            assert [sink.inp.read_nowait().data for _ in range(5)] == list(range(5))
+            network.stop("two")
+            source.out.write_nowait(long(20))
+            network.go("two")
+            ledger = await ask(one)
+            assert (ledger.written, ledger.delivered, ledger.buffered + ledger.in_flight) == (21, 5, 16)
+            assert (dict(ledger.dropped), ledger.unexplained) == ({}, 0)
+            await asyncio.sleep(1)
+            assert (await ask(one)) == (await ask(two)) == LinkLedger(21, 5, {}, 16, 0, 0)
+
+    simulate(run())
+
+
+def test_the_equation_is_printed() -> None:
+    ledger = LinkLedger(20, 10, {"expired": 2, "unknown_fate": 1}, 3, 1, 3)
+    assert ledger.unexplained == 0
+    assert str(ledger) == (
+        "20 written = 10 delivered + 3 dropped (expired 2, unknown_fate 1) + 3 buffered + 1 in flight"
+        " + 3 acknowledged before"
+    )
+    assert str(LinkLedger(1, 0, {}, 0, 1, 0)) == "1 written = 0 delivered + 0 dropped + 0 buffered + 1 in flight"
+
+
+def test_a_ledger_that_cannot_be_had_says_why() -> None:
+    async def run() -> None:
+        network = MemoryNetwork()
+        async with kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await one.add(Sink())
+            links = one.service(Links)
+            far = await one.connect(source.out, "two/sink0.inp")
+            with pytest.raises(LinkError, match=r"ledger: there is no kernel 'two'"):
+                await links.ledger(far)
+            with pytest.raises(LinkError, match=r"both ports are in this kernel"):
+                await links.ledger(await one.connect(source.out, sink.inp))
+            async with kernel_of(network, "two") as two:
+                for what, body in (("ledger", packed(["x"])), ("joined", packed(["x"])), ("joined", b"\xc1")):
+                    with pytest.raises(LinkError, match=r"has no link 'x'|no message"):
+                        await links.ask(links.peers[0], what, body, 1.0)
+                assert two.connectors == {}
+
+    simulate(run())
