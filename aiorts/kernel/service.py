@@ -89,6 +89,9 @@ class KernelService:
         """Round the time in which a system file, or a plan, makes components and connects them itself."""
         return nullcontext()
 
+    def started(self) -> None:
+        """What a system file, or a plan, has made runs: whoever it activates was asked to."""
+
     def owns(self, connector: Connector) -> bool:
         """Whether a connector of data ports is its own work: not saved, and nothing that a plan looks at."""
         return False

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
 from aiorts.kernel.connection import Connection
-from aiorts.kernel.loop.bus import Disconnected
+from aiorts.kernel.loop.bus import Disconnected, StateChanged
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports import InPort, OutPort, Port
@@ -34,6 +35,7 @@ from aiorts.links.reader_link import ReaderLink
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.transports import find_transport
 from aiorts.links.writer_link import WINDOW, WriterLink
+from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import OnLinkLost
@@ -100,9 +102,16 @@ class Links(KernelService):
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
         self._calls = Calls(self)
+<<<<<<< HEAD
         self._ledgers = Ledgers(self, self._writers, self._offers)
+=======
+        self._making = False
+        self._starting: set[str] = set()
+        """Components that a system file or a plan has made and that do not run yet."""
+>>>>>>> 0420f37 (A link waits until a component that a file starts is active; samples of unknown fate are said; the Roomba's middle process killed; readers killed)
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
+        kernel.bus.subscribe(StateChanged, self._state_changed)
 
     def owns(self, connector: Connector) -> bool:
         """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
@@ -549,6 +558,10 @@ class Links(KernelService):
 
     def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
         """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
+        if path.component in self._starting and caller.peer is not None:
+            # What came before it is active would be dropped.
+            self._awaited.setdefault(path.component, set()).add(caller.peer)
+            return Answer(absent=f"{path.component} is being started")
         try:
             return self.kernel.registry.port(str(replace(path, kernel="", host="")))
         except WiringError as error:
@@ -557,9 +570,32 @@ class Links(KernelService):
             self._awaited.setdefault(path.component, set()).add(caller.peer)
             return Answer(absent=str(error))
 
+    @contextmanager
+    def making(self) -> Iterator[None]:
+        self._making = True
+        try:
+            yield
+        finally:
+            self._making = False
+
     def component_added(self, component: Component) -> None:
-        for peer in self._awaited.pop(component.name, ()):
-            self.run(self._tell(peer, component.name), "aiorts link")
+        if self._making:
+            self._starting.add(component.name)
+        else:
+            self._has_come(component.name)
+
+    def started(self) -> None:
+        for name in tuple(self._starting):
+            self._has_come(name)
+
+    def _state_changed(self, event: StateChanged) -> None:
+        if event.new is LifecycleState.ACTIVE and event.component in self._starting:
+            self._has_come(event.component)
+
+    def _has_come(self, component: str) -> None:
+        self._starting.discard(component)
+        for peer in self._awaited.pop(component, ()):
+            self.run(self._tell(peer, component), "aiorts link")
 
     async def _tell(self, peer: Peer, component: str) -> None:
         assert self._transport is not None  # noqa: S101 - a peer has asked

@@ -130,6 +130,8 @@ class Planning(KernelService):
             for service in self.kernel.services:
                 making.enter_context(service.making())
             yield
+        for service in self.kernel.services:
+            service.started()
 
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         components = self.kernel.components.values()

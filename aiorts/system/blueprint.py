@@ -125,6 +125,8 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     for attached in kernel.services:
         attached.starting()
     await _start(kernel, plan)
+    for attached in kernel.services:
+        attached.started()
 
 
 async def _make(kernel: Kernel, plan: Blueprint) -> None:

@@ -5,21 +5,27 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 
 import pytest
 from anyio import fail_after, sleep
 
-from aiorts import Component, InPort, Kernel
+from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.types import TimedOctetSeq
 from campaign import cases
 
 pytestmark = pytest.mark.anyio
 WRITER = Path(__file__).with_name("link_writer.py")
+
+
+class Source(Component):
+    out = OutPort(TimedOctetSeq)
 
 
 class Sink(Component):
@@ -113,6 +119,59 @@ async def test_a_writer_that_is_killed_leaves_what_it_sent_in_order_and_the_next
             assert numbers == list(range(len(numbers)))
             (connector,) = kernel.connectors.values()
             assert connector.statistics.balanced
+
+
+@pytest.mark.fault("E01")
+@pytest.mark.parametrize("loop", ["asyncio", "uvloop"])
+async def test_a_reader_that_is_killed_is_counted_to_the_sample(tmp_path: Path, loop: str) -> None:
+    kills, random = cases(100) // 2 or 2, Random(5)
+    file = tmp_path / "numbers"
+    command = [sys.executable, str(Path(__file__).with_name("link_reader.py")), str(file), loop]
+    process = await asyncio.to_thread(subprocess.Popen, command)
+    try:
+        async with Kernel("writer") as kernel:
+            source = await kernel.add(Source("source"))
+            connector = await kernel.connect(source.out, "reader/sink.inp", full="block", timeout=None, length=64)
+            written = 0
+
+            async def write() -> None:
+                nonlocal written
+                while True:
+                    await source.out.write(TimedOctetSeq(tm=written, data=b"x" * 64))
+                    written += 1
+
+            writing = asyncio.ensure_future(write())
+            for _ in range(kills):
+                acknowledged = connector.statistics.acknowledged
+                with fail_after(20):
+                    while connector.statistics.acknowledged <= acknowledged:
+                        await sleep(0.01)
+                await sleep(random.uniform(0, 0.2))
+                process.kill()
+                await asyncio.to_thread(process.wait, 10)
+                process = await asyncio.to_thread(subprocess.Popen, command)
+            acknowledged = connector.statistics.acknowledged
+            with fail_after(20):
+                while connector.statistics.acknowledged <= acknowledged:
+                    await sleep(0.01)
+                writing.cancel()
+                while connector.statistics.in_flight or connector.statistics.buffered:
+                    await sleep(0.01)
+            ledger = connector.statistics
+            assert ledger.balanced
+            assert set(ledger.dropped) <= {"unknown_fate"}
+            unknown = ledger.dropped.get("unknown_fate", 0)
+            assert ledger.acknowledged + unknown == ledger.written
+            process.kill()
+            await asyncio.to_thread(process.wait, 10)
+    finally:
+        process.kill()
+        await asyncio.to_thread(process.wait, 10)
+    numbers = [number for (number,) in struct.iter_unpack("<Q", file.read_bytes()[: file.stat().st_size // 8 * 8])]
+    assert numbers == sorted(set(numbers))
+    # Acknowledged is what is in the reader's buffer: at each kill at most that much is lost besides.
+    missing = ledger.written - len(numbers)
+    assert 0 <= missing <= unknown + 64 * (kills + 1)
 
 
 async def _up(kernel: Kernel) -> bool:

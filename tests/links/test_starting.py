@@ -1,0 +1,83 @@
+"""A link to a component that a system file makes waits until that is active: nothing is dropped as inactive."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from anyio import fail_after
+
+from aiorts import Component, Kernel, OutPort
+from aiorts.links import Links
+from aiorts.system import build, load
+from aiorts.types import TimedLong
+
+pytestmark = pytest.mark.anyio
+READER = """
+import asyncio
+from aiorts import Component, InPort
+from aiorts.types import TimedLong
+
+
+class Slow(Component):
+    inp = InPort(TimedLong)
+
+    async def on_activated(self):
+        self.numbers = []
+        await asyncio.sleep(0.1)
+
+    def on_execute(self):
+        self.numbers += [sample.data for sample in self.inp.drain()]
+"""
+SYSTEM = """
+schema = 1
+[links]
+name = "station"
+[components.reader]
+type = "reader.py:Slow"
+[components.loose]
+type = "reader.py:Slow"
+[contexts.events]
+kind = "event"
+members = ["reader"]
+"""
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+
+
+@pytest.fixture(autouse=True)
+def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with TemporaryDirectory(prefix="al") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+async def test_samples_that_waited_for_a_system_come_when_it_runs(tmp_path: Path) -> None:
+    (tmp_path / "reader.py").write_text(READER)
+    (tmp_path / "station.toml").write_text(SYSTEM)
+    async with Kernel("robot", services={"links": {}}) as robot:
+        source = await robot.add(Source("source"))
+        connector = await robot.connect(source.out, "station/reader.inp", length=8, full="block", timeout=None)
+        loose = await robot.connect(source.out, "station/loose.inp", length=1_000)
+
+        async def write() -> None:
+            for number in range(300):
+                await source.out.write(TimedLong(0, number))
+
+        writing = asyncio.ensure_future(write())
+        async with Kernel("s") as station:
+            await build(station, load(tmp_path / "station.toml"))
+            reader = station.components["reader"]
+            with fail_after(10):
+                await writing
+                while connector.statistics.in_flight or connector.statistics.buffered or loose.statistics.in_flight:
+                    await asyncio.sleep(0.01)
+                while len(getattr(reader, "numbers", ())) < 300:
+                    await asyncio.sleep(0.01)
+            assert getattr(reader, "numbers", None) == list(range(300))
+            assert set(robot.service(Links).report().values()) == {"up"}
