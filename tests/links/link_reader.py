@@ -1,4 +1,4 @@
-"""A process of its own whose kernel reads numbers: `python link_reader.py FILE LOOP` writes each to FILE, as 8 bytes."""
+"""A kernel of its own that reads numbers: `python link_reader.py FILE LOOP` writes each to FILE, as 8 bytes."""
 
 from __future__ import annotations
 
