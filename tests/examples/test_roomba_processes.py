@@ -23,18 +23,23 @@ def environment() -> Iterator[dict[str, str]]:
         yield {**os.environ, "XDG_RUNTIME_DIR": folder}
 
 
-def start(name: str, environment: dict[str, str], *options: str) -> subprocess.Popen[str]:
+def start(name: str, environment: dict[str, str], *options: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "aiorts", "run", str(FOLDER / f"{name}.toml"), *options]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    with log(name, environment).open("ab") as file:
+        return subprocess.Popen(command, env=environment, stdout=file, stderr=subprocess.STDOUT)
+
+
+def log(name: str, environment: dict[str, str]) -> Path:
+    return Path(environment["XDG_RUNTIME_DIR"]) / f"{name}.log"
 
 
 def test_three_processes_verify_the_heading(environment: dict[str, str]) -> None:
-    said = played(environment, speed=40, killed_after=0.0)
+    said = played(environment, speed=40, killed=False)
     assert "heading verified: 1216 of 1216 within 1e-6 rad" in said["monitor"], said
 
 
 def test_the_middle_one_is_killed_and_started_anew_and_the_loss_is_said(environment: dict[str, str]) -> None:
-    said = played(environment, speed=6, killed_after=1.0)
+    said = played(environment, speed=6, killed=True)
     pattern = r"heading verified: (\d+) of 1216 within 1e-6 rad; (\d+) rows were lost, (.*)"
     verified = re.search(pattern, said["monitor"])
     assert verified is not None, said
@@ -46,38 +51,31 @@ def test_the_middle_one_is_killed_and_started_anew_and_the_loss_is_said(environm
     assert int(lost) <= sum(map(int, unknown)) + 3 * 64, said
 
 
-def played(environment: dict[str, str], *, speed: float, killed_after: float) -> dict[str, str]:
+def played(environment: dict[str, str], *, speed: float, killed: bool) -> dict[str, str]:
     """Play the recording through three processes; returns what each has said."""
     processes = {name: start(name, environment) for name in ("monitor", "odometry")}
-    said: dict[str, str] = {}
+    processes["robot"] = start("robot", environment, "--set", f"imu.speed={speed}")
     try:
-        if killed_after:
-            _until_there(processes["odometry"], environment)
-        processes["robot"] = start("robot", environment, "--set", f"imu.speed={speed}")
-        if killed_after:
-            _until_there(processes["robot"], environment)
-            time.sleep(killed_after)
+        if killed:
+            until(environment, "monitor", "pose TimedPose2D 4.")
             processes["odometry"].kill()
-            processes["odometry"].communicate(timeout=20)
+            processes["odometry"].wait(20)
             processes["odometry"] = start("odometry", environment)
-        said["robot"], _ = processes["robot"].communicate(timeout=60)
-        assert processes["robot"].returncode == 0, said
+        assert processes["robot"].wait(60) == 0
         time.sleep(4.0)  # for what is on its way between the other two
         for name in ("odometry", "monitor"):
             processes[name].send_signal(signal.SIGINT)
-            said[name], _ = processes[name].communicate(timeout=20)
+            processes[name].wait(20)
     finally:
         for process in processes.values():
             process.kill()
             process.wait(10)
-            if process.stdout is not None:
-                process.stdout.close()
-    return said
+    return {name: log(name, environment).read_text() for name in processes}
 
 
-def _until_there(process: subprocess.Popen[str], environment: dict[str, str]) -> None:
-    """Wait until its kernel listens for others."""
-    folder = Path(environment["XDG_RUNTIME_DIR"]) / "aiorts"
-    before, until = len(list(folder.glob("*.link"))), time.monotonic() + 20
-    while len(list(folder.glob("*.link"))) <= before and process.poll() is None and time.monotonic() < until:
+def until(environment: dict[str, str], name: str, text: str) -> None:
+    """Wait until a process has said that."""
+    before = time.monotonic()
+    while text not in log(name, environment).read_text():
+        assert time.monotonic() < before + 40, f"{name} has not said {text!r}"
         time.sleep(0.02)
