@@ -90,7 +90,7 @@ class KernelService:
         return nullcontext()
 
     def started(self) -> None:
-        """What a system file, or a plan, has made runs: whoever it activates was asked to."""
+        """What a system file, or a plan, has made runs: its contexts are started, their members activated."""
 
     def owns(self, connector: Connector) -> bool:
         """Whether a connector of data ports is its own work: not saved, and nothing that a plan looks at."""
