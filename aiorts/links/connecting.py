@@ -102,13 +102,10 @@ class Links(KernelService):
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
         self._calls = Calls(self)
-<<<<<<< HEAD
         self._ledgers = Ledgers(self, self._writers, self._offers)
-=======
         self._making = False
         self._starting: set[str] = set()
         """Components that a system file or a plan has made and that do not run yet."""
->>>>>>> 0420f37 (A link waits until a component that a file starts is active; samples of unknown fate are said; the Roomba's middle process killed; readers killed)
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
         kernel.bus.subscribe(StateChanged, self._state_changed)

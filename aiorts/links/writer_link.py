@@ -29,12 +29,9 @@ WINDOW: Final = 256
 _NEWEST: Final = 2
 """The same where only the newest sample counts: one on its way and one behind it."""
 _ACKNOWLEDGED: Final = "acknowledged"
-<<<<<<< HEAD
-_OWN_FATES: Final = ("unknown_fate", "disconnected")
-"""Why samples are dropped that the reader's end has not answered for."""
-=======
 _UNKNOWN: Final = "unknown_fate"
->>>>>>> 0420f37 (A link waits until a component that a file starts is active; samples of unknown fate are said; the Roomba's middle process killed; readers killed)
+_OWN_FATES: Final = (_UNKNOWN, "disconnected")
+"""Why samples are dropped that the reader's end has not answered for."""
 
 
 class WriterLink:
@@ -246,15 +243,11 @@ class WriterLink:
                 self._acknowledged += last - first + 1
             elif fate in _OWN_FATES:
                 self._count(fate, last - first + 1)
-            else:
-<<<<<<< HEAD
-                self.refused = added(self.refused, {fate: last - first + 1})
-=======
-                self._count(fate.removeprefix("dropped:"), last - first + 1)
                 if fate == _UNKNOWN:
                     what = f"dropped{{{_UNKNOWN}}} {last - first + 1}: sent to a reader that is gone"
                     self._report(f"{self.connector.name}: {what}, which may have read them or not")
->>>>>>> 0420f37 (A link waits until a component that a file starts is active; samples of unknown fate are said; the Roomba's middle process killed; readers killed)
+            else:
+                self.refused = added(self.refused, {fate: last - first + 1})
             confirmations = self._confirmations
             while confirmations and confirmations[0].number <= last:
                 entry = confirmations.popleft()
