@@ -163,6 +163,11 @@ def added(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
     return {reason: one.get(reason, 0) + other.get(reason, 0) for reason in dict.fromkeys((*one, *other))}
 
 
+def _drained(profile: ConnectorProfile) -> bool:
+    """Whether a link drains it: its reader is in another kernel, so the path has the name of that."""
+    return profile.on_link_lost is not None and "/" in profile.ports[-1]
+
+
 def _confirms(profile: ConnectorProfile) -> bool:
     return profile.subscription is Subscription.FLUSH and profile.dataflow is Dataflow.PUSH
 
@@ -180,8 +185,8 @@ def _aged() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
 
 
 FEATURES: Final = (
-    Feature(LINK, lambda profile: profile.on_link_lost is not None and profile.lifespan is not None, _aged),
-    Feature(LINK, lambda profile: profile.on_link_lost is not None and not _confirms(profile), _linked),
-    Feature(LINK, lambda profile: profile.on_link_lost is not None and _confirms(profile), _confirmed),
+    Feature(LINK, lambda profile: _drained(profile) and profile.lifespan is not None, _aged),
+    Feature(LINK, lambda profile: _drained(profile) and not _confirms(profile), _linked),
+    Feature(LINK, lambda profile: _drained(profile) and _confirms(profile), _confirmed),
 )
 offer(*FEATURES)

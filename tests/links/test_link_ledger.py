@@ -123,6 +123,25 @@ def test_the_ledger_of_a_link_is_the_same_from_either_end() -> None:
     simulate(run())
 
 
+def test_a_link_that_the_readers_kernel_connected_has_its_ledger_too() -> None:
+    async def run() -> None:
+        network = MemoryNetwork(delay=0.001)
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            connector = await two.connect("one/source0.out", sink.inp)
+            await until(lambda: source.out.connectors)
+            for value in range(5):
+                source.out.write_nowait(long(value))
+            await until(lambda: sink.inp.is_new)
+            assert sink.inp.read_nowait() == long(0)
+            await asyncio.sleep(1)
+            statistics = connector.statistics
+            assert (statistics.written, statistics.delivered, statistics.balanced) == (5, 1, True)
+            assert (await ask(one)) == (await ask(two)) == LinkLedger(5, 1, {}, 4, 0, 0)
+
+    simulate(run())
+
+
 def test_the_equation_is_printed() -> None:
     ledger = LinkLedger(20, 10, {"expired": 2, "unknown_fate": 1}, 3, 1, 3)
     assert ledger.unexplained == 0
