@@ -30,6 +30,7 @@ from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
 from aiorts.links.messages import Answer, LinkRequest, versions_of
+from aiorts.links.pulling import PulledWriterLink, PullingReaderLink
 from aiorts.links.reader_end import of_shape, reader_options
 from aiorts.links.reader_link import ReaderLink
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
@@ -38,7 +39,7 @@ from aiorts.links.writer_link import WINDOW, WriterLink
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
-from aiorts.model.policy import OnLinkLost
+from aiorts.model.policy import Dataflow, OnLinkLost
 from aiorts.services import is_service
 from aiorts.wire import LINK, MsgpackCodec
 
@@ -264,7 +265,8 @@ class Links(KernelService):
 
     def _write_end(self, connector: Connector) -> WriterLink:
         encode = self._codec.parts_encoder(connector.out.type)
-        link = self._writers[connector] = WriterLink(
+        kind = PulledWriterLink if connector.profile.dataflow is Dataflow.PULL else WriterLink
+        link = self._writers[connector] = kind(
             self.kernel, connector, _epoch(), encode, lost=self._lost, ended=self._ended, report=_report
         )
         return link
@@ -274,7 +276,8 @@ class Links(KernelService):
         decode = self._codec.parts_decoder(kind)
         if shape is not None:
             decode = of_shape(decode, port_type(kind).check_shape, shape)
-        link = self._readers[connector] = ReaderLink(
+        pulls = connector.profile.dataflow is Dataflow.PULL
+        link = self._readers[connector] = (PullingReaderLink if pulls else ReaderLink)(
             self.kernel, connector, _epoch(), decode, lost=self._lost, ended=self._ended, report=_report
         )
         return link

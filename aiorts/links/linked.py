@@ -24,6 +24,8 @@ from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 LINK: Final = "on_link_lost"
 """The option that makes a connector one of a link, and the key of the link in `extra`."""
+PULL: Final = "dataflow = pull"
+"""The option that has the reader's end of a link ask for samples, and the key of that end in `extra`."""
 _TAKEN: Final = "taken"
 
 
@@ -69,6 +71,10 @@ class Linked(FeaturedTransport):
             dropped=MappingProxyType(added(found.dropped, dropped)),
         )
 
+    def _pump(self) -> None:
+        if self._link is not None:
+            self._link.pump()
+
     @property
     def _link(self) -> Drain | None:
         link: Drain | None = self.extra.get(LINK)
@@ -99,10 +105,6 @@ class Confirmed(Linked):
         self.waiting.append(entry)
         self.receiver.on_loop(self._pump)
         return entry
-
-    def _pump(self) -> None:
-        if self._link is not None:
-            self._link.pump()
 
     def next_waiting(self) -> Confirmation | None:
         """The oldest sample that waits to be sent, where nothing lies in the queue before it; it is taken."""
@@ -142,6 +144,49 @@ class Confirmed(Linked):
         self.receiver.room_made()
 
 
+class Pulled(Linked):
+    """A transport from which the link takes a sample where the reader's end asks for it. See `Transport`."""
+
+    __slots__ = ()
+
+    def push_in(self, sample: Any, *, displaced: bool = False) -> None:
+        super().push_in(sample, displaced=displaced)
+        self.receiver.on_loop(self._pump)
+
+
+class Looks(Protocol):
+    """The link at the reader's end, as far as its transport needs it."""
+
+    quiet: bool
+    """Whether a look asks for nothing now."""
+
+    def look(self) -> None:
+        """Ask the writer's end for its newest sample, unless that is under way."""
+        ...
+
+
+class Pulling(FeaturedTransport):
+    """A transport at the reader's end that holds one sample; each look at it asks for a newer one. See `Transport`."""
+
+    __slots__ = ()
+
+    def settle(self) -> None:
+        super().settle()
+        link: Looks | None = self.extra.get(PULL)
+        if link is not None and not link.quiet:
+            self.receiver.on_loop(link.look)
+
+    def statistics(self) -> ConnectorStatistics:
+        link: Looks | None = self.extra.get(PULL)
+        if link is None or link.quiet:
+            return super().statistics()
+        link.quiet = True
+        try:
+            return super().statistics()
+        finally:
+            link.quiet = False
+
+
 class Aged(Dated):
     """A transport that knows when the sample was written that was taken last. See `Transport`."""
 
@@ -168,6 +213,15 @@ def _drained(profile: ConnectorProfile) -> bool:
     return profile.on_link_lost is not None and "/" in profile.ports[-1]
 
 
+def _is_pulled(profile: ConnectorProfile) -> bool:
+    return profile.dataflow is Dataflow.PULL
+
+
+def _asks(profile: ConnectorProfile) -> bool:
+    """Whether it is the reader's end of a link that pulls."""
+    return profile.dataflow is Dataflow.PULL and bool(profile.ports) and "/" in profile.ports[0]
+
+
 def _confirms(profile: ConnectorProfile) -> bool:
     return profile.subscription is Subscription.FLUSH and profile.dataflow is Dataflow.PUSH
 
@@ -180,13 +234,23 @@ def _confirmed() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Confirmed, Confirmed  # of which none is periodic
 
 
+def _pulled() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    return Pulled, Pulled
+
+
+def _pulling() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    return Pulling, Pulling
+
+
 def _aged() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Aged, Aged
 
 
 FEATURES: Final = (
     Feature(LINK, lambda profile: _drained(profile) and profile.lifespan is not None, _aged),
-    Feature(LINK, lambda profile: _drained(profile) and not _confirms(profile), _linked),
+    Feature(LINK, lambda profile: _drained(profile) and not _confirms(profile) and not _is_pulled(profile), _linked),
+    Feature(LINK, lambda profile: _drained(profile) and _is_pulled(profile), _pulled),
+    Feature(PULL, _asks, _pulling, settles=True, asks=True),
     Feature(LINK, lambda profile: _drained(profile) and _confirms(profile), _confirmed),
 )
 offer(*FEATURES)

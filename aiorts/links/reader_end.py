@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.policy import Push, Stamp, Subscription
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 if TYPE_CHECKING:
     from aiorts.model.links import Buffer
@@ -24,6 +24,8 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     options |= {"keep_last": profile.keep_last, "lifespan": profile.lifespan, "max_gap": profile.max_gap}
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
+    if profile.dataflow is Dataflow.PULL:
+        return {**options, "dataflow": profile.dataflow}
     if profile.subscription is Subscription.FLUSH:
         return {**options, "full": profile.full}
     if profile.push is Push.NEW:

@@ -177,7 +177,7 @@ class WriterLink:
         if is_another:
             self._dropped, self.refused = added(self._dropped, self.refused), {}
             self.acknowledged_before = self._acknowledged
-        if is_another and self.connector.profile.keep_last and not self.busy:
+        if is_another and self.connector.profile.keep_last and not self.busy and not self._transport().queue:
             self._offer_last()
         self.pump()
 

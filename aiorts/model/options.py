@@ -215,11 +215,12 @@ def link_options(where: str, options: Mapping[str, Any]) -> dict[str, Any]:
         raise WiringError(f"{where}: length = 0: the reader is in another kernel; subscription = flush waits for it")
     if own.get("convert") is not None:
         raise WiringError(f"{where}: convert: the reader is in another kernel; convert in a component of this one")
-    if get.choice("dataflow", Dataflow, Dataflow.PUSH) is Dataflow.PULL:
-        how = "subscription = new with push = new has the newest sample there"
-        raise WiringError(f"{where}: dataflow = pull: the reader is in another kernel; {how}")
+    pulls = get.choice("dataflow", Dataflow, Dataflow.PUSH) is Dataflow.PULL
+    if pulls and own.get("max_gap") is not None:
+        why = "the reader's kernel gets a sample when it asks, and does not know when the writer writes"
+        raise WiringError(f"{where}: max_gap does not go with dataflow = pull to another kernel: {why}")
     usual: dict[str, Any] = {}
-    if "subscription" not in own:
+    if "subscription" not in own and not pulls:
         usual["subscription"] = Subscription.NEW
         if "push" not in own:
             usual["push"] = Push.ALL

@@ -215,7 +215,7 @@ async def test_ports_that_do_not_fit_are_refused_at_both_ends(writer: Any, port:
     [
         ({"length": 0}, "length = 0: the reader is in another kernel"),
         ({"convert": lambda sample: sample}, "convert: the reader is in another kernel"),
-        ({"dataflow": "pull"}, "dataflow = pull: the reader is in another kernel"),
+        ({"dataflow": "pull", "max_gap": 1.0}, "max_gap does not go with dataflow = pull to another kernel"),
         ({"on_link_lost": "wiat"}, "on_link_lost"),
     ],
 )
@@ -406,6 +406,22 @@ async def test_new_new_has_the_newest_and_periodic_all_of_them(options: Any) -> 
         await until(lambda: not connector.statistics.in_flight)
         assert seen == (sorted(seen) if options["push"] == "new" else list(range(100)))
         assert connector.statistics.balanced
+
+
+async def test_a_reader_may_pull() -> None:
+    async with reachable("two") as two, Kernel("one") as one:
+        source, sink = await one.add(Source()), await two.add(Sink())
+        connector = await one.connect(source.out, "two/sink0.inp", dataflow="pull")
+        for value in range(3):
+            source.out.write_nowait(long(value))
+        with fail_after(10):
+            assert await sink.inp.read() == long(2)
+            reading = asyncio.ensure_future(sink.inp.read())
+            await sleep(0.05)
+            source.out.write_nowait(long(3))
+            assert await reading == long(3)
+        await until(lambda: connector.statistics.acknowledged == 2)
+        assert connector.statistics.dropped == {"superseded": 2}
 
 
 async def test_options_of_a_link_are_not_replaced_in_place() -> None:

@@ -25,6 +25,8 @@ OPTIONS: list[dict[str, Any]] = [
     {"subscription": "flush", "full": "overwrite", "length": 3},
     {"subscription": "new", "push": "new"},
     {"subscription": "periodic", "push_rate": 50.0, "push": "all", "out_length": 9},
+    {"dataflow": "pull"},
+    {"dataflow": "pull", "keep_last": True, "lifespan": 0.2},
     {"keep_last": True, "full": "overwrite"},
     {"keep_last": True, "lifespan": 0.2, "full": "overwrite"},
     {"keep_last": True, "subscription": "flush", "full": "overwrite"},
@@ -79,8 +81,7 @@ async def play(seed: int) -> list[LinkLedger]:
                     found.append(await ask(random.choice((one, two)) if two.connectors else one))
             await asyncio.sleep(random.choice((0.0, 0.001, 0.02, 0.1)))
         network.loss = 0.0
-        sink.inp.drain()
-        await until(lambda: two.connectors and connector.statistics.buffered == 0, 60)
+        await until(lambda: (sink.inp.drain(), two.connectors and connector.statistics.buffered == 0)[1], 60)
         for _ in range(400):
             sink.inp.drain()
             await asyncio.sleep(0.05)

@@ -248,7 +248,7 @@ def test_a_window_is_also_one_of_bytes() -> None:
 
 
 @settings(deadline=None, max_examples=300)
-@given(st.binary(max_size=80), st.integers(0, 3))
+@given(st.binary(max_size=80), st.integers(0, 5))
 def test_no_bytes_of_a_peer_do_harm(frame: bytes, place: int) -> None:
     pair = Pair(0)
     pair.connect()

@@ -36,6 +36,8 @@ class Feature:
     """The classes for connectors that carry samples at once, and at each period; asked for where it is wanted first."""
     settles: bool = False
     """Whether the reader's queue is settled (`Transport.settle`) before anybody looks at it, and `take` called."""
+    asks: bool = False
+    """Whether it is settled also while it holds nothing: a look at it may ask for a sample."""
     lock_free: bool = False
     """Whether a real-time thread may be at such a connector: as long as it is, the connector is without the feature."""
 
@@ -150,6 +152,17 @@ class SettlingReceiver(Receiver):
         return super().newest()
 
 
+class AskingReceiver(SettlingReceiver):
+    """The receiver of an in-port where each look may ask a writer for a sample. See `Receiver`."""
+
+    __slots__ = ()
+
+    def next(self) -> Transport | None:
+        for transport in self.transports:
+            transport.settle()
+        return super().next()
+
+
 def fit_receiver(port: InPort[Any]) -> Receiver:
     """Have the in-port's queues settled while one of its connectors needs it; the caller holds the lock, refreshes."""
     receiver = port._receiver
@@ -162,7 +175,10 @@ def fit_receiver(port: InPort[Any]) -> Receiver:
 
 
 def _receiver_mixins(connectors: Iterable[Connector]) -> tuple[type[Receiver], ...]:
-    return (SettlingReceiver,) if any(settles(connector.profile) for connector in connectors) else ()
+    found = [feature for connector in connectors for feature in features_of(connector.profile)]
+    if any(feature.asks for feature in found):
+        return (AskingReceiver,)
+    return (SettlingReceiver,) if any(feature.settles for feature in found) else ()
 
 
 def settles(profile: ConnectorProfile) -> bool:

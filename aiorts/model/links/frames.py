@@ -18,10 +18,14 @@ HELLO: Final = 1
 DATA: Final = 2
 ACK: Final = 3
 BYE: Final = 4
+WANT: Final = 5
+NONE: Final = 6
 CONFIRM: Final = 1
 """Flag of data: acknowledge at once."""
 AGED: Final = 2
 """Flag of data: before the samples stands how old each is, in nanoseconds."""
+WAIT: Final = 1
+"""Flag of want: where there is no sample, the next one. Of none: that one will be sent."""
 BATCH: Final = 512
 """Samples of one frame at the most."""
 BATCH_BYTES: Final = 32_768
@@ -77,9 +81,20 @@ def bye(link: int) -> bytes:
     return _HEAD.pack(BYE, 0, 0, link)
 
 
+def want(link: int, number: int, *, wait: bool) -> bytes:
+    """Asks for the sample that will have this number."""
+    return _NUMBERED.pack(WANT, wait, 0, link, number, 0)
+
+
+def none(link: int, number: int, *, wait: bool) -> bytes:
+    """There is no sample that could have this number."""
+    return _NUMBERED.pack(NONE, wait, 0, link, number, 0)
+
+
 def head_of(frame: Buffer, link: int) -> tuple[int, int, int, int, int]:
     """Kind, flags and count of a frame, and two numbers: of hello the epoch and received, of data first and oldest, of
-    an acknowledgement done and received, of bye zeros. BadFrame: it is too short, or of another link."""
+    an acknowledgement done and received, of want and none the number and zero, of bye zeros.
+    BadFrame: it is too short, or of another link."""
     if len(frame) >= _NUMBERED.size:
         kind, flags, count, number, one, two = _NUMBERED.unpack_from(frame)
     elif len(frame) == _HEAD.size and frame[0] == BYE:

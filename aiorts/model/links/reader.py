@@ -15,7 +15,9 @@ from aiorts.model.links.state import LinkState
 _ERA: Final = 1 << 64
 ACK_NS: Final = 50_000_000
 """How long an acknowledgement may be kept back."""
-
+_AGAIN_NS: Final = 200_000_000
+"""After this time without an answer a sample is asked for again; each time it doubles, up to the next."""
+_LONGEST_NS: Final = 2_000_000_000
 
 Received: TypeAlias = tuple[int, Buffer, Sequence[Buffer]]
 """A sample that has come: its ticket (the number, with which writer's end it is of in the upper bits), head, parts."""
@@ -75,6 +77,11 @@ class ReaderEnd:
         self._confirm = 0
         """Acknowledge at once when this number is done."""
         self._ack_ns: int | None = None
+        self._wanted = 0
+        """Whether a sample is asked for: 1 one that is there, 2 else the next one."""
+        self._want_ns: int | None = None
+        """When it is asked for (again); None: the writer's end knows of it."""
+        self._want_pause_ns = 0
         self._up = self._was_up = self._hello = self._ended = False
 
     def renumber(self, number: int) -> None:
@@ -89,6 +96,8 @@ class ReaderEnd:
             self._era += _ERA
         self._peer_epoch, self._up, self._was_up, self._hello = peer_epoch, True, True, True
         self._ack_ns = now
+        if self._wanted:
+            self._want_ns, self._want_pause_ns = now, _AGAIN_NS
 
     def channel_down(self, now: int) -> None:
         """The channel is gone; all is kept."""
@@ -110,6 +119,8 @@ class ReaderEnd:
                 ages = frames.ages_of(head, count) if flags & frames.AGED else ()
                 samples = frames.samples_of(head, count, len(ages))
                 self._take_in(now, one, oldest, samples, parts, bool(flags & frames.CONFIRM), ages)
+            elif kind == frames.NONE:
+                self._is_none(one, wait=bool(flags & frames.WAIT))
             elif kind == frames.HELLO:
                 if one != self._peer_epoch:
                     raise BadFrame("of another end")
@@ -158,12 +169,38 @@ class ReaderEnd:
             ages = ages[self._received + 1 - first :]
             self._dates.update((next_ticket + place, now - ages[place]) for place in range(len(fresh)))
         self._received += len(fresh)
+        if self._wanted and fresh:
+            self._wanted, self._want_ns = 0, None
         ledger.received += len(fresh)
         ledger.held += len(fresh)
         if confirm:
             self._confirm = self._received
         elif self._ack_ns is None:
             self._ack_ns = now + ACK_NS
+
+    def want(self, now: int, *, wait: bool) -> bool:
+        """Ask for a sample, unless that is under way; `wait`: for the next one where there is none. Returns whether
+        there is something to send."""
+        if self._wanted >= 1 + wait:
+            return False
+        self._wanted, self._want_ns, self._want_pause_ns = 1 + wait, now, _AGAIN_NS
+        return True
+
+    def poll_query(self, now: int, send: Send) -> int | None:
+        """As `poll`, of what is asked for."""
+        if not self._up or self._ended or self._want_ns is None or now < self._want_ns:
+            return self._want_ns if self._up else None
+        send(frames.want(self.number, self._received + 1, wait=self._wanted > 1), ())
+        self._want_ns = now + self._want_pause_ns
+        self._want_pause_ns = min(2 * self._want_pause_ns, _LONGEST_NS)
+        return self._want_ns
+
+    def _is_none(self, number: int, *, wait: bool) -> None:
+        if number != self._received + 1 or 1 + wait < self._wanted:
+            return  # of an earlier query
+        self._want_ns = None
+        if self._wanted == 1:
+            self._wanted = 0
 
     def take(self) -> Received | None:
         """The next sample in order; None where there is none. `done` and `failed` say what became of it, in order."""

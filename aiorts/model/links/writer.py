@@ -55,6 +55,9 @@ class WriterEnd:
         self._peer_epoch = 0
         self._kept: dict[int, tuple[bytes, Sequence[memoryview], bool]] = {}
         """What is not acknowledged, by number, without a gap."""
+        self.query = 0
+        """Whether the reader's end asks for a sample: 1 now, 2 for the next one; of links that pull."""
+        self._is_query_new = False
         self.date: int | None = None
         """When the sample was written that is offered next, where samples expire: frames say how old each is."""
         self._dates: dict[int, int] = {}
@@ -109,7 +112,7 @@ class WriterEnd:
         self._kept = dict(enumerate(unsent, 1))
         self._dates = {number - self._highest: date for number, date in self._dates.items()}
         self._oldest, self._next = 1, 1 + len(unsent)
-        self._sent = self._highest = self._received = 0
+        self._sent = self._highest = self._received = self.query = 0
 
     def state(self, now: int) -> LinkState:
         """How far the link is."""
@@ -154,6 +157,14 @@ class WriterEnd:
         self.ledger.in_flight += 1
         return number
 
+    def answer_none(self, send: Send) -> None:
+        """There is no sample to answer the query with; one for the next sample stays."""
+        if self._is_query_new:
+            self._is_query_new = False
+            send(frames.none(self.number, self._next, wait=self.query > 1), ())
+        if self.query == 1:
+            self.query = 0
+
     def fates(self) -> list[tuple[int, int, str]]:
         """What became of samples since the last call: first and last number, and "acknowledged", "unknown_fate" or
         why it is not in the reader's buffer ("rejected" and others)."""
@@ -165,7 +176,7 @@ class WriterEnd:
     def receive(self, now: int, head: Buffer) -> None:
         """Take a frame of the reader's end; what is none is counted."""
         try:
-            kind, _, count, one, received = frames.head_of(head, self.number)
+            kind, flags, count, one, received = frames.head_of(head, self.number)
             if kind == frames.ACK:
                 self._acknowledge(now, one, received, frames.fates_of(head, count) if count else {})
             elif kind == frames.HELLO:
@@ -176,6 +187,9 @@ class WriterEnd:
                     self._received = max(self._received, received)
                     self._sent = max(self._received, self._oldest - 1)
                     self._heard_ns = now
+            elif kind == frames.WANT:
+                if one == self._next:  # else it was answered already
+                    self.query, self._is_query_new = 1 + (flags & frames.WAIT), True
             elif kind == frames.BYE:
                 self.peer_ended = True
             else:

@@ -1,0 +1,67 @@
+"""Both ends of a link that pulls: the reader's end asks for the writer's newest sample, and holds one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.features import FeaturedTransport
+from aiorts.kernel.ports.in_port import receiver_of
+from aiorts.links.linked import PULL
+from aiorts.links.reader_link import ReaderLink
+from aiorts.links.writer_link import WriterLink
+
+
+class PulledWriterLink(WriterLink):
+    """Sends a sample for each query. See `WriterLink`."""
+
+    @property
+    def busy(self) -> bool:
+        return self.end.ledger.in_flight > 0
+
+    def _take(self) -> None:
+        end = self.end
+        if not end.query or end.room <= 0:
+            return
+        transport = self._transport()
+        transport.settle()
+        if transport.queue:
+            end.query = 0
+            super()._take()
+        elif self._channel is not None:
+            end.answer_none(self._channel.send)
+
+
+class PullingReaderLink(ReaderLink):
+    """Asks for a sample where somebody looks at the in-port. See `ReaderLink`."""
+
+    quiet = False
+    """Whether a look asks for nothing now: it is the link's own."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        transport = transport_of(self.connector)
+        if isinstance(transport, FeaturedTransport):
+            transport.extra[PULL] = self
+
+    def look(self) -> None:
+        """Ask the writer's end for its newest sample, unless that is under way; on the loop.
+
+        Where a task or a thread waits, for the next one if there is none.
+        """
+        receiver = receiver_of(self.connector.in_)
+        waits = receiver.waiter is not None or receiver.lock is not None
+        if not self.quiet and not self._ended and self.end.want(self._now(), wait=waits):
+            self._poll()
+
+    def _deliver(self) -> None:
+        self.quiet = True
+        try:
+            super()._deliver()
+        finally:
+            self.quiet = False
+
+    def _poll(self) -> None:
+        super()._poll()
+        if self._channel is not None:
+            self._wakening.at(self.end.poll_query(self._now(), self._channel.send))
