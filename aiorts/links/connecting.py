@@ -288,7 +288,8 @@ class Links(KernelService):
         self._try(link)
         if link not in self._asking:
             self._answer_first(link, None)
-            _LOG.warning("W-LINK: %s: waits: there is no kernel %r yet", link.connector.name, self._far(link).kernel)
+            link.why = f"there is no kernel {self._far(link).kernel!r} yet"
+            _LOG.warning("W-LINK: %s: waits: %s", link.connector.name, link.why)
 
     def _far(self, link: Link) -> Path:
         port = link.connector.in_ if isinstance(link, WriterLink) else link.connector.out

@@ -7,6 +7,7 @@ from dataclasses import field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.kernel.service import reports
 from aiorts.late import dataclass
 from aiorts.observe import profiling
 from aiorts.observe.profiles import ComponentReport, ConnectorReport, ContextReport, ServiceConnectorReport
@@ -26,6 +27,8 @@ class SystemPart:
     connectors: Mapping[str, ConnectorReport] = field(default_factory=lambda: _NOTHING)
     service_connectors: Mapping[str, ServiceConnectorReport] = field(default_factory=lambda: _NOTHING)
     contexts: Mapping[str, ContextReport] = field(default_factory=lambda: _NOTHING)
+    links: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
+    """How far each link into another kernel is, by the name of its connector."""
 
 
 def system_part(
@@ -55,6 +58,7 @@ def system_part(
                 if name in contexts or not set(components).isdisjoint(one.profile.members)
             }
         ),
+        _frozen(reports(kernel.services).get("links", {})),
     )
 
 

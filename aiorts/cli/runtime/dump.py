@@ -97,7 +97,8 @@ def _connector(kernel: Kernel, connector: Connector) -> str:
     written, buffered, dropped = transport.glance()
     drops = ", ".join(f"{count} dropped {reason}" for reason, count in dropped.items()) or "0 dropped"
     delivered = written - buffered - sum(dropped.values())
-    counts = f"{written} written, {delivered} delivered, {buffered} buffered, {drops}"
+    how = "sent" if connector.in_.is_far else "delivered"
+    counts = f"{written} written, {delivered} {how}, {buffered} buffered, {drops}"
     times = transport.times
     measured = "" if times is None else f"{_spans('latency', times.latencies)}{_spans('age', times.ages)}"
     silent = "; its writer is silent" if kernel.connections.gaps.is_silent(connector) else ""

@@ -9,6 +9,7 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.components import absolute
+from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.commands.live.showing import json_option, say_done, say_kernels, timeout_option
 from aiorts.cli.commands.live.target import Found, Kernels, Running, complete, kernels, the_one
 from aiorts.cli.console.output import counted, say, say_json
@@ -139,12 +140,7 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
         *([f"  through {one['between']}"] if one.get("between") else []),
     ]
     if ledger:
-        counts = one["ledger"]
-        lost = ", ".join(f"{count} {reason}" for reason, count in counts["dropped"].items())
-        text.append(
-            f"  written {counts['written']}, delivered {counts['delivered']}, waiting {counts['buffered']}, "
-            f"dropped {lost or '0'}"
-        )
+        text.append(f"  {ledger_text(one['ledger'])}")
     return "\n".join(text)
 
 

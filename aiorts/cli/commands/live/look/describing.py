@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from aiorts.cli.commands.live.ledger import ledger_text
 from aiorts.cli.console.output import table
 
 _WIDEST: Final = 60
@@ -188,18 +189,17 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
         for each in report["service_connectors"][name]["bindings"]:
             counts = each["statistics"]
             yield f"  {each['required']} -> {each['provided']}: {counts['calls']} calls, {counts['failures']} failed"
+        if (state := _link_states(report).get(name)) is not None:
+            yield f"  link {state}"
         return
     one = report["connectors"].get(name)
     if one is None:  # it ended while this was asked
         return
     options, counts = one["options"], one["ledger"]
     yield f"{one['source']} -> {one['target']}"
-    lost = ", ".join(f"{count} {reason}" for reason, count in counts["dropped"].items() if count)
-    silent = ", the writer is silent" if counts["silent"] else ""
-    yield (
-        f"  written {counts['written']}, delivered {counts['delivered']}, waiting {counts['buffered']}, "
-        f"dropped {lost or '0'}{silent}"
-    )
+    yield f"  {ledger_text(counts)}{', the writer is silent' if counts['silent'] else ''}"
+    if (state := _link_states(report).get(name)) is not None:
+        yield f"  link {state}"
     if long:
         said = [
             f"{key} {shown(value)}"
@@ -210,6 +210,12 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
         for word in ("latency", "age"):
             if (spans := counts[word]) is not None:
                 yield f"  {word} p50 {spans['p50_ns'] / 1e6:.3f} ms, p99 {spans['p99_ns'] / 1e6:.3f} ms"
+
+
+def _link_states(report: Mapping[str, Any]) -> Mapping[str, str]:
+    """How far links are, by connector; of a whole kernel, or of a part of it."""
+    states: Mapping[str, str] = report["links"] if "links" in report else report["services"].get("links", {})
+    return states
 
 
 def _inside(parts: Iterator[str]) -> Iterator[str]:

@@ -1,0 +1,15 @@
+"""The ledger of a connector on one line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def ledger_text(counts: Mapping[str, Any]) -> str:
+    """What was written, and what became of it; at the writer's end of a link what is known there."""
+    lost = ", ".join(f"{count} {reason}" for reason, count in counts["dropped"].items() if count)
+    arrived = f"delivered {counts['delivered']}"
+    if counts["delivered"] is None:
+        arrived = f"acknowledged {counts['acknowledged']}, in flight {counts['in_flight']}"
+    return f"written {counts['written']}, {arrived}, waiting {counts['buffered']}, dropped {lost or '0'}"

@@ -1,0 +1,55 @@
+"""What the commands say of a link: its state, and of its samples what is known at this end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from tempfile import TemporaryDirectory
+
+import pytest
+from anyio import fail_after, sleep
+
+from aiorts import Component, InPort, Kernel, OutPort
+from aiorts.cli.commands.live.look.describing import text_of
+from aiorts.model.plain import plain
+from aiorts.observe import system_part
+from aiorts.types import TimedLong
+
+pytestmark = pytest.mark.anyio
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+
+
+class Sink(Component):
+    inp = InPort(TimedLong)
+
+
+@pytest.fixture(autouse=True)
+def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with TemporaryDirectory(prefix="al") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+def said(kernel: Kernel, connector: str) -> list[str]:
+    report = plain(system_part(kernel, [], [connector], []))
+    return [line.strip() for line in text_of("connector", connector, connector, report).splitlines()]
+
+
+async def test_a_link_that_waits_and_one_that_is_up() -> None:
+    async with Kernel("robot", services={"links": {}}) as robot:
+        source = await robot.add(Source("source"))
+        name = (await robot.connect(source.out, "station/sink.inp")).name
+        source.out.write_nowait(TimedLong(0, 1))
+        assert "link connecting: there is no kernel 'station' yet" in said(robot, name)
+        assert "written 1, acknowledged 0, in flight 0, waiting 1, dropped 0" in said(robot, name)
+        async with Kernel("station", services={"links": {}}) as station:
+            sink = await station.add(Sink("sink"))
+            with fail_after(5):
+                assert (await sink.inp.read()).data == 1
+                while "written 1, acknowledged 1, in flight 0, waiting 0, dropped 0" not in said(robot, name):
+                    await sleep(0.01)
+            assert "link up" in said(robot, name)
+            (theirs,) = station.connectors
+            assert "written 1, delivered 1, waiting 0, dropped 0" in said(station, theirs)
