@@ -26,6 +26,7 @@ from aiorts.kernel.ports.port_types import port_type
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
+from aiorts.links.answering import name_of, refusal, sent
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
@@ -53,6 +54,8 @@ Link: TypeAlias = "WriterLink | ReaderLink"
 _LOG: Final = KernelLog()
 _WINDOW_BYTES: Final = 8 << 20
 _ASK_SECONDS: Final = 2.0
+_FIRST_SECONDS: Final = 5.0
+"""How long `connect` waits at the most for what the other kernel answers."""
 _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
 """Seconds until an offer without an answer is made again."""
 _READ_SECONDS: Final = 0.05
@@ -242,7 +245,9 @@ class Links(KernelService):
         waits += self._calls.first_answers(connectors)
         try:
             for wait in waits:
-                await asyncio.shield(wait)
+                await asyncio.wait((wait,), timeout=_FIRST_SECONDS)
+                if wait.done():
+                    wait.result()
         except WiringError:
             for one in connectors:
                 self.kernel.connections.end(one)
@@ -390,6 +395,7 @@ class Links(KernelService):
         self.run(self._ask(link), f"aiorts link {link.connector.name}")
 
     async def _ask(self, link: Link) -> None:
+        will_be_offered = False
         try:
             await self.opened()
             peer = self._peer(link)
@@ -398,13 +404,14 @@ class Links(KernelService):
             if isinstance(link, WriterLink):
                 await self._offer(link, peer)
             else:
-                await self._request(link, peer)
+                will_be_offered = await self._request(link, peer)
         except LinkError as error:
             link.why = str(error)
             self._retry(link)
         finally:
             self._asking.discard(link)
-            self._answer_first(link, None)
+            if not will_be_offered:
+                self._answer_first(link, None)
 
     def _retry(self, link: Link) -> None:
         tried = self._tried[link] = self._tried.get(link, 0) + 1
@@ -448,7 +455,8 @@ class Links(KernelService):
         link.connect(channel, answer.number, answer.epoch)
         return None
 
-    async def _request(self, link: ReaderLink, peer: Peer) -> None:
+    async def _request(self, link: ReaderLink, peer: Peer) -> bool:
+        """Ask the writer's kernel for an offer; returns whether it will make one."""
         assert self._transport is not None  # noqa: S101 - it is open
         connector = link.connector
         options = chosen_options(connector.profile)
@@ -456,6 +464,8 @@ class Links(KernelService):
         answer = await self._question(peer, "request", request.to_bytes())
         if answer.absent or answer.refused:
             self._not_now(link, answer)
+            return False
+        return not link.is_connected
 
     async def _question(self, peer: Peer, what: str, body: bytes) -> Answer:
         """The answer of another kernel; where it speaks no version of this one, that is why it is refused."""
@@ -481,15 +491,20 @@ class Links(KernelService):
 
     async def _offered(self, body: bytes, caller: Caller) -> bytes:
         """The answer to an offer of another kernel."""
+        offer = None
         try:
-            version = versions.agreed(_name(caller), versions_of(body))
+            version = versions.agreed(name_of(caller), versions_of(body))
             offer = replace(LinkOffer.from_bytes(body), protocol=(version, version))
             answer, link = self._accept(offer, caller)
         except WiringError as error:
-            return _refusal("an offer", caller, error)
+            expected = None if offer is None else self._expected.get((str(offer.writer), str(offer.reader)))
+            if expected is not None and self._peer(expected) == caller.peer:
+                self._not_now(expected, Answer(refused=str(error)))
+            return refusal("an offer", caller, error)
         if link is not None:
+            self._answer_first(link, None)
             self.run(self._join(link, replace(offer, reader_epoch=answer.epoch, number=answer.number)), "aiorts link")
-        return _sent(answer)
+        return sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
         found = self.there(offer.reader, caller)
@@ -533,10 +548,10 @@ class Links(KernelService):
     async def _requested(self, body: bytes, caller: Caller) -> bytes:
         """The answer to another kernel that wants one of its in-ports to be connected with an out-port of this one."""
         try:
-            versions.agreed(_name(caller), versions_of(body))
-            return _sent(self._connected(LinkRequest.from_bytes(body), caller))
+            versions.agreed(name_of(caller), versions_of(body))
+            return sent(self._connected(LinkRequest.from_bytes(body), caller))
         except WiringError as error:
-            return _refusal("a request", caller, error)
+            return refusal("a request", caller, error)
 
     def _connected(self, request: LinkRequest, caller: Caller) -> Answer:
         found = self.there(Path.parse(request.writer), caller)
@@ -683,16 +698,3 @@ def _report(text: str) -> None:
 
 def _epoch() -> int:
     return int.from_bytes(os.urandom(8), "big")
-
-
-def _name(caller: Caller) -> str:
-    return caller.identity if caller.peer is None else caller.peer.kernel
-
-
-def _sent(answer: Answer) -> bytes:
-    return replace(answer, protocol=versions.SPOKEN).to_bytes()
-
-
-def _refusal(what: str, caller: Caller, error: WiringError) -> bytes:
-    _LOG.warning("W-LINK: refused %s of %s: %s", what, _name(caller), error)
-    return _sent(Answer(refused=str(error)))

@@ -210,6 +210,17 @@ async def test_ports_that_do_not_fit_are_refused_at_both_ends(writer: Any, port:
         assert not two.connectors
 
 
+async def test_ports_that_do_not_fit_are_refused_also_where_the_readers_kernel_connects() -> None:
+    async with reachable("one") as one, Kernel("two") as two:
+        await one.add(Source())
+        reals = await two.add(Reals())
+        with fail_after(10):
+            with pytest.raises(WiringError, match=r"the writer sends 'TimedLong', the reader takes TimedDouble"):
+                await two.connect("one/source0.out", reals.inp)
+            await until(lambda: not one.connectors)
+        assert not two.connectors
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
