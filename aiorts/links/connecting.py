@@ -203,7 +203,7 @@ class Links(KernelService):
         if len({isinstance(port, OutPort) for port in near}) > 1:
             raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
         found = [self._far_port(like, port) if isinstance(port, str) else port for port in ports]
-        return found, link_options(where, options)
+        return found, link_options(where, options, from_reader=isinstance(like, InPort))
 
     def _far_port(self, like: InPort[Any] | OutPort[Any], text: str) -> Port[Any]:
         """What stands for a port of another kernel; the same that is connected already with this one, if one is."""

@@ -201,10 +201,21 @@ def connector_profile(
     return profile, limits
 
 
-def link_options(where: str, options: Mapping[str, Any]) -> dict[str, Any]:
+_AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
+    ("subscription", Subscription, Subscription.PERIODIC),
+    ("push", Push, Push.SKIP),
+    ("stamp", Stamp, Stamp.SEND),
+)
+"""What the writer's end does alone."""
+
+
+def link_options(where: str, options: Mapping[str, Any], *, from_reader: bool = False) -> dict[str, Any]:
     """The options of a connector to another kernel, with what is usual there where they do not say it.
 
     Without a subscription it is new/all: a flush waits for a round trip at each write, which a hook does not expect.
+
+    Args:
+        from_reader: the kernel of the reader connects it: what both ends would do, each for itself, is refused.
 
     Raises:
         WiringError: an option that a link does not have, or as `connector_profile`.
@@ -219,6 +230,9 @@ def link_options(where: str, options: Mapping[str, Any]) -> dict[str, Any]:
     if pulls and own.get("max_gap") is not None:
         why = "the reader's kernel gets a sample when it asks, and does not know when the writer writes"
         raise WiringError(f"{where}: max_gap does not go with dataflow = pull to another kernel: {why}")
+    for key, kind, value in _AT_THE_WRITER if from_reader else ():
+        if get.choice(key, kind, None) is value:
+            raise WiringError(f"{where}: {key} = {value}: the writer is in another kernel; connect them there")
     usual: dict[str, Any] = {}
     if "subscription" not in own and not pulls:
         usual["subscription"] = Subscription.NEW

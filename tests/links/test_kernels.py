@@ -237,6 +237,21 @@ async def test_options_that_a_link_does_not_have_are_refused(options: dict[str, 
             await one.connect(source.out, "two/sink0.inp", **options)
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"subscription": "periodic", "push_rate": 10.0},
+        {"subscription": "new", "push": "skip", "skip": 1},
+        {"stamp": "send"},
+    ],
+)
+async def test_what_the_writers_end_does_is_chosen_there(options: dict[str, Any]) -> None:
+    async with Kernel("two") as two:
+        sink = await two.add(Sink())
+        with pytest.raises(WiringError, match="the writer is in another kernel; connect them there"):
+            await two.connect("one/source0.out", sink.inp, **options)
+
+
 async def test_on_link_lost_needs_a_link() -> None:
     async with Kernel("one") as one:
         source, sink = await one.add(Source()), await one.add(Sink())
