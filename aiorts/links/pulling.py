@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.features import FeaturedTransport
@@ -10,6 +10,9 @@ from aiorts.kernel.ports.in_port import receiver_of
 from aiorts.links.linked import PULL
 from aiorts.links.reader_link import ReaderLink
 from aiorts.links.writer_link import WriterLink
+
+if TYPE_CHECKING:
+    from aiorts.links.transport import Channel
 
 
 class PulledWriterLink(WriterLink):
@@ -49,10 +52,19 @@ class PullingReaderLink(ReaderLink):
 
         Where a task or a thread waits, for the next one if there is none.
         """
-        receiver = receiver_of(self.connector.in_)
-        waits = receiver.waiter is not None or receiver.lock is not None
-        if not self.quiet and not self._ended and self.end.want(self._now(), wait=waits):
+        if not self.quiet and not self._ended and self.end.want(self._now(), wait=self._is_awaited):
             self._poll()
+
+    @property
+    def _is_awaited(self) -> bool:
+        """Whether a task waits for a sample, or a thread may."""
+        receiver = receiver_of(self.connector.in_)
+        return receiver.waiter is not None or receiver.lock is not None
+
+    def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
+        super().connect(channel, number, peer_epoch)
+        if self._is_awaited:
+            self.look()  # it has waited since before there was this link
 
     def _deliver(self) -> None:
         self.quiet = True

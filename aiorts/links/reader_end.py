@@ -25,6 +25,7 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp
     if profile.dataflow is Dataflow.PULL:
+        del options["length"]
         return {**options, "dataflow": profile.dataflow}
     if profile.subscription is Subscription.FLUSH:
         return {**options, "full": profile.full}

@@ -87,6 +87,20 @@ def test_a_look_never_waits_and_asks_for_the_next(look: Any) -> None:
     simulate(run())
 
 
+def test_a_read_that_waits_already_when_the_link_is_made_has_its_answer() -> None:
+    async def run() -> None:
+        network = MemoryNetwork(delay=0.001)
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            reading = asyncio.ensure_future(sink.inp.read())
+            await asyncio.sleep(1)
+            await one.connect(source.out, "two/sink0.inp", dataflow="pull")
+            source.out.write_nowait(long(1))
+            assert await asyncio.wait_for(reading, 1) == long(1)
+
+    simulate(run())
+
+
 def test_a_look_at_the_ledger_asks_for_nothing() -> None:
     async def run() -> None:
         network = MemoryNetwork()
