@@ -64,7 +64,7 @@ FEATURES = {
     47: "Listeners of connectors: all 17 kinds fire, and cost nothing where nobody listens",
     48: "Time stamps at write, send, receive or read",
     50: "In-process transport without copies that anyone could change",
-    54: "Codecs by name: ours, and those of plugins",
+    54: "Codecs and transports by name: ours, and those of plugins",
     56: "A connector goes on by itself after a loss of the link or a restart of either end, with the loss counted",
     55: "Types are compared when ports are connected",
     57: "Connections of more than two ports",

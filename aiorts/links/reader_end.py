@@ -20,7 +20,9 @@ def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
     window is used up the writer's buffer decides. With flush the writer waits for the answer, so the policy of the full
     buffer is the reader's own.
     """
-    options: dict[str, Any] = {"length": profile.length, "timeout": None, "allow_duplicate": True}
+    options: dict[str, Any] = {"timeout": None, "allow_duplicate": True}
+    if profile.push is not Push.NEW:
+        options["length"] = profile.length
     options |= {"keep_last": profile.keep_last, "lifespan": profile.lifespan, "max_gap": profile.max_gap}
     if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
         options["stamp"] = profile.stamp

@@ -6,9 +6,9 @@ import asyncio
 from contextlib import suppress
 from random import Random
 
-from aiorts import Component, InPort, Kernel, OutPort
+from aiorts import Component, Connector, InPort, Kernel, OutPort
 from aiorts.errors import LinkError
-from aiorts.links import Links
+from aiorts.links import LinkLedger, Links
 from aiorts.testing import MemoryNetwork, simulate
 from aiorts.types import TimedLong
 from campaign import cases
@@ -73,3 +73,96 @@ def test_whatever_the_network_does_each_sample_is_read_once_and_in_order() -> No
         seen, written, dropped, balanced = simulate(play(seed), seed=seed)
         assert seen == list(range(300)), seed
         assert (written, dropped, balanced) == (300, {}, True), seed
+
+
+async def ledger_of(kernel: Kernel, connector: Connector) -> LinkLedger:
+    """The ledger from end to end, once both ends know each other again."""
+    while True:
+        try:
+            return await kernel.service(Links).ledger(connector)
+        except LinkError:
+            await asyncio.sleep(0.1)
+
+
+async def play_with_restarts(seed: int) -> None:
+    """Writes with any policy over any network to a reader whose kernel is closed, and started anew, at random."""
+    random = Random(seed)
+    network = MemoryNetwork(
+        seed=seed,
+        loss=random.choice((0.0, 0.1, 0.3)),
+        duplicate=random.choice((0.0, 0.2)),
+        reorder=random.choice((0.0, 0.2)),
+        delay=random.choice((0.0, 0.001, 0.02)),
+    )
+    options = random.choice(
+        [
+            {"full": "block", "timeout": None, "length": random.choice((1, 8))},
+            {"full": "overwrite", "length": random.choice((1, 4, 64))},
+            {"full": "reject", "length": random.choice((1, 4, 64))},
+            {"subscription": "new", "push": "new"},
+            {"subscription": "flush", "timeout": None},
+            {"subscription": "periodic", "push_rate": 100.0, "length": 64},
+        ]
+    )
+    count, seen, readers = random.choice((30, 100)), list[int](), []
+
+    async def reading(kernel: Kernel, sink: Sink) -> None:
+        while True:
+            seen.append((await sink.inp.read()).data)
+            await asyncio.sleep(random.choice((0.0, 0.0, 0.003, 0.05)))
+
+    async def start() -> None:
+        kernel = await Kernel("two").open()
+        kernel.service(Links).use(network.transport("two"))
+        await kernel.service(Links).opened()
+        sink = await kernel.add(Sink("sink"))
+        readers.append((kernel, asyncio.ensure_future(reading(kernel, sink))))
+
+    async def stop() -> None:
+        kernel, task = readers.pop()
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        await kernel.aclose()
+
+    async with Kernel("one") as one:
+        one.service(Links).use(network.transport("one"))
+        await one.service(Links).opened()
+        source = await one.add(Source("source"))
+        await start()
+        connector = await one.connect(source.out, "two/sink.inp", **options)
+
+        async def write() -> None:
+            for value in range(count):
+                await source.out.write(TimedLong(tm=0, data=value))
+                await asyncio.sleep(random.choice((0.0, 0.0, 0.0, 0.001, 0.05)))
+
+        writing = asyncio.ensure_future(write())
+        for _ in range(random.randrange(3)):
+            await asyncio.sleep(random.choice((0.0, 0.01, 0.3)))
+            await stop()
+            await asyncio.sleep(random.choice((0.0, 0.5, 5.0)))
+            await start()
+        if random.random() < 0.3:
+            network.cut("one", "two")
+            await asyncio.sleep(random.choice((0.01, 14.0)))
+            network.restore("one", "two")
+        await asyncio.wait_for(writing, 600)
+        async with asyncio.timeout(600):
+            while connector.statistics.in_flight or connector.statistics.buffered:
+                await asyncio.sleep(0.1)
+            while (joined := await ledger_of(one, connector)).buffered:
+                await asyncio.sleep(0.1)
+        ledger = connector.statistics
+        assert ledger.balanced, (options, ledger)
+        assert not joined.unexplained, (options, joined)
+        assert ledger.written == count
+        assert seen == sorted(set(seen)), options
+        assert len(seen) <= ledger.arrived + ledger.dropped.get("unknown_fate", 0), (options, ledger)
+        if options.get("full") != "reject" and not (ledger.dropped.get("unknown_fate") or joined.acknowledged_before):
+            assert seen[-1:] == [count - 1], (options, ledger)  # the newest is never stranded
+        await stop()
+
+
+def test_whatever_becomes_of_the_reader_all_is_accounted_for_and_nothing_comes_twice() -> None:
+    for seed in range(cases(500)):
+        simulate(play_with_restarts(seed), seed=seed)
