@@ -127,7 +127,8 @@ class _Line:
         self._network, self._near, self.far = network, near, far
         self._under_way: list[tuple[float, int, _Sent | Callable[[], None]]] = []
         self._numbers = count()
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
+        self._due = 0.0
         self.asked: dict[int, asyncio.Future[bytes]] = {}
         self.ended = False
 
@@ -140,9 +141,10 @@ class _Line:
 
     def wake(self) -> None:
         """Wait for the first of what is under way."""
-        if self._under_way and (self._timer is None or self._under_way[0][0] < self._timer.when()):
+        if self._under_way and (self._timer is None or self._under_way[0][0] < self._due):
             self._stop_waiting()
-            self._timer = self._near.loop.call_at(self._under_way[0][0], self._deliver)
+            self._due = self._under_way[0][0]
+            self._timer = self._near.loop.call_at(self._due, self._deliver)
 
     def _stop_waiting(self) -> None:
         if self._timer is not None:
