@@ -8,8 +8,9 @@ any other. A goal is made at both ends; the one of the client follows what is sa
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import count
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -21,7 +22,6 @@ from aiorts.errors import (
     LinkError,
     LinkTimeout,
     ServiceCycle,
-    ServiceError,
     ServiceFailed,
     ServiceTimeout,
     ServiceUnavailable,
@@ -100,6 +100,8 @@ class Calls:
         self._far: dict[FarProvider, None] = {}
         self._bound: dict[tuple[Peer, int], _Bound] = {}
         self._number = 0
+        self._numbers = count(1)
+        """Of the calls of this kernel, whatever interface they are of."""
         self._served: dict[tuple[Peer, int], asyncio.Task[Any]] = {}
         self._offered: dict[tuple[Peer, int], Goal[Any, Any]] = {}
         """Goals of components of this kernel that clients in others follow."""
@@ -147,7 +149,7 @@ class Calls:
             path = Path.parse(one)
             if not path.port:
                 raise WiringError(f"{one}: is a component; give one of its ports")
-            far = [FarProvider(self._links, end, path) for end in required]
+            far = [FarProvider(self._links, end, path, self._numbers) for end in required]
             found += [each.end for each in far]
             # It is bound when the connector is made; what was refused before has no use for it.
             for each in far:
@@ -299,11 +301,12 @@ class Calls:
             value = await bound.call(method, args, kwargs, seconds)
             found = [_GOAL, []] if types is not None else [_DONE, [plain(method.returns, value)]]
             frame = frame_of(found)
-        except (ServiceError, LinkError) as error:
+        except AiortsError as error:
             if isinstance(error, ServiceUnavailable) and (is_removed(bound.end.port) or self._links.kernel.closed):
                 answer.set_result(frame_of([_UNBOUND, []]))
                 return
-            kind = next((one for one in _ERRORS if isinstance(error, _ERRORS[one])), InterfaceMismatch.__name__)
+            other = InterfaceMismatch if isinstance(error, LinkError) else ServiceFailed
+            kind = next((one for one in _ERRORS if isinstance(error, _ERRORS[one])), other.__name__)
             answer.set_result(frame_of([kind, [str(error)[:2_000]]]))
             return
         answer.set_result(frame)
@@ -371,15 +374,14 @@ class _Bound:
 class FarProvider:
     """Stands for a provided interface of another kernel, at the end of one service connector."""
 
-    def __init__(self, links: Kernels, required: Required[Any], path: Path) -> None:
-        self._links, self._required, self.path = links, required, path
+    def __init__(self, links: Kernels, required: Required[Any], path: Path, numbers: Iterator[int]) -> None:
+        self._links, self._required, self.path, self._numbers = links, required, path, numbers
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
         """Done with the first answer, or with what refused it."""
         self.peer: Peer | None = None
         """The kernel that it is bound in; None: it is not bound."""
         self._why = "not connected yet"
         self._number = 0
-        self._calls = 0
         self._late = 0
         self._binding = False
         self._changed: list[asyncio.Future[None]] = []
@@ -540,19 +542,22 @@ class FarProvider:
         peer, seconds = self.peer, seconds_left(current_task())
         if peer is None:
             raise LinkError(self._why)
-        self._calls = number = self._calls % 0xFFFFFFFF + 1
+        number = next(self._numbers)
         try:
             body = frame_of([self._number, number, method.name, args, kwargs, float(max(seconds, 0.001))])
         except LinkError as error:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
-        asked = self._links.run(self._links.ask(peer, "call", body, seconds + _LATER), f"aiorts ask {method.name}")
+        asked = self._links.run(self._answer_of(peer, body, seconds + _LATER), f"aiorts ask {method.name}")
         accepted, types = False, goal_types(method.returns)
         if types is not None:
             goal = Goal[Any, Any]()
             goal.on_cancel = partial(self._tell, peer, "cancel goal", number)
             self._goals[number] = goal, types
         try:
-            kind, values = values_of(await asyncio.shield(asked), (str, list))
+            answer = await asyncio.shield(asked)
+            if isinstance(answer, LinkError):
+                raise answer
+            kind, values = values_of(answer, (str, list))
             if kind == _GOAL and types is not None:
                 accepted = True
                 return goal
@@ -576,8 +581,14 @@ class FarProvider:
             raise LinkError(self._why)
         raise Relayed(_ERRORS.get(kind, ServiceFailed)(str(value)))
 
-    def _answered_late(self, asked: asyncio.Task[bytes]) -> None:
-        if not asked.cancelled() and asked.exception() is None:
+    async def _answer_of(self, peer: Peer, body: bytes, within: float) -> bytes | LinkError:
+        try:
+            return await self._links.ask(peer, "call", body, within)
+        except LinkError as error:
+            return error
+
+    def _answered_late(self, asked: asyncio.Task[bytes | LinkError]) -> None:
+        if not asked.cancelled() and isinstance(asked.result(), bytes):
             self._late += 1
 
     def advance(self, number: int, what: str, value: list[Any]) -> bool:

@@ -184,6 +184,17 @@ async def test_a_call_has_a_deadline_and_its_provider_is_cancelled(pair: Pair) -
     assert not pair.station.service(Links).report()
 
 
+async def test_calls_of_several_ports_at_the_same_time_do_not_meet(pair: Pair) -> None:
+    others = [await pair.plant.add(Client(f"c{number}")) for number in range(3)]
+    with fail_after(10):
+        for other in others:
+            await pair.plant.connect(other.arm, "station/robot.arm")
+        calls = [one.arm.proxy.wait(0.02) for one in (*others, pair.client) for _ in range(50)]
+        assert await asyncio.gather(*calls) == ["waited"] * 200
+        goals = [await one.arm.proxy.reach(2) for one in others]
+        assert [await goal.result() for goal in goals] == ["there"] * 3
+
+
 async def test_goals_are_followed_and_cancelled(pair: Pair) -> None:
     with fail_after(5):
         goal = await pair.client.arm.proxy.reach(3)
@@ -231,7 +242,7 @@ async def test_interfaces_that_differ_are_refused_at_both_ends(caplog: pytest.Lo
         assert "refused by station" in caplog.text
 
 
-async def test_who_comes_later_or_again_is_bound_and_calls_meanwhile_say_so() -> None:
+async def test_who_comes_later_or_again_is_bound_and_calls_meanwhile_say_so(caplog: pytest.LogCaptureFixture) -> None:
     async with Kernel("plant", services={"links": {}}) as plant:
         client = await plant.add(Client("client"))
         await plant.connect(client.arm, "station/robot.arm")
@@ -256,6 +267,7 @@ async def test_who_comes_later_or_again_is_bound_and_calls_meanwhile_say_so() ->
                     await waiting
                 with pytest.raises(GoalFailed):
                     await goal.result()
+    assert not [one.getMessage() for one in caplog.records if one.levelno >= logging.ERROR]
 
 
 async def answered(client: Client, value: float) -> float:
