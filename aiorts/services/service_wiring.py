@@ -17,6 +17,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.execution.member import Visit
 from aiorts.kernel.ports.port import Port, is_removed
 from aiorts.model.interface import Method, check_of, differences, spelled
+from aiorts.model.names import names_kernel
 from aiorts.model.options import SERVICE_KEYS, is_yes
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.services.activities import CallGraph
@@ -169,9 +170,12 @@ def renewed(kernel: Microkernel, profile: ServiceConnectorProfile) -> Plan:
     """
     pairs: list[tuple[Required[Any], Provided[Any]]] = []
     faults: list[WiringError] = []
+    ends: list[Any]
     for pair in profile.mapping:
         try:
-            ends = [_end_of(kernel, path) for path in pair]
+            ends = [path if names_kernel(path) else _end_of(kernel, path) for path in pair]
+            if kernel.connections.far is not None and names_kernel(pair[1]):
+                ends, _ = kernel.connections.far.resolve(ends, {})
             pairs += plan(kernel, ends, {"mapping": {pair[0]: pair[1]}})[0][1].pairs
         except WiringError as error:
             faults.append(error)

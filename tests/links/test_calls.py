@@ -362,6 +362,18 @@ async def test_a_component_calls_from_its_context(pair: Pair) -> None:
             await sleep(0.01)
 
 
+async def test_a_connector_is_made_again_from_its_profile(pair: Pair) -> None:
+    (connector,) = pair.client.arm.connectors
+    await pair.plant.disconnect(connector)
+    with pytest.raises(ServiceUnavailable, match="is not connected"):
+        await pair.client.arm.proxy.add(1.0)
+    pair.plant.connections.renew(connector.profile, reports_losses=False)
+    with fail_after(5):
+        assert await answered(pair.client, 1.0) == 2.0
+    assert list(pair.plant.connectors) == []
+    assert [one.name for one in pair.client.arm.connectors] == [connector.name]
+
+
 @pytest.mark.filterwarnings("error")
 async def test_nothing_that_a_peer_asks_ends_a_kernel(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
     links = pair.plant.service(Links)

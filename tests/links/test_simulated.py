@@ -22,16 +22,21 @@ class Sink(Component):
     inp = InPort(TimedLong)
 
 
-async def play(seed: int) -> tuple[list[int], int, dict[str, int], bool]:
-    """Writes 300 samples in bursts while the network does its worst; what was read, and the writer's ledger."""
-    random = Random(seed)
-    network = MemoryNetwork(
+def a_network(seed: int, random: Random) -> MemoryNetwork:
+    """One with faults of any kinds."""
+    return MemoryNetwork(
         seed=seed,
         loss=random.choice((0.0, 0.1, 0.3)),
         duplicate=random.choice((0.0, 0.2)),
         reorder=random.choice((0.0, 0.2)),
         delay=random.choice((0.0, 0.001, 0.02)),
     )
+
+
+async def play(seed: int) -> tuple[list[int], int, dict[str, int], bool]:
+    """Writes 300 samples in bursts while the network does its worst; what was read, and the writer's ledger."""
+    random = Random(seed)
+    network = a_network(seed, random)
     async with Kernel("two") as two, Kernel("one") as one:
         for kernel in (one, two):
             kernel.service(Links).use(network.transport(kernel.name))
@@ -87,13 +92,7 @@ async def ledger_of(kernel: Kernel, connector: Connector) -> LinkLedger:
 async def play_with_restarts(seed: int) -> None:
     """Writes with any policy over any network to a reader whose kernel is closed, and started anew, at random."""
     random = Random(seed)
-    network = MemoryNetwork(
-        seed=seed,
-        loss=random.choice((0.0, 0.1, 0.3)),
-        duplicate=random.choice((0.0, 0.2)),
-        reorder=random.choice((0.0, 0.2)),
-        delay=random.choice((0.0, 0.001, 0.02)),
-    )
+    network = a_network(seed, random)
     options = random.choice(
         [
             {"full": "block", "timeout": None, "length": random.choice((1, 8))},
