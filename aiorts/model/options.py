@@ -257,7 +257,10 @@ def chosen_options(profile: ConnectorProfile, usual_length: int | None = None) -
         usual_length: what the in-port says of its length, if it does.
     """
     usual = DEFAULT_LENGTH if usual_length is None else usual_length
-    return dict(_chosen(tuple(getattr(profile, key) for key in _CHOSEN), usual))
+    options = dict(_chosen(tuple(getattr(profile, key) for key in _CHOSEN), usual))
+    if profile.on_link_lost is not None and profile.dataflow is Dataflow.PUSH and "subscription" not in options:
+        options["subscription"] = str(profile.subscription)  # a link that does not say it is new/all
+    return options
 
 
 @lru_cache(maxsize=256)

@@ -358,11 +358,13 @@ class Application:
             from aiorts.kernel.extensions.converters import load_converter
 
             options["convert"] = await load_converter(options["convert"], self._kernel.plugins, self._kernel.clock)
-        if (connector := self._kernel.connectors.get(step.name)) is not None:
-            self._kernel.connections.replace_options(connector, _own(options))
+        connections = self._kernel.connections
+        connector = connections.connectors.get(step.name)
+        if connector is not None and not (connector.in_.is_far or connector.out.is_far):
+            connections.replace_options(connector, _own(options))
         else:
-            connections = self._kernel.connections
-            connections.end(connections.service_connectors[step.name])
+            # Both kernels agree anew on a link: what was under way is counted, and whether it came is not known.
+            connections.end(connections.service_connectors[step.name] if connector is None else connector)
             await self._kernel.connect(*step.after.ports, **options)
 
     # -- contexts --------------------------------------------------------------------------------------------------

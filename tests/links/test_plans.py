@@ -1,0 +1,61 @@
+"""Plans that change the options of links."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+
+import pytest
+from anyio import fail_after
+
+from aiorts import Component, InPort, Kernel, OutPort
+from aiorts.planning import wanted_of
+from aiorts.types import TimedLong
+
+pytestmark = pytest.mark.anyio
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+
+
+class Sink(Component):
+    inp = InPort(TimedLong)
+
+
+@pytest.fixture(autouse=True)
+def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with TemporaryDirectory(prefix="al") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield
+
+
+async def test_a_link_is_made_anew_where_its_options_change_and_back() -> None:
+    async with Kernel("station", services={"links": {}}) as station, Kernel("robot") as robot:
+        source, sink = await robot.add(Source("source")), await station.add(Sink("sink"))
+        with fail_after(10):
+            await robot.connect(source.out, "station/sink.inp")
+            before = wanted_of(robot)
+            (entry,) = before.connections
+            flush = replace(entry, options=MappingProxyType({"subscription": "flush"}))
+            for number, wanted in enumerate((replace(before, connections=(flush,)), before)):
+                applied = await robot.apply(wanted)
+                assert applied.done, applied
+                assert await source.out.write(TimedLong(0, number))
+                assert (await sink.inp.read()).data == number
+                (connector,) = robot.connectors.values()
+                assert str(connector.profile.subscription) == ("new" if number else "flush")
+                (there,) = wanted_of(robot).connections
+                assert there.options == {**wanted.connections[0].options, "on_link_lost": "wait"}
+
+
+async def test_flush_stays_flush_where_the_readers_kernel_connects() -> None:
+    async with Kernel("station") as station, Kernel("robot", services={"links": {}}) as robot:
+        source, sink = await robot.add(Source("source")), await station.add(Sink("sink"))
+        with fail_after(10):
+            await station.connect(sink.inp, "robot/source.out", subscription="flush")
+            assert await source.out.write(TimedLong(0, 1))
+            (connector,) = robot.connectors.values()
+            assert (str(connector.profile.subscription), sink.inp.is_new) == ("flush", True)
