@@ -183,8 +183,8 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
     seen, still = -1, 0.0
     cycles: dict[Context, int] = {}
     while True:
-        buffered = [c for c in kernel.connectors.values() if unread_of(c) or c.statistics.buffered]
-        waiting = tuple(c for c in buffered if c.in_ is not None and not look.is_off(c.in_.path.partition(".")[0]))
+        buffered = [c for c in kernel.connectors.values() if unread_of(c) or _is_under_way(c)]
+        waiting = tuple(c for c in buffered if c.in_.is_far or not look.is_off(c.in_.path.partition(".")[0]))
         moved = sum(connector.statistics.arrived for connector in kernel.connectors.values())
         if waiting or moved != seen:
             cycles = {context: context.ticks for context in kernel.contexts.values() if _repeats(context)}
@@ -197,6 +197,12 @@ async def _settled(kernel: Kernel, look: _Look) -> tuple[Connector, ...]:
         if still > patience:
             return waiting
         await asyncio.sleep(_LOOK_AGAIN)
+
+
+def _is_under_way(connector: Connector) -> bool:
+    """Whether samples wait in it, or are on their way to another kernel."""
+    counts = connector.statistics
+    return counts.buffered > 0 or counts.in_flight > 0
 
 
 def _repeats(context: Context) -> bool:

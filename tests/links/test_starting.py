@@ -10,9 +10,9 @@ from tempfile import TemporaryDirectory
 import pytest
 from anyio import fail_after
 
-from aiorts import Component, Kernel, OutPort
+from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.links import Links
-from aiorts.system import build, load
+from aiorts.system import build, load, wait_finished
 from aiorts.types import TimedLong
 
 pytestmark = pytest.mark.anyio
@@ -44,6 +44,37 @@ type = "reader.py:Slow"
 kind = "event"
 members = ["reader"]
 """
+
+
+WRITER = """
+from aiorts import Component, OutPort
+from aiorts.types import TimedLong
+
+
+class Writer(Component):
+    out = OutPort(TimedLong)
+
+    def on_execute(self):
+        for number in range(3):
+            self.out.write_nowait(TimedLong(0, number))
+        self.finish()
+"""
+ROBOT = """
+schema = 1
+[components.writer]
+type = "writer.py:Writer"
+[contexts.events]
+kind = "periodic"
+rate = 100.0
+members = ["writer"]
+[[connections]]
+from = "writer.out"
+to = "station/sink.inp"
+"""
+
+
+class Sink(Component):
+    inp = InPort(TimedLong)
 
 
 class Source(Component):
@@ -81,3 +112,20 @@ async def test_samples_that_waited_for_a_system_come_when_it_runs(tmp_path: Path
                     await asyncio.sleep(0.01)
             assert getattr(reader, "numbers", None) == list(range(300))
             assert set(robot.service(Links).report().values()) == {"up"}
+
+
+@pytest.mark.parametrize("is_there", [True, False])
+async def test_a_system_that_ends_waits_for_its_links_and_says_what_was_not_taken(
+    tmp_path: Path, is_there: bool
+) -> None:
+    (tmp_path / "writer.py").write_text(WRITER)
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    async with Kernel("station", services={"links": {}}) as station, Kernel("robot") as robot:
+        if is_there:
+            await station.add(Sink("sink"))
+        await build(robot, load(tmp_path / "robot.toml"))
+        with fail_after(10):
+            unread = await wait_finished(robot)
+        assert [one.name for one in unread] == ([] if is_there else ["writer.out-station/sink.inp"])
+        (connector,) = robot.connectors.values()
+        assert connector.statistics.acknowledged == (3 if is_there else 0)
