@@ -33,7 +33,7 @@ _LONGEST: Final = 1_000
 def frame_of(values: list[Any]) -> bytes:
     """These plain values as one frame. LinkError: it would be too large, or an integer is."""
     try:
-        frame: bytes = msgpack.packb(values)
+        frame: bytes = msgpack.Packer().pack(values)
         if len(frame) > LINK.frame:
             raise LinkError(f"{len(frame)} bytes; at most {LINK.frame} are allowed")
         if len(frame) > LINK.values:

@@ -549,8 +549,8 @@ class FarProvider:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
         asked = self._links.run(self._answer_of(peer, body, seconds + _LATER), f"aiorts ask {method.name}")
         accepted, types = False, goal_types(method.returns)
+        goal: Goal[Any, Any] = Goal()
         if types is not None:
-            goal = Goal[Any, Any]()
             goal.on_cancel = partial(self._tell, peer, "cancel goal", number)
             self._goals[number] = goal, types
         try:

@@ -173,8 +173,9 @@ def failed(
     """The caller's error for what a provider's method raised."""
     if error is None:
         return None
-    if isinstance(error, Relayed):
-        return error.error
+    if issubclass(type(error), Relayed):  # what is hostile lies about its class
+        relayed: BaseException = error.error  # type: ignore[attr-defined]
+        return relayed
     if issubclass(type(error), GeneratorExit) and asyncio._get_running_loop() is None:
         raise error  # the loop is gone, and this call with it
     if issubclass(type(error), TypeError):
