@@ -15,7 +15,16 @@ from typing import Any, Final
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.errors import AiortsError, InterfaceMismatch, LinkError, format_error
+from aiorts.errors import (
+    AiortsError,
+    InterfaceMismatch,
+    LinkError,
+    ServiceCycle,
+    ServiceFailed,
+    ServiceTimeout,
+    ServiceUnavailable,
+    format_error,
+)
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import checked
 from aiorts.model.interface import Interface, Method, differences, spelled
@@ -28,6 +37,18 @@ _NO_RECORDS: Final = (*_PLAIN, *_LISTS, dict, object, type(None), Any, _EMPTY)
 _CODEC: Final = MsgpackCodec(LINK)
 _KINDS: Final = tuple(inspect._ParameterKind)
 _LONGEST: Final = 1_000
+LONGEST_CALL: Final = 86_400.0
+"""Seconds that a call into another kernel may take at the most."""
+DONE: Final = "done"
+"""What an answer to a call says: here is its result."""
+GOAL: Final = "goal"
+"""It was answered with a goal, of which more is said later."""
+UNBOUND: Final = "unbound"
+"""The interface is not bound any more; nothing was called, or it went in the middle of the call."""
+ERRORS: Final = {
+    one.__name__: one for one in (InterfaceMismatch, ServiceCycle, ServiceFailed, ServiceTimeout, ServiceUnavailable)
+}
+"""What a call may raise, by the name that an answer says."""
 
 
 def frame_of(values: list[Any]) -> bytes:
@@ -36,7 +57,7 @@ def frame_of(values: list[Any]) -> bytes:
         frame: bytes = msgpack.Packer().pack(values)
         if len(frame) > LINK.frame:
             raise LinkError(f"{len(frame)} bytes; at most {LINK.frame} are allowed")
-        if len(frame) > LINK.values:
+        if len(frame) > LINK.values:  # fewer bytes are no more values
             count_values(frame, LINK)
     except (AiortsError, OverflowError, ValueError, TypeError) as error:
         raise LinkError(f"cannot travel: {format_error(error)}") from None

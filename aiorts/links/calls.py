@@ -1,27 +1,25 @@
-"""Service ports of other kernels: what stands for them here, and who serves the calls that other kernels make.
+"""Service ports that another kernel answers, and what stands here for the provider.
 
 A required interface is bound to a provider that stands for the far one: each of its methods is a question to the other
-kernel, with the seconds that are left. There a caller from outside makes the call, which is let in, run and ended as
-any other. A goal is made at both ends; the one of the client follows what is said of the provider's.
+kernel, with the seconds that are left. A goal is made at both ends; the one of the client follows what is said of the
+provider's. Who answers is in `serving.py`.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import (
     AiortsError,
-    GoalCancelled,
-    GoalFailed,
     InterfaceMismatch,
     LinkError,
     LinkTimeout,
-    ServiceCycle,
     ServiceFailed,
     ServiceTimeout,
     ServiceUnavailable,
@@ -32,15 +30,24 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import current_task
-from aiorts.kernel.ports.port import is_removed
-from aiorts.links.call_values import frame_of, interface_difference, interface_text, plain, restored, values_of
+from aiorts.links.call_values import (
+    DONE,
+    ERRORS,
+    GOAL,
+    LONGEST_CALL,
+    UNBOUND,
+    frame_of,
+    interface_text,
+    plain,
+    restored,
+    values_of,
+)
 from aiorts.links.messages import Answer
 from aiorts.model.names import Path
-from aiorts.services import Goal, OutsideCaller, Provided, Relayed, Required, ServicePort, goal_types, seconds_left
+from aiorts.services import Goal, Provided, Relayed, Required, ServicePort, goal_types, seconds_left
 
 if TYPE_CHECKING:
-    from aiorts.kernel.microkernel import Microkernel
-    from aiorts.kernel.ports import Port
+    from aiorts.links.kernels import Kernels
     from aiorts.links.transport import Caller, Peer
     from aiorts.model.interface import Method
     from aiorts.services import GoalTypes
@@ -52,76 +59,26 @@ _AGAIN: Final = 1.0
 """Seconds until a kernel that did not answer is asked again."""
 _LATER: Final = 1.0
 """Seconds beyond the deadline of a call in which its answer is awaited, to be counted."""
-_LONGEST: Final = 86_400.0
-"""Seconds that a call of another kernel may take at the most."""
-_BOUND: Final = 10_000
-"""Interfaces that other kernels may have bound at the same time, all together."""
-_ERRORS: Final = {
-    one.__name__: one for one in (InterfaceMismatch, ServiceCycle, ServiceFailed, ServiceTimeout, ServiceUnavailable)
-}
-_DONE: Final = "done"
-_GOAL: Final = "goal"
-_UNBOUND: Final = "unbound"
-
-
-class Kernels(Protocol):
-    """What the calls of one kernel need of its links."""
-
-    kernel: Microkernel
-
-    def peer_of(self, path: Path) -> Peer | None:
-        """The kernel of a path, if it is there."""
-        ...
-
-    async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
-        """The answer of another kernel; LinkError, LinkTimeout: there is none."""
-        ...
-
-    def run(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
-        """Run a coroutine as a task of the links."""
-        ...
-
-    def path_of(self, port: Port[Any]) -> Path:
-        """Of a port of this kernel, as others know it."""
-        ...
-
-    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
-        """The port of this kernel that another one means, or the answer that it is not there yet."""
-        ...
 
 
 class Calls:
-    """The calls between this kernel and others."""
+    """The required interfaces of one kernel whose provider is in another one."""
 
     def __init__(self, links: Kernels) -> None:
         self._links = links
         self._new: list[FarProvider] = []
         """Those whose connector is not made yet."""
         self._far: dict[FarProvider, None] = {}
-        self._bound: dict[tuple[Peer, int], _Bound] = {}
-        self._number = 0
         self._numbers = count(1)
         """Of the calls of this kernel, whatever interface they are of."""
-        self._served: dict[tuple[Peer, int], asyncio.Task[Any]] = {}
-        self._offered: dict[tuple[Peer, int], Goal[Any, Any]] = {}
-        """Goals of components of this kernel that clients in others follow."""
 
-    def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Any]]:
-        """Who answers the questions of other kernels."""
-        return {
-            "bind": self._bind,
-            "unbind": self._unbind,
-            "call": self._call,
-            "cancel": self._cancel,
-            "goal": self._goal_said,
-            "cancel goal": self._cancel_goal,
-        }
+    def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
+        """What other kernels may ask."""
+        return {"goal": self._goal_said}
 
     def report(self) -> dict[str, str]:
         """The state of each connector to a service of another kernel."""
         return {one.name: one.report() for one in self._far}
-
-    # -- the required end ------------------------------------------------------------------------------------------
 
     def resolve(self, ports: Sequence[Any]) -> list[Any]:
         """The ports, with a provider that stands for each path.
@@ -187,12 +144,6 @@ class Calls:
                 self.look(far)
             elif not up and far.peer == peer:
                 far.lost(f"{peer.kernel} is gone")
-        if not up:
-            for key in [key for key in self._bound if key[0] == peer]:
-                self._bound.pop(key).close()
-            for key, task in tuple(self._served.items()):
-                if key[0] == peer:
-                    task.cancel()
 
     def come(self, component: str, peer: Peer | None) -> None:
         """A component has come to another kernel."""
@@ -210,8 +161,6 @@ class Calls:
         """The kernel ends."""
         for far in self._far:
             far.lost("this kernel ends")
-        for bound in self._bound.values():
-            bound.close()
 
     async def _goal_said(self, body: bytes, caller: Caller) -> bytes:
         number, what, value = values_of(body, (int, str, list))
@@ -220,159 +169,13 @@ class Calls:
                 break
         return b""
 
-    # -- the provided end ------------------------------------------------------------------------------------------
-
-    async def _bind(self, body: bytes, caller: Caller) -> bytes:
-        """Another kernel wants an interface of this one."""
-        required, instance, provided, text = values_of(body, (str, str, str, list))
-        try:
-            found = self._links.there(Path.parse(provided), caller)
-            if isinstance(found, Answer):
-                return found.to_bytes()
-            end = self._fitting(found, text, instance, provided)
-        except AiortsError as error:
-            return Answer(refused=str(error)).to_bytes()
-        if caller.peer is None or len(self._bound) >= _BOUND:
-            return Answer(refused="too many interfaces are bound").to_bytes()
-        self._number = self._number % 0xFFFFFFFF + 1
-        path = Path.parse(required)
-        self._bound[caller.peer, self._number] = _Bound(end, path)
-        return Answer(number=self._number).to_bytes()
-
-    def _fitting(self, port: Any, text: list[Any], instance: str, path: str) -> Provided[Any]:
-        if not isinstance(port, ServicePort):
-            raise WiringError(f"{path}: is no service port")
-        ends = [end for end in port.interfaces if isinstance(end, Provided)]
-        if not ends:
-            raise WiringError(f"{path}: provides nothing")
-        wrong = {end: interface_difference(text, end.spec) for end in ends}
-        fitting = [end for end in ends if not wrong[end]]
-        if not fitting:
-            raise WiringError("; ".join(f"{end.path} provides {end.spec.name}: {wrong[end]}" for end in ends))
-        if len(fitting) == 1:
-            return fitting[0]
-        same = [end for end in fitting if end.instance == instance]
-        if len(same) == 1:
-            return same[0]
-        raise WiringError(f"{', '.join(end.path for end in fitting)} all provide that; give one the name {instance!r}")
-
-    async def _unbind(self, body: bytes, caller: Caller) -> bytes:
-        (number,) = values_of(body, (int,))
-        if caller.peer is not None and (bound := self._bound.pop((caller.peer, number), None)) is not None:
-            bound.close()
-        return b""
-
-    async def _call(self, body: bytes, caller: Caller) -> bytes:
-        number, call, method, args, kwargs, seconds = values_of(body, (int, int, str, list, dict, float))
-        bound = None if caller.peer is None else self._bound.get((caller.peer, number))
-        if caller.peer is None or bound is None or is_removed(bound.end.port):
-            return frame_of([_UNBOUND, []])
-        if not 0 < seconds <= _LONGEST or method not in bound.end.spec.methods:
-            raise LinkError(f"no call: {method[:60]!r} within {seconds} s")
-        key = caller.peer, call
-        if key in self._served:
-            raise LinkError(f"the call {call} is being served already")
-        answer: asyncio.Future[bytes] = self._links.kernel.loop.create_future()
-        task = self._links.run(self._serve(key, bound, method, args, kwargs, seconds, answer), f"aiorts call {method}")
-        self._served[key] = task
-        task.add_done_callback(partial(self._served_done, key, answer))
-        return await answer
-
-    def _served_done(self, key: tuple[Peer, int], answer: asyncio.Future[bytes], _task: object) -> None:
-        self._served.pop(key, None)
-        self._offered.pop(key, None)
-        if not answer.done():
-            answer.set_result(frame_of([ServiceUnavailable.__name__, ["the call was cancelled"]]))
-
-    async def _serve(
-        self,
-        key: tuple[Peer, int],
-        bound: _Bound,
-        name: str,
-        args: list[Any],
-        kwargs: dict[str, Any],
-        seconds: float,
-        answer: asyncio.Future[bytes],
-    ) -> None:
-        """Make the call; the task stays the goal's client where the call is answered with one."""
-        method = bound.end.spec.methods[name]
-        types = goal_types(method.returns)
-        try:
-            value = await bound.call(method, args, kwargs, seconds)
-            found = [_GOAL, []] if types is not None else [_DONE, [plain(method.returns, value)]]
-            frame = frame_of(found)
-        except AiortsError as error:
-            if isinstance(error, ServiceUnavailable) and (is_removed(bound.end.port) or self._links.kernel.closed):
-                answer.set_result(frame_of([_UNBOUND, []]))
-                return
-            other = InterfaceMismatch if isinstance(error, LinkError) else ServiceFailed
-            kind = next((one for one in _ERRORS if isinstance(error, _ERRORS[one])), other.__name__)
-            answer.set_result(frame_of([kind, [str(error)[:2_000]]]))
-            return
-        answer.set_result(frame)
-        if types is not None:
-            self._offered[key] = value
-            await self._follow(key, value, types)
-
-    async def _follow(self, key: tuple[Peer, int], goal: Goal[Any, Any], types: GoalTypes) -> None:
-        peer, call = key
-
-        async def say(what: str, value: Any) -> None:
-            await self._links.ask(peer, "goal", frame_of([call, what, [value]]), _WITHIN)
-
-        try:
-            async for feedback in goal:
-                await say("feedback", plain(types.feedback, feedback))
-            try:
-                result = plain(types.result, await goal.result())
-            except GoalCancelled:
-                await say("cancelled", None)
-            except (GoalFailed, InterfaceMismatch) as error:
-                await say("failed", str(error)[:2_000])
-            else:
-                await say("succeeded", result)
-        except (LinkError, InterfaceMismatch) as error:
-            _LOG.warning("W-LINK: a goal of %s cannot be followed: %s", peer.kernel, error)
-            goal.cancel()
-
-    async def _cancel(self, body: bytes, caller: Caller) -> bytes:
-        (call,) = values_of(body, (int,))
-        if caller.peer is not None and (task := self._served.get((caller.peer, call))) is not None:
-            task.cancel()
-        return b""
-
-    async def _cancel_goal(self, body: bytes, caller: Caller) -> bytes:
-        (call,) = values_of(body, (int,))
-        if caller.peer is not None and (goal := self._offered.get((caller.peer, call))) is not None:
-            goal.cancel()
-        return b""
-
-
-class _Bound:
-    """An interface of this kernel that one of another kernel is bound to."""
-
-    def __init__(self, end: Provided[Any], required: Path) -> None:
-        self.end = end
-        component = f"{required.kernel}/{required.component}" if required.kernel else required.component
-        self._caller = OutsideCaller(end, component, required.port or "call")
-
-    async def call(self, method: Method, args: list[Any], kwargs: dict[str, Any], seconds: float) -> Any:
-        """What the method answers. ServiceError: it does not."""
-        hints = {one.name: one.annotation for one in method.parameters}
-        in_order = [one.annotation for one in method.parameters if one.kind is not one.KEYWORD_ONLY]
-        if len(args) > len(in_order) or not kwargs.keys() <= hints.keys():
-            raise InterfaceMismatch(f"{self.end.path}.{method.name}: takes no such arguments")
-        given = [restored(hint, value) for hint, value in zip(in_order, args, strict=False)]
-        named = {name: restored(hints[name], value) for name, value in kwargs.items()}
-        return await self._caller.call(method.name, given, named, seconds)
-
-    def close(self) -> None:
-        """End what still runs for it."""
-        self._caller.close()
-
 
 class FarProvider:
-    """Stands for a provided interface of another kernel, at the end of one service connector."""
+    """Stands for a provided interface of another kernel, at the end of one service connector.
+
+    Args:
+        numbers: of calls, of all providers of this kernel.
+    """
 
     def __init__(self, links: Kernels, required: Required[Any], path: Path, numbers: Iterator[int]) -> None:
         self._links, self._required, self.path, self._numbers = links, required, path, numbers
@@ -387,11 +190,11 @@ class FarProvider:
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
         component = Component()
-        cell(component).rename(f"{path.kernel}/{path.component}" if not path.host else str(path).partition(".")[0])
+        cell(component).rename(str(replace(path, port="")))
         cell(component).kernel = links.kernel
         methods = {name: self._method(method) for name, method in required.spec.methods.items()}
         kind: Any = Provided[required.interface]  # type: ignore[name-defined]
-        declared = kind(SimpleNamespace(**methods, far=self), concurrent=True, always=True, cancel_timeout=_LONGEST)
+        declared = kind(SimpleNamespace(**methods), concurrent=True, always=True, cancel_timeout=LONGEST_CALL)
         self.end: Provided[Any] = component.add_port(path.port, declared)
 
     @property
@@ -494,8 +297,11 @@ class FarProvider:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def _method(self, method: Method) -> Any:
+        """What answers for one method: a question to the other kernel."""
+        types = goal_types(method.returns)
+
         async def call(*args: Any, **kwargs: Any) -> Any:
-            return await self._call(method, args, kwargs)
+            return await self._call(method, types, args, kwargs)
 
         call.__name__ = method.name
         call.__signature__ = method.signature.replace(return_annotation=method.returns)  # type: ignore[attr-defined]
@@ -506,7 +312,9 @@ class FarProvider:
             call.__annotations__["return"] = method.returns
         return call
 
-    async def _call(self, method: Method, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    async def _call(
+        self, method: Method, types: GoalTypes | None, args: tuple[Any, ...], kwargs: dict[str, Any]
+    ) -> Any:
         named = f"{self._required.path} -> {self.end.path}.{method.name}"
         try:
             given = method.signature.bind(*args, **kwargs)
@@ -521,7 +329,7 @@ class FarProvider:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
         while True:
             try:
-                return await self._ask(method, named, in_order, by_name)
+                return await self._ask(method, types, named, in_order, by_name)
             except LinkTimeout as error:
                 raise Relayed(ServiceTimeout(f"{named}: {error}")) from None
             except LinkError as error:
@@ -538,7 +346,9 @@ class FarProvider:
         if not self.end.connectors:
             raise Relayed(ServiceUnavailable(f"{self._required.path} -> {self.end.path}: was disconnected"))
 
-    async def _ask(self, method: Method, named: str, args: list[Any], kwargs: dict[str, Any]) -> Any:
+    async def _ask(
+        self, method: Method, types: GoalTypes | None, named: str, args: list[Any], kwargs: dict[str, Any]
+    ) -> Any:
         peer, seconds = self.peer, seconds_left(current_task())
         if peer is None:
             raise LinkError(self._why)
@@ -548,17 +358,18 @@ class FarProvider:
         except LinkError as error:
             raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
         asked = self._links.run(self._answer_of(peer, body, seconds + _LATER), f"aiorts ask {method.name}")
-        accepted, types = False, goal_types(method.returns)
-        goal: Goal[Any, Any] = Goal()
+        goal: Goal[Any, Any] | None = None
         if types is not None:
+            goal = Goal()
             goal.on_cancel = partial(self._tell, peer, "cancel goal", number)
             self._goals[number] = goal, types
+        accepted = False
         try:
             answer = await asyncio.shield(asked)
             if isinstance(answer, LinkError):
                 raise answer
             kind, values = values_of(answer, (str, list))
-            if kind == _GOAL and types is not None:
+            if kind == GOAL and goal is not None:
                 accepted = True
                 return goal
         except asyncio.CancelledError:
@@ -570,16 +381,16 @@ class FarProvider:
             if not accepted:
                 self._goals.pop(number, None)
         value = values[0] if values else ""
-        if kind == _DONE and types is None:
+        if kind == DONE and types is None:
             try:
                 return restored(method.returns, value)
             except InterfaceMismatch as error:
                 raise Relayed(InterfaceMismatch(f"{named}: {error}")) from None
-        if kind == _UNBOUND:
+        if kind == UNBOUND:
             self.lost("its component was removed")
             self._links.run(self.bind(), f"aiorts bind {self.name}")
             raise LinkError(self._why)
-        raise Relayed(_ERRORS.get(kind, ServiceFailed)(str(value)))
+        raise Relayed(ERRORS.get(kind, ServiceFailed)(str(value)))
 
     async def _answer_of(self, peer: Peer, body: bytes, within: float) -> bytes | LinkError:
         try:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
 from aiorts.kernel.connection import Connection
-from aiorts.kernel.loop.bus import Disconnected, StateChanged
+from aiorts.kernel.loop.bus import Disconnected
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports import InPort, OutPort, Port
@@ -27,17 +27,17 @@ from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
 from aiorts.links.answering import name_of, refusal, sent
+from aiorts.links.arrivals import Arrivals
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
 from aiorts.links.messages import Answer, LinkRequest, versions_of
 from aiorts.links.pulling import PulledWriterLink, PullingReaderLink
-from aiorts.links.reader_end import of_shape, reader_options
-from aiorts.links.reader_link import ReaderLink
+from aiorts.links.reader_link import ReaderLink, of_shape, reader_options
+from aiorts.links.serving import Serving
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.transports import find_transport
 from aiorts.links.writer_link import WINDOW, WriterLink
-from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import Path
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import Dataflow, OnLinkLost
@@ -62,8 +62,6 @@ _READ_SECONDS: Final = 0.05
 """How often it is looked whether a connector without a writer was read empty."""
 _LAST_SECONDS: Final = 1.0
 """How long a kernel that ends waits for acknowledgements."""
-_AWAITED: Final = 10_000
-"""Ports that are not there whose coming other kernels are told of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +95,17 @@ class Links(KernelService):
         """How often a link was offered in vain since it was up last."""
         self._first: dict[Link, asyncio.Future[None]] = {}
         """Done with the first answer, or with what refused it."""
-        self._awaited: dict[str, set[Peer]] = {}
-        """Ports that are not there, and the kernels that want to connect to them."""
         self._expected: dict[tuple[str, str], ReaderLink] = {}
         """Reader's ends whose writer was asked to offer, by writer and reader."""
         self._offers: dict[tuple[str, str], ReaderLink] = {}
         """Reader's ends by the writer's kernel and its name of the link."""
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
-        self._calls = Calls(self)
+        self._calls, self._serving = Calls(self), Serving(self)
         self._ledgers = Ledgers(self, self._writers, self._offers)
-        self._making = False
-        self._starting: set[str] = set()
-        """Components that a system file or a plan has made and that do not run yet."""
+        self._arrivals = Arrivals(self)
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
-        kernel.bus.subscribe(StateChanged, self._state_changed)
 
     def owns(self, connector: Connector) -> bool:
         """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
@@ -174,8 +167,9 @@ class Links(KernelService):
         transport.answer("offer", self._offered)
         transport.answer("request", self._requested)
         transport.answer("come", self._come)
-        for what, handler in {**self._calls.handlers(), **self._ledgers.handlers()}.items():
-            transport.answer(what, handler)
+        for questions in (self._calls, self._serving, self._ledgers):
+            for what, handler in questions.handlers().items():
+                transport.answer(what, handler)
         await transport.open(_Face(self))
         transport.presence(self._present)
 
@@ -189,15 +183,13 @@ class Links(KernelService):
         """Whether this is the path of a port in another kernel."""
         return self.kernel.registry.is_elsewhere(path) and Path.parse(path).kernel != self._settings.name
 
-    def resolve(
-        self, ports: Sequence[Port[Any] | str], options: Mapping[str, Any]
-    ) -> tuple[list[Port[Any]], Mapping[str, Any]]:
+    def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
         """See `FarPorts.resolve`."""
         near = [port for port in ports if not isinstance(port, str)]
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         if not near:
             raise WiringError(f"{where}: one of the ports must be of this kernel; connect them from one of theirs")
-        like: Any = near[0]
+        like = near[0]
         if is_service(like):
             return self._calls.resolve(ports), options
         if len({isinstance(port, OutPort) for port in near}) > 1:
@@ -362,8 +354,8 @@ class Links(KernelService):
         if not up:
             self._peers.pop(peer, None)
             self._calls.present(peer, False)
-            for path in [path for path, peers in self._awaited.items() if peer in peers]:
-                self._awaited[path].discard(peer)
+            self._serving.gone(peer)
+            self._arrivals.gone(peer)
             return
         self._peers[peer] = None
         self._calls.present(peer, True)
@@ -567,58 +559,23 @@ class Links(KernelService):
         try:
             self.kernel.connections.make((found, request.reader), request.options)
         except AiortsError as error:
-            return Answer(refused=str(error))
+            raise WiringError(str(error)) from None
         finally:
             self._accepting = False
         return Answer()
 
     def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
-        """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
-        if path.component in self._starting and caller.peer is not None:
-            # What came before it is active would be dropped.
-            self._awaited.setdefault(path.component, set()).add(caller.peer)
-            return Answer(absent=f"{path.component} is being started")
-        try:
-            return self.kernel.registry.port(str(replace(path, kernel="", host="")))
-        except WiringError as error:
-            if path.component in self.kernel.components or caller.peer is None or len(self._awaited) >= _AWAITED:
-                raise
-            self._awaited.setdefault(path.component, set()).add(caller.peer)
-            return Answer(absent=str(error))
+        """See `Kernels.there`."""
+        return self._arrivals.there(path, caller)
 
-    @contextmanager
-    def making(self) -> Iterator[None]:
-        self._making = True
-        try:
-            yield
-        finally:
-            self._making = False
+    def making(self) -> AbstractContextManager[None]:
+        return self._arrivals.making()
 
     def component_added(self, component: Component) -> None:
-        if self._making:
-            self._starting.add(component.name)
-        else:
-            self._has_come(component.name)
+        self._arrivals.added(component.name)
 
     def started(self) -> None:
-        for name in tuple(self._starting):
-            self._has_come(name)
-
-    def _state_changed(self, event: StateChanged) -> None:
-        if event.new is LifecycleState.ACTIVE and event.component in self._starting:
-            self._has_come(event.component)
-
-    def _has_come(self, component: str) -> None:
-        self._starting.discard(component)
-        for peer in self._awaited.pop(component, ()):
-            self.run(self._tell(peer, component), "aiorts link")
-
-    async def _tell(self, peer: Peer, component: str) -> None:
-        assert self._transport is not None  # noqa: S101 - a peer has asked
-        try:
-            await self._transport.ask(peer, "come", component.encode(), within=_ASK_SECONDS)
-        except LinkError:
-            return  # it has gone, and asks anew when it comes back
+        self._arrivals.started()
 
     async def _come(self, body: bytes, caller: Caller) -> bytes:
         """A component has come that links of this kernel waited for."""
@@ -643,6 +600,7 @@ class Links(KernelService):
         for link in self._all():
             link.close(for_good=link in self._own)
         self._calls.stopped()
+        self._serving.stopped()
         for task in self._tasks:
             task.cancel()
         if self._opening is not None:

@@ -20,7 +20,7 @@ from aiorts.model.names import Path
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
-    from aiorts.links.calls import Kernels
+    from aiorts.links.kernels import Kernels
     from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller
 

@@ -19,6 +19,7 @@ from aiorts.kernel.ports.transport import Waiting
 from aiorts.kernel.quality.dated import Dated, times_of
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy
+from aiorts.model.names import names_kernel
 from aiorts.model.policy import Dataflow, Subscription
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
@@ -209,8 +210,8 @@ def added(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
 
 
 def _drained(profile: ConnectorProfile) -> bool:
-    """Whether a link drains it: its reader is in another kernel, so the path has the name of that."""
-    return profile.on_link_lost is not None and "/" in profile.ports[-1]
+    """Whether a link drains it: its reader is in another kernel."""
+    return profile.on_link_lost is not None and any(map(names_kernel, profile.ports[-1:]))
 
 
 def _is_pulled(profile: ConnectorProfile) -> bool:
@@ -219,7 +220,7 @@ def _is_pulled(profile: ConnectorProfile) -> bool:
 
 def _asks(profile: ConnectorProfile) -> bool:
     """Whether it is the reader's end of a link that pulls."""
-    return profile.dataflow is Dataflow.PULL and bool(profile.ports) and "/" in profile.ports[0]
+    return profile.dataflow is Dataflow.PULL and any(map(names_kernel, profile.ports[:1]))
 
 
 def _confirms(profile: ConnectorProfile) -> bool:

@@ -1,4 +1,7 @@
-"""The reader's end of a link in its kernel: writes what is received at a far out-port, in order."""
+"""The reader's end of a link in its kernel: writes what is received at a far out-port, in order.
+
+Also the connector that it writes to: its options, and the check of the shape.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,9 @@ from aiorts.kernel.ports.connector import transport_of
 from aiorts.kernel.ports.far import FarOutPort
 from aiorts.kernel.quality.dated import Dated
 from aiorts.links.timing import Wakening
+from aiorts.model.buffer import FullPolicy
 from aiorts.model.links import ReaderEnd
+from aiorts.model.policy import Dataflow, Push, Stamp, Subscription
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
@@ -20,6 +25,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.transport import Waiting
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
+    from aiorts.model.profile import ConnectorProfile
 
 
 class ReaderLink:
@@ -181,3 +187,36 @@ class ReaderLink:
         self.end.done(self._now(), number, 1)
         self._deliver()
         self._poll()
+
+
+def reader_options(profile: ConnectorProfile) -> dict[str, Any]:
+    """The options of the connector at the reader's end, by those that the link was made with.
+
+    A link loses nothing inside its window: what finds the reader's buffer full waits at the reader's end, and when the
+    window is used up the writer's buffer decides. With flush the writer waits for the answer, so the policy of the full
+    buffer is the reader's own.
+    """
+    options: dict[str, Any] = {"timeout": None, "allow_duplicate": True}
+    options |= {"keep_last": profile.keep_last, "lifespan": profile.lifespan, "max_gap": profile.max_gap}
+    if profile.stamp in (Stamp.RECEIVED, Stamp.READ):
+        options["stamp"] = profile.stamp
+    if profile.dataflow is Dataflow.PULL:
+        return {**options, "dataflow": profile.dataflow}
+    if profile.subscription is Subscription.FLUSH:
+        return {**options, "length": profile.length, "full": profile.full}
+    if profile.push is Push.NEW:
+        return {**options, "subscription": Subscription.NEW, "push": Push.NEW}
+    return {**options, "length": profile.length, "full": FullPolicy.BLOCK}
+
+
+def of_shape(
+    decode: Callable[[Buffer, Sequence[Buffer]], Any], check: Callable[[Any, Any], object], shape: tuple[int, ...]
+) -> Callable[[Buffer, Sequence[Buffer]], Any]:
+    """The same `decode`, whose samples must have this shape."""
+
+    def checked(head: Buffer, parts: Sequence[Buffer]) -> Any:
+        sample = decode(head, parts)
+        check(sample, shape)
+        return sample
+
+    return checked

@@ -126,12 +126,14 @@ class Planning(KernelService):
     @contextmanager
     def services_wait(self) -> Iterator[None]:
         """Services that connect by themselves wait meanwhile, and look afterwards."""
-        with ExitStack() as making:
+        try:
+            with ExitStack() as making:
+                for service in self.kernel.services:
+                    making.enter_context(service.making())
+                yield
+        finally:
             for service in self.kernel.services:
-                making.enter_context(service.making())
-            yield
-        for service in self.kernel.services:
-            service.started()
+                service.started()
 
     def _planning(self, now: Wanted, wanted: Wanted) -> Generator[None, None, Plan]:
         components = self.kernel.components.values()

@@ -170,18 +170,22 @@ def renewed(kernel: Microkernel, profile: ServiceConnectorProfile) -> Plan:
     """
     pairs: list[tuple[Required[Any], Provided[Any]]] = []
     faults: list[WiringError] = []
-    ends: list[Any]
     for pair in profile.mapping:
         try:
-            ends = [path if names_kernel(path) else _end_of(kernel, path) for path in pair]
-            if kernel.connections.far is not None and names_kernel(pair[1]):
-                ends, _ = kernel.connections.far.resolve(ends, {})
-            pairs += plan(kernel, ends, {"mapping": {pair[0]: pair[1]}})[0][1].pairs
+            pairs += plan(kernel, _ends_of(kernel, *pair), {"mapping": {pair[0]: pair[1]}})[0][1].pairs
         except WiringError as error:
             faults.append(error)
     if faults and (profile.strict or not pairs):
         raise faults[0]
     return Plan(pairs, profile.strict)
+
+
+def _ends_of(kernel: Microkernel, required: str, provided: str) -> Sequence[Any]:
+    """The interfaces of these paths, the provided one of this kernel or of another one."""
+    far = kernel.connections.far
+    if far is not None and names_kernel(provided):
+        return far.resolve([_end_of(kernel, required), provided], {})[0]
+    return [_end_of(kernel, required), _end_of(kernel, provided)]
 
 
 def _end_of(kernel: Microkernel, path: str) -> ServiceEnd[Any]:

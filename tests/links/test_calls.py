@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 import pytest
@@ -112,13 +109,6 @@ class Robot(Component):
 
 class Client(Component):
     arm = Required[Arm](timeout=5.0)
-
-
-@pytest.fixture(autouse=True)
-def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    with TemporaryDirectory(prefix="al") as folder:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield Path(folder)
 
 
 @dataclass
@@ -240,6 +230,9 @@ async def test_interfaces_that_differ_are_refused_at_both_ends(caplog: pytest.Lo
         assert not wrong.arm.connectors
         assert not plant.connectors
         assert "refused by station" in caplog.text
+        assert (
+            "refused to bind a service port of plant: robot.arm provides Arm: Other: add, parameter left" in caplog.text
+        )
 
 
 async def test_who_comes_later_or_again_is_bound_and_calls_meanwhile_say_so(caplog: pytest.LogCaptureFixture) -> None:

@@ -16,6 +16,21 @@ from campaign import cases
 from links.memory_kernels import Sink, Source, kernel_of, long, until
 
 
+@pytest.mark.parametrize("push", ["all", "new", "fifo"])
+def test_a_push_policy_beside_pull_changes_nothing(push: str) -> None:
+    async def run() -> None:
+        network = MemoryNetwork()
+        async with kernel_of(network, "two") as two, kernel_of(network, "one") as one:
+            source, sink = await one.add(Source()), await two.add(Sink())
+            await one.connect(source.out, "two/sink0.inp", dataflow="pull", push=push)
+            for value in range(3):
+                source.out.write_nowait(long(value))
+            async with asyncio.timeout(5):
+                assert await sink.inp.read() == long(2)
+
+    simulate(run())
+
+
 @pytest.mark.parametrize("from_reader", [False, True])
 def test_a_read_asks_for_the_newest_sample_of_the_writer(from_reader: bool) -> None:
     async def run() -> None:

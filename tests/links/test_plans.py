@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
-from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
 import pytest
 from anyio import fail_after
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.planning import wanted_of
+from aiorts.planning import Planning, wanted_of
 from aiorts.types import TimedLong
 
 pytestmark = pytest.mark.anyio
@@ -23,13 +22,6 @@ class Source(Component):
 
 class Sink(Component):
     inp = InPort(TimedLong)
-
-
-@pytest.fixture(autouse=True)
-def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with TemporaryDirectory(prefix="al") as folder:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield
 
 
 async def test_a_link_is_made_anew_where_its_options_change_and_back() -> None:
@@ -59,3 +51,15 @@ async def test_flush_stays_flush_where_the_readers_kernel_connects() -> None:
             assert await source.out.write(TimedLong(0, 1))
             (connector,) = robot.connectors.values()
             assert (str(connector.profile.subscription), sink.inp.is_new) == ("flush", True)
+
+
+async def test_a_component_of_a_plan_that_failed_is_connected_all_the_same() -> None:
+    async with Kernel("station", services={"links": {}}) as station, Kernel("robot") as robot:
+        source = await robot.add(Source("source"))
+        with suppress(ZeroDivisionError), station.service(Planning).services_wait():
+            sink = await station.add(Sink("sink"))
+            await robot.connect(source.out, "station/sink.inp")
+            source.out.write_nowait(TimedLong(0, 1))
+            raise ZeroDivisionError
+        with fail_after(5):
+            assert (await sink.inp.read()).data == 1

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from tempfile import TemporaryDirectory
-
 import pytest
 from anyio import fail_after, sleep
 
@@ -23,13 +20,6 @@ class Source(Component):
 
 class Sink(Component):
     inp = InPort(TimedLong)
-
-
-@pytest.fixture(autouse=True)
-def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with TemporaryDirectory(prefix="al") as folder:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield
 
 
 def said(kernel: Kernel, connector: str) -> list[str]:

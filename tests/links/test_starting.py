@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
 from anyio import fail_after
@@ -79,13 +77,6 @@ class Sink(Component):
 
 class Source(Component):
     out = OutPort(TimedLong)
-
-
-@pytest.fixture(autouse=True)
-def _folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with TemporaryDirectory(prefix="al") as folder:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield
 
 
 async def test_samples_that_waited_for_a_system_come_when_it_runs(tmp_path: Path) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import tempfile
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -14,14 +12,6 @@ from aiorts.links import Transport
 from aiorts.links.stream import Message, Stream
 from aiorts.links.unix import UnixTransport
 from aiorts.testing import TRANSPORT_CHECKS, check_transport
-
-
-@pytest.fixture(autouse=True)
-def _own_runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Nobody else's kernels; its path is short, as those of sockets have to be."""
-    with tempfile.TemporaryDirectory(prefix="aio") as folder:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield
 
 
 def unix() -> tuple[Transport, Transport]:

@@ -43,10 +43,9 @@ class FarPorts(Protocol):
         """Whether this is the path of a port in another kernel."""
         ...
 
-    def resolve(
-        self, ports: Sequence[Port[Any] | str], options: Mapping[str, Any]
-    ) -> tuple[list[Port[Any]], Mapping[str, Any]]:
-        """The ports with a far one for each path of another kernel, and the options with what is usual there.
+    def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
+        """The ports, of data or of services, with a far one for each path of another kernel, and the options with
+        what is usual there.
 
         Raises:
             WiringError: they do not go together.

@@ -1,0 +1,41 @@
+"""What questions and calls between kernels need of the links of one kernel."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from typing import TYPE_CHECKING, Any, Protocol
+
+from aiorts.links.messages import Answer
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.kernel.ports import Port
+    from aiorts.links.transport import Caller, Peer
+    from aiorts.model.names import Path
+
+
+class Kernels(Protocol):
+    """The links of one kernel, and through them the other kernels."""
+
+    kernel: Microkernel
+
+    def peer_of(self, path: Path) -> Peer | None:
+        """The kernel of a path, if it is there."""
+        ...
+
+    async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
+        """The answer of another kernel; LinkError, LinkTimeout: there is none."""
+        ...
+
+    def run(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+        """Run a coroutine as a task of the links."""
+        ...
+
+    def path_of(self, port: Port[Any]) -> Path:
+        """Of a port of this kernel, as others know it."""
+        ...
+
+    def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
+        """The port of this kernel that another one means, or the answer that it is not there yet."""
+        ...

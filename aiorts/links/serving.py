@@ -1,0 +1,236 @@
+"""Calls that other kernels make of service ports of this one: a caller from outside makes each of them here.
+
+It is let in, run and ended as any other. The task that serves a call with a goal stays the goal's client, and tells the
+other kernel what becomes of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import (
+    AiortsError,
+    GoalCancelled,
+    GoalFailed,
+    InterfaceMismatch,
+    LinkError,
+    ServiceFailed,
+    ServiceUnavailable,
+    WiringError,
+)
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.ports.port import is_removed
+from aiorts.links.answering import refusal, sent
+from aiorts.links.call_values import (
+    DONE,
+    ERRORS,
+    GOAL,
+    LONGEST_CALL,
+    UNBOUND,
+    frame_of,
+    interface_difference,
+    plain,
+    restored,
+    values_of,
+)
+from aiorts.links.messages import Answer
+from aiorts.model.names import Path
+from aiorts.services import Goal, OutsideCaller, Provided, ServicePort, goal_types
+
+if TYPE_CHECKING:
+    from aiorts.links.kernels import Kernels
+    from aiorts.links.transport import Caller, Peer
+    from aiorts.model.interface import Method
+    from aiorts.services import GoalTypes
+
+_LOG: Final = KernelLog()
+_WITHIN: Final = 2.0
+"""Seconds in which the client's kernel takes what is said of a goal."""
+_BOUND: Final = 10_000
+"""Interfaces that other kernels may have bound at the same time, all together."""
+
+
+class Serving:
+    """The provided interfaces of one kernel that required ones of others are bound to."""
+
+    def __init__(self, links: Kernels) -> None:
+        self._links = links
+        self._bound: dict[tuple[Peer, int], _Bound] = {}
+        self._number = 0
+        self._served: dict[tuple[Peer, int], asyncio.Task[Any]] = {}
+        self._offered: dict[tuple[Peer, int], Goal[Any, Any]] = {}
+        """Goals that clients in other kernels follow."""
+
+    def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
+        """What other kernels may ask."""
+        return {
+            "bind": self._bind,
+            "unbind": self._unbind,
+            "call": self._call,
+            "cancel": self._cancel,
+            "cancel goal": self._cancel_goal,
+        }
+
+    def gone(self, peer: Peer) -> None:
+        """Another kernel has gone: what runs for it ends."""
+        for key in [key for key in self._bound if key[0] == peer]:
+            self._bound.pop(key).close()
+        for key, task in tuple(self._served.items()):
+            if key[0] == peer:
+                task.cancel()
+
+    def stopped(self) -> None:
+        """The kernel ends."""
+        for bound in self._bound.values():
+            bound.close()
+
+    async def _bind(self, body: bytes, caller: Caller) -> bytes:
+        """Another kernel wants an interface of this one."""
+        required, instance, provided, text = values_of(body, (str, str, str, list))
+        try:
+            found = self._links.there(Path.parse(provided), caller)
+            if isinstance(found, Answer):
+                return sent(found)
+            bound = _Bound(self._fitting(found, text, instance, provided), Path.parse(required))
+            if caller.peer is None or len(self._bound) >= _BOUND:
+                bound.close()
+                raise WiringError("too many interfaces are bound")
+        except WiringError as error:
+            return refusal("to bind a service port", caller, error)
+        self._number = self._number % 0xFFFFFFFF + 1
+        self._bound[caller.peer, self._number] = bound
+        return sent(Answer(number=self._number))
+
+    def _fitting(self, port: Any, text: list[Any], instance: str, path: str) -> Provided[Any]:
+        if not isinstance(port, ServicePort):
+            raise WiringError(f"{path}: is no service port")
+        ends = [end for end in port.interfaces if isinstance(end, Provided)]
+        if not ends:
+            raise WiringError(f"{path}: provides nothing")
+        wrong = {end: interface_difference(text, end.spec) for end in ends}
+        fitting = [end for end in ends if not wrong[end]]
+        if not fitting:
+            raise WiringError("; ".join(f"{end.path} provides {end.spec.name}: {wrong[end]}" for end in ends))
+        if len(fitting) == 1:
+            return fitting[0]
+        same = [end for end in fitting if end.instance == instance]
+        if len(same) == 1:
+            return same[0]
+        raise WiringError(f"{', '.join(end.path for end in fitting)} all provide that; give one the name {instance!r}")
+
+    async def _unbind(self, body: bytes, caller: Caller) -> bytes:
+        (number,) = values_of(body, (int,))
+        if caller.peer is not None and (bound := self._bound.pop((caller.peer, number), None)) is not None:
+            bound.close()
+        return b""
+
+    async def _call(self, body: bytes, caller: Caller) -> bytes:
+        number, call, method, args, kwargs, seconds = values_of(body, (int, int, str, list, dict, float))
+        bound = None if caller.peer is None else self._bound.get((caller.peer, number))
+        if caller.peer is None or bound is None or is_removed(bound.end.port):
+            return frame_of([UNBOUND, []])
+        if not 0 < seconds <= LONGEST_CALL or method not in bound.end.spec.methods:
+            raise LinkError(f"no call: {method[:60]!r} within {seconds} s")
+        key = caller.peer, call
+        if key in self._served:
+            raise LinkError(f"the call {call} is being served already")
+        answer: asyncio.Future[bytes] = self._links.kernel.loop.create_future()
+        task = self._links.run(self._serve(key, bound, method, args, kwargs, seconds, answer), f"aiorts call {method}")
+        self._served[key] = task
+        task.add_done_callback(partial(self._served_done, key, answer))
+        return await answer
+
+    def _served_done(self, key: tuple[Peer, int], answer: asyncio.Future[bytes], _task: object) -> None:
+        self._served.pop(key, None)
+        self._offered.pop(key, None)
+        if not answer.done():
+            answer.set_result(frame_of([ServiceUnavailable.__name__, ["the call was cancelled"]]))
+
+    async def _serve(
+        self,
+        key: tuple[Peer, int],
+        bound: _Bound,
+        name: str,
+        args: list[Any],
+        kwargs: dict[str, Any],
+        seconds: float,
+        answer: asyncio.Future[bytes],
+    ) -> None:
+        """Make the call; the task stays the goal's client where the call is answered with one."""
+        method = bound.end.spec.methods[name]
+        types = goal_types(method.returns)
+        try:
+            value = await bound.call(method, args, kwargs, seconds)
+            found = [GOAL, []] if types is not None else [DONE, [plain(method.returns, value)]]
+            frame = frame_of(found)
+        except AiortsError as error:
+            if isinstance(error, ServiceUnavailable) and (is_removed(bound.end.port) or self._links.kernel.closed):
+                answer.set_result(frame_of([UNBOUND, []]))
+                return
+            other = InterfaceMismatch if isinstance(error, LinkError) else ServiceFailed
+            kind = next((one for one in ERRORS if isinstance(error, ERRORS[one])), other.__name__)
+            answer.set_result(frame_of([kind, [str(error)[:2_000]]]))
+            return
+        answer.set_result(frame)
+        if types is not None:
+            self._offered[key] = value
+            await self._follow(key, value, types)
+
+    async def _follow(self, key: tuple[Peer, int], goal: Goal[Any, Any], types: GoalTypes) -> None:
+        peer, call = key
+
+        async def say(what: str, value: Any) -> None:
+            await self._links.ask(peer, "goal", frame_of([call, what, [value]]), _WITHIN)
+
+        try:
+            async for feedback in goal:
+                await say("feedback", plain(types.feedback, feedback))
+            try:
+                result = plain(types.result, await goal.result())
+            except GoalCancelled:
+                await say("cancelled", None)
+            except (GoalFailed, InterfaceMismatch) as error:
+                await say("failed", str(error)[:2_000])
+            else:
+                await say("succeeded", result)
+        except (LinkError, InterfaceMismatch) as error:
+            _LOG.warning("W-LINK: a goal of %s cannot be followed: %s", peer.kernel, error)
+            goal.cancel()
+
+    async def _cancel(self, body: bytes, caller: Caller) -> bytes:
+        (call,) = values_of(body, (int,))
+        if caller.peer is not None and (task := self._served.get((caller.peer, call))) is not None:
+            task.cancel()
+        return b""
+
+    async def _cancel_goal(self, body: bytes, caller: Caller) -> bytes:
+        (call,) = values_of(body, (int,))
+        if caller.peer is not None and (goal := self._offered.get((caller.peer, call))) is not None:
+            goal.cancel()
+        return b""
+
+
+class _Bound:
+    """An interface of this kernel that one of another kernel is bound to."""
+
+    def __init__(self, end: Provided[Any], required: Path) -> None:
+        self.end = end
+        component = f"{required.kernel}/{required.component}" if required.kernel else required.component
+        self._caller = OutsideCaller(end, component, required.port or "call")
+
+    async def call(self, method: Method, args: list[Any], kwargs: dict[str, Any], seconds: float) -> Any:
+        """What the method answers. ServiceError: it does not."""
+        hints = {one.name: one.annotation for one in method.parameters}
+        in_order = [one.annotation for one in method.parameters if one.kind is not one.KEYWORD_ONLY]
+        if len(args) > len(in_order) or not kwargs.keys() <= hints.keys():
+            raise InterfaceMismatch(f"{self.end.path}.{method.name}: takes no such arguments")
+        given = [restored(hint, value) for hint, value in zip(in_order, args, strict=False)]
+        named = {name: restored(hints[name], value) for name, value in kwargs.items()}
+        return await self._caller.call(method.name, given, named, seconds)
+
+    def close(self) -> None:
+        """End what still runs for it."""
+        self._caller.close()
