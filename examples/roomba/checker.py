@@ -14,7 +14,8 @@ class Checker(Component):
     """Compares each pose with the truth of its row. Exit status 1 and the first wrong row, unless all are right.
 
     Where the odometry runs in a process of its own that is started anew, it begins at the origin again: from there on
-    its heading counts from the truth of that moment, and rows of which no pose has come are counted as lost.
+    its heading counts from the truth of that moment, and rows of which no pose has come are counted as lost; the exit
+    status is 1 then, too.
     """
 
     pose = InPort(TimedPose2D)
@@ -73,3 +74,5 @@ class Checker(Component):
             within = f"{self.within:g}".replace("e-0", "e-")
             anew = f"; {self.lost} rows were lost, the odometry began anew {self.starts} time(s)" if self.starts else ""
             print(f"heading verified: {self.rows} of {sent} within {within} rad{anew}")
+            if self.starts:
+                self.kernel.request_stop(1)
