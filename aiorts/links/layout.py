@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from typing import Any, Final
 
-from aiorts.wire import schema_text
+from aiorts.wire import layout_text
 
 _SHOWN: Final = 80
 _NOTHING: Final[Mapping[str, Any]] = {}
@@ -18,7 +18,7 @@ _NOTHING: Final[Mapping[str, Any]] = {}
 
 def layout_of(cls: type) -> tuple[bytes, str]:
     """The hash (SHA-256, its first 16 bytes) and the text of a type's layout; equal for equal types."""
-    text = schema_text(cls)
+    text = layout_text(cls)
     return hashlib.sha256(text.encode()).digest()[:16], text
 
 
@@ -34,7 +34,12 @@ def difference(theirs: str, ours: str) -> str:
     sent, taken = _name(other), _name(mine)
     if sent != taken:
         return f"the writer sends {_shown(sent)}, the reader takes {taken}"
-    return _between(_value(other), _value(mine), taken) or "the other end describes its type in another way"
+    if found := _between(_value(other), _value(mine), taken):
+        return found
+    lies, wanted = other.get("x-frame"), mine["x-frame"]
+    if lies != wanted:
+        return f"{taken} lies otherwise in its frames: {_shown(lies)} at the writer, {_shown(wanted)} at the reader"
+    return "the other end describes its type in another way"
 
 
 def _between(other: Any, mine: Any, place: str) -> str:

@@ -87,27 +87,42 @@ def _take_record(cls: type, plain: Plain, where: str, defaults: bool) -> Any:
 
 def build(cls: type, values: dict[str, Any]) -> Any:
     """An instance of a record type or dataclass, lists where a mutable dataclass declares lists."""
-    structure = describe(cls)
-    if not structure.checked:
-        for field in structure.fields:
-            kind, value = field.kind, values.get(field.name)
-            kind = kind.inner if isinstance(kind, OptionalKind) else kind
-            if isinstance(kind, TupleKind) and kind.restore is list and value is not None:
-                values[field.name] = list(value)
-            if isinstance(kind, MapKind) and value is not None:
-                values[field.name] = as_dict(value)
-    init = {field.name for field in _init_fields(cls)}
-    instance = cls(**{name: value for name, value in values.items() if name in init})
-    for name, value in values.items():
-        if name not in init:
-            object.__setattr__(instance, name, value)
+    restores, late = _making.get(cls) or _know_making(cls)
+    for name, restore in restores:
+        if values.get(name) is not None:
+            values[name] = restore(values[name])
+    if not late:
+        return cls(**values)
+    instance = cls(**{name: value for name, value in values.items() if name not in late})
+    for name in late:
+        if name in values:
+            object.__setattr__(instance, name, values[name])
     return instance
 
 
-def _init_fields(cls: type) -> list[Any]:
+_making: dict[type, tuple[list[tuple[str, Callable[[Any], Any]]], tuple[str, ...]]] = {}
+"""How `build` makes each class: what its fields become first, and the fields that its constructor does not take."""
+
+
+def _know_making(cls: type) -> tuple[list[tuple[str, Callable[[Any], Any]]], tuple[str, ...]]:
     import dataclasses
 
-    return [field for field in dataclasses.fields(cls) if field.init]
+    structure = describe(cls)
+    restores = (
+        []
+        if structure.checked
+        else [(one.name, restore) for one in structure.fields if (restore := _restore(one.kind))]
+    )
+    _making[cls] = restores, tuple(field.name for field in dataclasses.fields(cls) if not field.init)
+    return _making[cls]
+
+
+def _restore(kind: Kind) -> Callable[[Any], Any] | None:
+    """What a field of a mutable dataclass is made into: a list where it declares one, a dict for a map."""
+    kind = kind.inner if isinstance(kind, OptionalKind) else kind
+    if isinstance(kind, MapKind):
+        return as_dict
+    return list if isinstance(kind, TupleKind) and kind.restore is list else None
 
 
 def _put(kind: Kind, value: Any) -> Plain:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from aiorts.wire.lines import LineReader, LineWriter, json_text, line_of, split_sample
     from aiorts.wire.scan import count_values
     from aiorts.wire.schemas import json_message, schema_text
+    from aiorts.wire.untyped import layout_text, untyped_decoder
 
 __all__ = (
     "CONTROL",
@@ -33,9 +34,11 @@ __all__ = (
     "find_codec",
     "json_message",
     "json_text",
+    "layout_text",
     "line_of",
     "schema_text",
     "split_sample",
+    "untyped_decoder",
     "with_parts",
 )
 
@@ -50,5 +53,6 @@ _late(
         "aiorts.wire.lines": "LineReader LineWriter json_text line_of split_sample",
         "aiorts.wire.scan": "count_values",
         "aiorts.wire.schemas": "json_message schema_text",
+        "aiorts.wire.untyped": "layout_text untyped_decoder",
     },
 )

@@ -19,7 +19,7 @@ from aiorts.types.samples import PLAIN_TYPES, check_port_type, original
 from aiorts.types.structure import kind_of
 from aiorts.wire.forms import Form, form_of
 from aiorts.wire.limits import DATA, Limits
-from aiorts.wire.parts import Buffer, Packed, Positions, flat, layout_of
+from aiorts.wire.parts import Buffer, Packed, Positions, Take, flat, layout_of
 from aiorts.wire.scan import count_values
 
 if TYPE_CHECKING:
@@ -222,6 +222,14 @@ class MsgpackCodec:
                     raise WireError(f"{name}: {error}") from None
 
             return decode_packed
+
+        return self.taking_parts(name, take)
+
+    def taking_parts(self, name: str, take: Take) -> Callable[[Buffer, Sequence[Buffer]], Any]:
+        """What decodes heads and parts of a type of this name by a function that takes its value out of them.
+
+        What it gives raises as `decode`.
+        """
 
         def decode(head: Buffer, parts: Sequence[Buffer]) -> Any:
             try:

@@ -208,12 +208,14 @@ def _map_pair(kind: MapKind) -> Pair:
     def put(entries: Any) -> Any:
         return {name: _put_entry(entry) for name, entry in entries.items()}
 
-    def take(entries: Any, where: str) -> Any:
-        if type(entries) is not dict:
-            raise WireError(f"{where}: expected a map, got {shown(entries)}")
-        return _take_entries(entries, where, MAP_LEVELS)
+    return put, map_entries
 
-    return put, take
+
+def map_entries(entries: Any, where: str) -> Any:
+    """The entries of a map that stands in a frame."""
+    if type(entries) is not dict:
+        raise WireError(f"{where}: expected a map, got {shown(entries)}")
+    return _take_entries(entries, where, MAP_LEVELS)
 
 
 def _take_entries(entries: Any, where: str, levels: int) -> Any:

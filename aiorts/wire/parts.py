@@ -19,7 +19,7 @@ from aiorts.types.kinds import BytesKind, Kind, OptionalKind, shown
 from aiorts.types.nested import RecordKind
 from aiorts.types.plain import build
 from aiorts.types.rows import FixedTupleKind, RowsKind, TupleKind
-from aiorts.types.samples import PLAIN_TYPES
+from aiorts.types.samples import PLAIN_TYPES, snapshot
 from aiorts.types.structure import describe, kind_of
 from aiorts.wire.arrays import array_of_part, array_part, pack_array, unpack_array
 from aiorts.wire.forms import list_of, pair_of
@@ -33,7 +33,7 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Put: TypeAlias = Callable[[Any, list[memoryview]], Any]
 Take: TypeAlias = Callable[[Any, str, Iterator[Buffer]], Any]
 
-_CODES: Final = {
+NUMBER_CODES: Final = {
     **dict(zip(("i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64"), "bBhHiIqQ", strict=True)),
     "f32": "f",
     "f64": "d",
@@ -58,7 +58,7 @@ def packed(structure: Structure) -> Packed | None:
     leaves = list(_leaves(structure, ""))
     if not leaves or any(kind is None for _, kind in leaves):
         return None
-    layout = struct.Struct("<" + "".join(_CODES[kind.spelling] for _, kind in leaves if kind is not None))
+    layout = struct.Struct("<" + "".join(NUMBER_CODES[kind.spelling] for _, kind in leaves if kind is not None))
     getter = attrgetter(*(path for path, _ in leaves))
     read = getter if len(leaves) > 1 else lambda record: (getter(record),)
     if any(isinstance(field.kind, RecordKind) for field in structure.fields):
@@ -75,7 +75,7 @@ def _leaves(structure: Structure, prefix: str) -> Iterator[tuple[str, Kind | Non
         if isinstance(field.kind, RecordKind):
             yield from _leaves(field.kind.structure, f"{prefix}{field.name}.")
         else:
-            yield prefix + field.name, field.kind if field.kind.spelling in _CODES else None
+            yield prefix + field.name, field.kind if field.kind.spelling in NUMBER_CODES else None
 
 
 def _builder(structure: Structure, start: int) -> tuple[Callable[[tuple[Any, ...]], Any], int]:
@@ -123,7 +123,9 @@ def record_positions(structure: Structure) -> Positions:
     wheres = [f"{cls.__qualname__}.{field.name}" for field in fields]
     checks = [None if structure.checked else field.kind.check for field in fields]
     putting = list(zip([field.name for field in fields], [way.put for way in ways], wheres, checks, strict=True))
-    taking = list(zip([way.take for way in ways], wheres, checks, strict=True))
+    taking = [(way.take, where) for way, where in zip(ways, wheres, strict=True)]
+    exact = [(field.kind.exact, field.kind.check, where) for field, where in zip(fields, wheres, strict=True)]
+    names = [field.name for field in fields]
 
     def put(record: Any, parts: list[memoryview]) -> Any:
         values = []
@@ -132,17 +134,20 @@ def record_positions(structure: Structure) -> Positions:
             values.append(put_one(value if check is None else check(value, where), parts))
         return values
 
-    def take(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
+    def take_checked(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
         list_of(values, where, len(fields))
-        found = []
-        for (take_one, place, check), value in zip(taking, values, strict=True):
-            taken = take_one(value, place, parts)
-            found.append(taken if check is None else check(taken, place))
-        if structure.checked:
-            return cls(*found)
-        return build(cls, dict(zip([field.name for field in fields], found, strict=True)))
+        return cls(*[take_one(value, place, parts) for (take_one, place), value in zip(taking, values, strict=True)])
 
-    return Positions(put, take)
+    def take_unchecked(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
+        list_of(values, where, len(fields))
+        found = [take_one(value, place, parts) for (take_one, place), value in zip(taking, values, strict=True)]
+        kept = [
+            value if type(value) is kept_as_is else check(value, place)
+            for value, (kept_as_is, check, place) in zip(found, exact, strict=True)
+        ]
+        return build(cls, dict(zip(names, kept, strict=True)))
+
+    return Positions(put, take_checked if structure.checked else take_unchecked)
 
 
 def _next(parts: Iterator[Buffer], where: str) -> Buffer:
@@ -162,7 +167,7 @@ def _array_positions(kind: ArrayKind) -> Positions:
     one_dimension = not isinstance(kind, NDArrayKind)
 
     def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
-        array = _take_array(value, where, parts)
+        array = take_array(value, where, parts)
         if (element is not None and array.dtype != element_dtype(element)) or (one_dimension and array.ndim != 1):
             raise WireError(f"{where}: expected {spelling}, got {array.dtype} of shape {array.shape}")
         return array
@@ -178,7 +183,8 @@ def _put_array(array: Any, parts: list[memoryview]) -> Any:
     return [head]
 
 
-def _take_array(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+def take_array(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+    """The array that stands in a frame, or beside it; of any element type and shape."""
     if not _beside(value):
         return unpack_array(value, where)
     if len(value) != 1:
@@ -193,7 +199,7 @@ def _rows_positions(kind: RowsKind) -> Positions:
         return _put_array(rows.array, parts)
 
     def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
-        array = _take_array(value, where, parts)
+        array = take_array(value, where, parts)
         if array.dtype != element_dtype(dtype) or array.ndim != 2 or array.shape[1] != width:
             raise WireError(
                 f"{where}: expected {dtype} of shape (n, {width}), got {array.dtype} of shape {array.shape}"
@@ -210,17 +216,24 @@ def _bytes_positions(_kind: BytesKind) -> Positions:
         parts.append(memoryview(value))
         return []
 
-    def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
-        if not _beside(value):
-            return value
-        list_of(value, where, 0)
-        return bytes(_next(parts, where))
+    return Positions(put, take_bytes)
 
-    return Positions(put, take)
+
+def take_bytes(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
+    """The bytes that stand in a frame, or beside it."""
+    if not _beside(value):
+        return value
+    list_of(value, where, 0)
+    return bytes(_next(parts, where))
 
 
 def _nested_positions(kind: RecordKind) -> Positions:
-    return record_positions(kind.structure)
+    way = record_positions(kind.structure)
+    if kind.structure.checked:
+        return way
+    take = way.take
+    # Made unchangeable here: each record around it then takes it as it is, and does not look into it again.
+    return Positions(way.put, lambda values, where, parts: snapshot(take(values, where, parts)))
 
 
 def _tuple_positions(kind: TupleKind) -> Positions:
