@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from aiorts.errors import AiortsError, LinkError, format_error
+from aiorts.errors import AiortsError, LinkError, WiringError, format_error
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
 from aiorts.model.names import Path
@@ -97,7 +97,7 @@ class LinkOffer:
 
     @classmethod
     def from_bytes(cls, body: bytes) -> LinkOffer:
-        """The offer of a frame. LinkError: it is none."""
+        """The offer of a frame. LinkError: it is none; WiringError: this kernel does not have one of its options."""
         protocol, link, ends, kind, options = fields(body, (list, str, list, list, list), longer=True)
         low, high = checked(protocol, (int, int), longer=True)
         writer, reader, writer_epoch, reader_epoch, number = checked(ends, (str, str, int, int, int), longer=True)
@@ -123,6 +123,8 @@ class LinkOffer:
                 window,
                 window_bytes,
             )
+        except WiringError as error:
+            raise WiringError(f"an offer of options that this kernel does not have: {error}") from None
         except AiortsError as error:
             raise LinkError(f"an offer that cannot be read: {error}") from None
 

@@ -89,7 +89,7 @@ class _Reader:
             for at, (out, in_, length) in enumerate(pairs):
                 number += 1
                 if names_kernel(out) or names_kernel(in_):
-                    options = link_options("", options)
+                    options = link_options("", options, from_reader=names_kernel(out))
                 profile, _ = connector_profile("", options, "", (out, in_), 8 if length is None else length)
                 name = f"{profile.name}-{at + 1}" if at and profile.name else profile.name
                 yield self._canon.connection((out, in_), replace(profile, name=name), length, number)

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -132,6 +133,31 @@ def test_what_each_version_answers_is_understood(peer: dict[str, Any], caplog: p
         assert [(one.protocol, one.number, one.reader_epoch) for one in channels] == [((1, 1), 77, 12)]
 
 
+def test_an_option_that_this_version_does_not_have_is_refused_and_not_asked_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    offer = msgpack.unpackb(bytes.fromhex(VERSIONS[1]["offer"]))
+    offer[4][1]["telepathy"] = "on"
+
+    async def run() -> Answer:
+        network = MemoryNetwork()
+        async with kernel_of(network, "two") as two:
+            await two.add(Sink())
+            transport = await another(network, "one")
+            met: list[Peer] = []
+            transport.presence(lambda found, up: met.append(found))
+            body = await transport.ask(met[0], "offer", msgpack.packb(offer), within=2.0)
+            await transport.close()
+            assert not two.connectors
+            return Answer.from_bytes(body)
+
+    with warnings(caplog) as said:
+        answer = simulate(run())
+    assert "an offer of options that this kernel does not have" in answer.refused
+    assert "unknown option 'telepathy'" in answer.refused
+    assert any(f"refused an offer of one: {answer.refused}" in one for one in said)
+
+
 @each
 def test_hello_of_each_version_is_understood(peer: dict[str, Any]) -> None:
     writer, reader = WriterEnd(77, 5), ReaderEnd(77, 12)
@@ -154,5 +180,5 @@ def test_the_highest_version_that_both_speak_is_spoken(monkeypatch: pytest.Monke
 @given(st.binary(max_size=60))
 def test_no_bytes_are_more_than_refused(body: bytes) -> None:
     for read in (Answer.from_bytes, LinkRequest.from_bytes, LinkOffer.from_bytes):
-        with suppress(LinkError):
+        with suppress(LinkError, WiringError):
             read(body)

@@ -341,6 +341,18 @@ def test_ends_that_do_not_go_together_are_named(write: Write, out: str, in_: str
     assert marked(one) in (f'"{out}"', f'"{in_}"')
 
 
+@pytest.mark.parametrize(
+    ("option", "value"), [("stamp", "send"), ("subscription", "periodic"), ("push", "skip"), ("stamp", "received")]
+)
+def test_what_only_the_writers_kernel_can_do_is_refused_where_the_reader_is(
+    write: Write, option: str, value: str
+) -> None:
+    rate = "push_rate = 5.0\n" if value == "periodic" else ""
+    errors = found(write(joined("plant/a.out", "b.whole", f'{option} = "{value}"\n{rate}')), "error")
+    said = [f"{option} = {value}: the writer is in another kernel; connect them there"]
+    assert [one.message for one in errors] == (said if value != "received" else [])
+
+
 def test_a_connection_made_twice_and_one_the_wrong_way_round(write: Write) -> None:
     twice = joined("s.out0", "b.whole", '[[connections]]\nfrom = "s.out0"\nto = "b.whole"\n')
     assert "connected already, by connections[1]" in only(write(twice), "error").message

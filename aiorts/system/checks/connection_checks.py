@@ -11,7 +11,7 @@ from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.wiring import converter_between, pair_faults
 from aiorts.kernel.quality import FEATURES
 from aiorts.model.names import names_kernel
-from aiorts.model.options import doubts, idle, transport_notice, without_effect
+from aiorts.model.options import doubts, idle, link_options, transport_notice, without_effect
 from aiorts.model.wanted.entries import ConnectionEntry
 from aiorts.services import ServicePort, fault_of
 from aiorts.system.checks.adapt import adaptation
@@ -38,7 +38,7 @@ def joint_findings(found: Survey, drafts: Mapping[str, Draft]) -> Iterator[Said]
                 yield said
         for option, text in (*doubts(connection.options), *idle(connection.options)):
             yield Said("warning", "W-OPTION", (*_key(connection), *option.split(".")), text, of_key=option != "name")
-        yield from _link(connection)
+        yield from _link(found, connection, from_reader=any(isinstance(port, InPort) for port in ports))
         known = [port for port in ports if port is not None]
         if len(known) == len(ports):
             yield from _ends(found, drafts, connection, known)
@@ -86,10 +86,16 @@ def _transport(connections: Iterable[ConnectionEntry]) -> Iterator[Said]:
         yield Said("warning", "W-TRANSPORT", next(iter(keys.values())), transport_notice(tuple(keys)), of_key=True)
 
 
-def _link(connection: ConnectionEntry) -> Iterator[Said]:
-    """What is not known before the other kernel is there, and how samples travel to it."""
+def _link(found: Survey, connection: ConnectionEntry, *, from_reader: bool) -> Iterator[Said]:
+    """What the other kernel has to do itself, what is not known before it is there, and how samples travel to it."""
+    far = [number for number, path in enumerate(connection.ports) if names_kernel(path)]
+    if far and from_reader and connection.number in found.profiles:
+        try:
+            link_options("", connection.options, from_reader=True)
+        except WiringError as error:
+            yield Said("error", WiringError.code, _key(connection), str(error).removeprefix(": "), of_key=True)
     for number, path in enumerate(connection.ports):
-        if names_kernel(path):
+        if number in far:
             said = [key for key in connection.options if key.endswith(("subscription", "subscription_type", "io_mode"))]
             how = "" if said else "; samples of data ports go as new/all, so a write never waits for a round trip"
             what = f"{path} is in another kernel: whether it fits is known when that kernel is there{how}"
