@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import hashlib
 import os
 import platform
@@ -29,6 +30,7 @@ from aiorts.model.links import Buffer
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER = range(1, 7)
 _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
+_ACCEPT_AGAIN_SECONDS: Final = 0.2
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
 _LONGEST: Final = 2_000
@@ -102,12 +104,20 @@ class UnixTransport:
         assert self._listener is not None  # noqa: S101 - it listens
         try:
             sock, _ = self._listener.accept()
-        except OSError:
-            return  # it went away again, or there are no descriptors left
+        except OSError as error:
+            if error.errno in (errno.EMFILE, errno.ENFILE):
+                # Who calls stays in the queue, and the loop would be called for it without end.
+                self.loop.remove_reader(self._listener.fileno())
+                self.loop.call_later(_ACCEPT_AGAIN_SECONDS, self._accept_again)
+            return
         if _user_of(sock) != os.geteuid():
             sock.close()
             return
         self._take(sock)
+
+    def _accept_again(self) -> None:
+        if self._listener is not None:
+            self.loop.add_reader(self._listener.fileno(), self._accept)
 
     def _take(self, sock: socket.socket) -> _Connection:
         connection = _Connection(self, sock)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -47,3 +49,42 @@ def test_arrays_of_a_large_message_are_aligned_and_nobody_writes_to_them(sizes: 
     for part in message[3]:
         assert part.readonly
         assert np.frombuffer(part, "u1").ctypes.data % 8 == 0
+
+
+_WITHOUT_DESCRIPTORS = """
+import asyncio, os, resource, socket, time
+from aiorts import Kernel
+from aiorts.control import private_folder
+from aiorts.links import Links
+
+async def main():
+    async with Kernel("busy", services={"links": {}}) as kernel:
+        await kernel.service(Links).opened()
+        (path,) = private_folder().glob("*.link")
+        callers = [socket.socket(socket.AF_UNIX) for _ in range(4)]
+        resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
+        taken = []
+        try:
+            while True:
+                taken.append(os.dup(0))
+        except OSError:
+            pass
+        for caller in callers:
+            caller.setblocking(False)
+            caller.connect(str(path))
+        before = time.process_time()
+        await asyncio.sleep(1.0)
+        used = time.process_time() - before
+        for one in taken:
+            os.close(one)
+        loop = asyncio.get_running_loop()
+        greeted = await asyncio.wait_for(asyncio.gather(*[loop.sock_recv(one, 1) for one in callers]), 5)
+        print(f"{used < 0.5} {all(greeted)}")
+
+asyncio.run(main())
+"""
+
+
+def test_without_descriptors_a_kernel_does_not_spin_and_greets_later() -> None:
+    done = subprocess.run([sys.executable, "-c", _WITHOUT_DESCRIPTORS], capture_output=True, text=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("True True\n", "")
