@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Final, TypeAlias
 
 from aiorts.model.links import Buffer
-from aiorts.wire import SealedBytes
+from aiorts.wire import sealed_bytes
 
 _HEAD: Final = struct.Struct("<IBBHI")
 _LARGE: Final = 65_536
@@ -54,7 +54,7 @@ class Stream:
         self._loop, self._socket = loop, sock
         self._arrived, self._drained, self._ended = arrived, drained, ended
         self._rest = b""
-        self._large: SealedBytes | None = None
+        self._large: memoryview | None = None
         self._filled = 0
         self._waiting: deque[memoryview] = deque()
         self._waits = 0
@@ -136,7 +136,7 @@ class Stream:
     def _readable(self) -> None:
         try:
             if self._large is not None:
-                count = self._socket.recv_into(memoryview(self._large)[self._filled :])
+                count = self._socket.recv_into(self._large[self._filled :])
                 data = b""
             else:
                 data = self._socket.recv(_AT_ONCE)
@@ -160,7 +160,7 @@ class Stream:
             else:
                 self._filled += count
                 if self._filled == len(self._large):
-                    messages.append(_message(memoryview(self._large).toreadonly()))
+                    messages.append(_message(self._large.toreadonly()))
                     self._large = None
         except ValueError as error:
             return self._end(f"it does not speak this protocol: {error}")
@@ -182,7 +182,7 @@ class Stream:
                 raise ValueError(f"a message of {size} bytes")
             if size > end - place:
                 if size >= _LARGE:
-                    self._large = SealedBytes(size)
+                    self._large = sealed_bytes(size)
                     self._filled = end - place
                     self._large[: self._filled] = view[place:]
                     place = end

@@ -40,11 +40,27 @@ def element_name(dtype: np.dtype[Any]) -> str | None:
     return _NAMES.get(f"{dtype.kind}{dtype.itemsize}")
 
 
-class SealedBytes(bytearray):
-    """Memory that a transport fills once, and that is not written to afterwards.
+def sealed_bytes(size: int) -> memoryview:
+    """Memory of `size` bytes that a transport fills once, and that nothing writes to afterwards.
 
     Records take arrays on read-only views of it without a copy, as on `bytes`, which cannot be filled from a socket.
+    Pages that are not filled take no memory, so that a size which a peer claims costs microseconds.
     """
+    import numpy as np
+
+    memory: Any = np.empty(size, np.uint8).view(_sealed_class())
+    return memoryview(memory)
+
+
+@functools.cache
+def _sealed_class() -> type:
+    """The class of the memory that `sealed_bytes` gives."""
+    import numpy as np
+
+    class Sealed(np.ndarray):
+        """Filled once."""
+
+    return Sealed
 
 
 def freeze(array: AnyArray) -> AnyArray:
@@ -79,14 +95,14 @@ def element_dtype(element: str) -> np.dtype[Any]:
 
 
 def _of_bytes(array: AnyArray) -> bool:
-    """Whether the memory belongs to `bytes`, which nobody can change, or to `SealedBytes`, which nobody does."""
+    """Whether the memory belongs to `bytes`, which nobody can change, or is from `sealed_bytes`, which nobody does."""
     base: Any = array
     while type(base) is type(array):
         if base.flags.writeable:
             return False
         base = base.base
     if type(base) is memoryview:
-        return base.readonly and type(base.obj) in (bytes, SealedBytes)
+        return base.readonly and type(base.obj) in (bytes, _sealed_class())
     return type(base) is bytes
 
 

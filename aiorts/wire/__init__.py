@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.types.arrays import SealedBytes
+    from aiorts.types.arrays import sealed_bytes
     from aiorts.wire.arrays import ELEMENTS
     from aiorts.wire.codec import FORMAT, Codec, MsgpackCodec, PartsCodec, with_parts
     from aiorts.wire.codecs import find_codec
@@ -29,7 +29,6 @@ __all__ = (
     "LineWriter",
     "MsgpackCodec",
     "PartsCodec",
-    "SealedBytes",
     "count_values",
     "find_codec",
     "json_message",
@@ -37,6 +36,7 @@ __all__ = (
     "layout_text",
     "line_of",
     "schema_text",
+    "sealed_bytes",
     "split_sample",
     "untyped_decoder",
     "with_parts",
@@ -45,7 +45,7 @@ __all__ = (
 _late(
     globals(),
     {
-        "aiorts.types.arrays": "SealedBytes",
+        "aiorts.types.arrays": "sealed_bytes",
         "aiorts.wire.arrays": "ELEMENTS",
         "aiorts.wire.codec": "FORMAT Codec MsgpackCodec PartsCodec with_parts",
         "aiorts.wire.codecs": "find_codec",

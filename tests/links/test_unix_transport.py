@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import resource
 import socket
+import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,6 +52,30 @@ def test_arrays_of_a_large_message_are_aligned_and_nobody_writes_to_them(sizes: 
     for part in message[3]:
         assert part.readonly
         assert np.frombuffer(part, "u1").ctypes.data % 8 == 0
+
+
+def _resident() -> int:
+    """Bytes of memory that this process uses."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the kernel for its memory")
+def test_a_size_that_is_claimed_takes_no_memory() -> None:
+    async def claim() -> int:
+        loop, ends = asyncio.get_running_loop(), []
+        before = _resident()
+        for _ in range(20):
+            near, far = socket.socketpair()
+            ends.append((near, Stream(loop, far, lambda _messages: None, lambda: None, lambda _why: None)))
+            near.send(struct.pack("<IBBHI", 79 << 20, 5, 0, 0, 1) + b"first")
+        await asyncio.sleep(0.1)
+        grown = _resident() - before
+        for near, stream in ends:
+            stream.close()
+            near.close()
+        return grown
+
+    assert asyncio.run(claim()) < 100 << 20
 
 
 _WITHOUT_DESCRIPTORS = """

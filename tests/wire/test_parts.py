@@ -29,7 +29,7 @@ from aiorts.types import (
     record,
     snapshot,
 )
-from aiorts.wire import LINK, Limits, MsgpackCodec, SealedBytes, with_parts
+from aiorts.wire import LINK, Limits, MsgpackCodec, sealed_bytes, with_parts
 from campaign import cases
 from each import each
 
@@ -125,7 +125,11 @@ def test_arrays_of_16_kib_travel_beside_the_head_and_are_not_copied() -> None:
     head, parts = CODEC.encode_parts(sample)
     assert [part.nbytes for part in parts] == [LARGE, LARGE]
     assert np.shares_memory(np.frombuffer(parts[0], "f8"), sample.points)
-    received = [memoryview(SealedBytes(part)).toreadonly() for part in parts]
+    received = []
+    for part in parts:
+        memory = sealed_bytes(part.nbytes)
+        memory[:] = part
+        received.append(memory.toreadonly())
     back = CODEC.decode_parts(head, received, Cloud)
     assert back == sample
     for array, part in ((back.points, received[0]), (back.rest[1].data, received[1])):
