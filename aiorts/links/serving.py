@@ -94,7 +94,9 @@ class Serving:
             found = self._links.there(Path.parse(provided), caller)
             if isinstance(found, Answer):
                 return sent(found)
-            bound = _Bound(self._fitting(found, text, instance, provided), Path.parse(required))
+            end = self._fitting(found, text, instance, provided)
+            self._check_limit(end.port)
+            bound = _Bound(end, Path.parse(required))
             if caller.peer is None or len(self._bound) >= _BOUND:
                 bound.close()
                 raise WiringError("too many interfaces are bound")
@@ -103,6 +105,13 @@ class Serving:
         self._number = self._number % 0xFFFFFFFF + 1
         self._bound[caller.peer, self._number] = bound
         return sent(Answer(number=self._number))
+
+    def _check_limit(self, port: ServicePort) -> None:
+        has = len(port.connectors) + sum(one.end.port is port for one in self._bound.values())
+        if port.max_connectors is not None and has >= port.max_connectors:
+            raise WiringError(
+                f"{port.path}: takes {port.max_connectors} connectors at the most, has {has}, 1 more asked for"
+            )
 
     def _fitting(self, port: Any, text: list[Any], instance: str, path: str) -> Provided[Any]:
         if not isinstance(port, ServicePort):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Protocol
@@ -204,6 +205,25 @@ async def test_goals_are_followed_and_cancelled(pair: Pair) -> None:
         pair.robot.goals[2].fail("stuck")
         with pytest.raises(GoalFailed, match="stuck"):
             await failing.result()
+
+
+async def test_callers_of_other_kernels_count_as_connectors_of_the_port(caplog: pytest.LogCaptureFixture) -> None:
+    class Narrow(Robot):
+        arm = Provided[Arm](max_connectors=2)
+
+    async with Kernel("station", services={"links": {}}) as station, Kernel("plant") as plant:
+        narrow = await station.add(Narrow("robot"))
+        near, *far = await station.add(Client("near")), *[await plant.add(Client(name)) for name in "abc"]
+        with fail_after(5):
+            await station.connect(near.arm, narrow.arm)
+            first = await plant.connect(far[0].arm, "station/robot.arm")
+            with pytest.raises(WiringError, match=r"robot.arm: takes 2 connectors at the most, has 2"):
+                await plant.connect(far[1].arm, "station/robot.arm")
+            assert "robot.arm: takes 2 connectors at the most" in caplog.text
+            await plant.disconnect(first)
+            while not far[2].arm.connectors:
+                with suppress(WiringError):  # the other kernel does not know yet that there is room again
+                    await plant.connect(far[2].arm, "station/robot.arm")
 
 
 async def test_interfaces_that_differ_are_refused_at_both_ends(caplog: pytest.LogCaptureFixture) -> None:

@@ -337,6 +337,10 @@ async def test_two_connectors_of_the_same_ports_need_to_be_allowed() -> None:
         await one.connect(source.out, "two/sink0.inp")
         with pytest.raises(WiringError, match="connected already"):
             await one.connect(source.out, "two/sink0.inp")
+        with pytest.raises(
+            WiringError, match="connected already, here or from the other kernel, and one of the two is"
+        ):
+            await two.connect(sink.inp, "one/source0.out")
         await one.connect(source.out, "two/sink0.inp", allow_duplicate=True)
         source.out.write_nowait(long(1))
         assert len(two.connectors) == 2

@@ -59,8 +59,9 @@ def plan(
         if allow:
             continue
         if (out, in_) in seen or _connected(out, in_):
+            far = ", here or from the other kernel, and one of the two is enough" if out.is_far or in_.is_far else ""
             raise WiringError(
-                f"{out.path} -> {in_.path}: connected already; the option allow_duplicate lets there be a second"
+                f"{out.path} -> {in_.path}: connected already{far}; the option allow_duplicate lets there be a second"
             )
         seen.add((out, in_))
     _check_stamp(base, pairs)
