@@ -20,7 +20,7 @@ from pathlib import Path
 
 LIMIT = 0.25
 """Seconds that the longest case of a quick test takes, its fixtures included."""
-CASES = 4
+CASES = 2
 """Cases of a test that are run with the quick ones."""
 USUAL = 0.022
 """Seconds that a quick test takes on average on the machine that LIMIT was chosen on: 130 s for 5,986 of them."""

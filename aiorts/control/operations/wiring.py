@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from dataclasses import field, replace
 from types import MappingProxyType
@@ -10,8 +11,9 @@ from typing import Any, Final
 from aiorts.control.operation import Operation, Right
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session
-from aiorts.errors import AbsentError, WiringError
+from aiorts.errors import AbsentError, LinkError, WiringError
 from aiorts.late import dataclass
+from aiorts.model.names import names_kernel
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
 
@@ -35,6 +37,8 @@ class Wires:
     names: tuple[str, ...] = ()
     at: tuple[str, ...] = ()
     """One or two paths of ports or names of components. Without anything all are meant, where they are listed."""
+    both_ends: bool = False
+    """Where they are listed: ask the other kernel of each link, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,8 @@ class Wire:
     options: ConnectorProfile | None = None
     """In force."""
     ledger: ConnectorStatistics | None = None
+    both_ends: str = ""
+    """Of a link, where it was asked for: the ledger from the writer to the reader, or why there is none now."""
     service: ServiceConnectorProfile | None = None
     """Of service ports: who answers whom."""
     calls: ServiceStatistics | None = None
@@ -86,8 +92,25 @@ async def _disconnect(session: Session, given: Wires) -> tuple[str, ...]:
     return tuple(one.name for one in found)
 
 
-def _connectors(session: Session, given: Wires) -> tuple[Wire, ...]:
-    return tuple(_wire(one) for one in _found(session, given))
+async def _connectors(session: Session, given: Wires) -> tuple[Wire, ...]:
+    found = _found(session, given)
+    wires = [_wire(one) for one in found]
+    if not given.both_ends:
+        return tuple(wires)
+    joined = await asyncio.gather(*(_both_ends(session, one) for one in found))
+    return tuple(replace(wire, both_ends=text) for wire, text in zip(wires, joined, strict=True))
+
+
+async def _both_ends(session: Session, connector: Any) -> str:
+    profile = connector.profile
+    if not isinstance(profile, ConnectorProfile) or not any(map(names_kernel, profile.ports)):
+        return ""
+    from aiorts.links import Links  # late: few systems have links
+
+    try:
+        return str(await session.kernel.service(Links).ledger(connector))
+    except LinkError as error:
+        return f"not known: {error}"
 
 
 def _all(session: Session) -> dict[str, Any]:

@@ -30,16 +30,19 @@ def _with_options(command: Callable[..., int]) -> Callable[..., int]:
 
 @click.command(short_help="Connect ports of what runs; list connectors.")
 @click.argument("words", nargs=-1, metavar="[PORT PORT...] [KEY=VALUE...]", shell_complete=complete)
+@click.option("--both-ends", is_flag=True, help="Of links, ask the other kernel, too: the ledger from end to end.")
 @timeout_option(5.0, "Wait S seconds for the answer; --timeout is the connector's own", "--wait")
 @json_option()
 @_with_options
-def connect(words: tuple[str, ...], wait: float, as_json: bool, adapt: bool, **given: str | None) -> int:
+def connect(
+    words: tuple[str, ...], both_ends: bool, wait: float, as_json: bool, adapt: bool, **given: str | None
+) -> int:
     """Connect ports: COMPONENT.PORT COMPONENT.PORT, and the options of Kernel.connect as KEY=VALUE or --KEY VALUE.
 
     It prints the options in force at both ends. With --adapt, where types, units or lengths differ, a FlexiFilter is
     put between, which runs before the reader, and it is printed, too; where there are several ways, all are named and
     nothing is done. Without ports, or with one, a component or a kernel, it lists the connectors that are there, with
-    their ledger.
+    their ledger. Of a link this kernel knows its own end alone; --both-ends asks the other kernel, too.
     """
     paths, options = _split(words)
     if adapt:
@@ -51,11 +54,13 @@ def connect(words: tuple[str, ...], wait: float, as_json: bool, adapt: bool, **g
             options[key] = value
     if len(paths) < 2 and options:
         raise click.UsageError("options need two ports at least")
+    if both_ends and len(paths) > 1:
+        raise click.UsageError("--both-ends is for listing: name one port, component or kernel, or none")
     if "convert" in options:
         options["convert"] = absolute(options["convert"])
     with kernels(changing=len(paths) > 1) as found:
         if len(paths) < 2:
-            return _list(found, paths, wait, as_json=as_json)
+            return _list(found, paths, wait, both_ends=both_ends, as_json=as_json)
         ports = [port_of(found, path) for path in paths]
         running = _one_kernel(ports)
         made = running.client.call("connect", wait, ports=[one.path for one in ports], options=options)
@@ -112,14 +117,14 @@ def _split(words: tuple[str, ...]) -> tuple[list[str], dict[str, str]]:
     return paths, options
 
 
-def _list(found: Kernels, paths: list[str], timeout: float, *, as_json: bool) -> int:
+def _list(found: Kernels, paths: list[str], timeout: float, *, both_ends: bool, as_json: bool) -> int:
     meant: list[tuple[Running, list[str]]]
     if paths:
         one = found.find(paths[0], bare=True)
         meant = [(one.running, [one.path] if one.path else [])]
     else:
         meant = [(one, []) for one in found.running]
-    listed = {one.name: list(one.client.call("connectors", timeout, at=at)) for one, at in meant}
+    listed = {one.name: list(one.client.call("connectors", timeout, at=at, both_ends=both_ends)) for one, at in meant}
     return say_kernels(found, "connectors", listed, _lines, as_json=as_json, silent=not paths)
 
 
@@ -141,6 +146,8 @@ def _text(one: Mapping[str, Any], *, ledger: bool) -> str:
     ]
     if ledger:
         text.append(f"  {ledger_text(one['ledger'])}")
+    if one.get("both_ends"):
+        text.append(f"  both ends: {one['both_ends']}")
     return "\n".join(text)
 
 

@@ -1,0 +1,51 @@
+"""`aiorts con --both-ends`: the ledger of a link from the writer to the reader."""
+
+from __future__ import annotations
+
+import pytest
+from anyio import fail_after, sleep
+
+from aiorts import Component, InPort, Kernel, OutPort
+from aiorts.types import TimedLong
+from control_parts import commanded
+
+pytestmark = pytest.mark.anyio
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+
+
+class Sink(Component):
+    inp = InPort(TimedLong)
+
+
+async def test_the_ledger_from_end_to_end_is_asked_for_at_either_end(capsys: pytest.CaptureFixture[str]) -> None:
+    station = Kernel("station", services={"links": {}, "control": {"name": "station", "mode": "on"}})
+    robot = Kernel("robot", services={"control": {"name": "robot", "mode": "on"}})
+    async with station, robot:
+        sink, source = await station.add(Sink("sink")), await robot.add(Source("source"))
+        connector = await robot.connect(source.out, "station/sink.inp")
+        for value in range(3):
+            source.out.write_nowait(TimedLong(0, value))
+        with fail_after(5):
+            assert (await sink.inp.read()).data == 0
+            while connector.statistics.acknowledged < 3:
+                await sleep(0.01)
+        equation = "both ends: 3 written = 1 delivered + 0 dropped + 2 buffered + 0 in flight"
+        for kernel, component in (("robot", "source"), ("station", "sink")):
+            status, text = await commanded(capsys, "con", f"{kernel}/{component}", "--both-ends")
+            assert (status, equation in text) == (0, True), text
+            assert "both ends" not in (await commanded(capsys, "con", f"{kernel}/{component}"))[1]
+
+
+async def test_where_the_other_kernel_is_gone_it_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    async with Kernel("robot", services={"control": {"name": "robot", "mode": "on"}}) as robot:
+        source = await robot.add(Source("source"))
+        await robot.connect(source.out, "station/sink.inp")
+        status, text = await commanded(capsys, "con", "source.out", "--both-ends")
+        assert (status, "both ends: not known: " in text, "there is no kernel 'station'" in text) == (0, True, True), (
+            text
+        )
+        status, text = await commanded(capsys, "con", "source.out", "source.out", "--both-ends")
+        assert (status, "--both-ends is for listing" in text) == (2, True), text
