@@ -12,6 +12,7 @@ import os
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
@@ -85,7 +86,12 @@ class Links(KernelService):
         self._transport: Transport | None = None
         self._opening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
-        self._peers: dict[Peer, None] = {}
+        self._carriers: list[Transport] = []
+        """Transports that reach certain kernels alone, such as those in processes of this program."""
+        self._carried: set[str] = set()
+        """The names of those kernels."""
+        self._peers: dict[Peer, Transport] = {}
+        """The other kernels that are there, and what carries links to them."""
         self._writers: dict[Connector, WriterLink] = {}
         self._readers: dict[Connector, ReaderLink] = {}
         self._own: set[Link] = set()
@@ -156,6 +162,19 @@ class Links(KernelService):
         """Carry links with this transport, which is not open yet; before anything else is done."""
         self._transport = transport
 
+    async def carry(self, transport: Transport) -> None:
+        """Carry links with this transport, too: to the kernels that `carried` names. It is opened.
+
+        Raises:
+            LinkError: it cannot be opened.
+        """
+        self._carriers.append(transport)
+        await self._use(transport)
+
+    def carried(self, kernel: str) -> None:
+        """A kernel of this name is reached by a transport that was given to `carry`, and by no other."""
+        self._carried.add(kernel)
+
     def _open_soon(self) -> asyncio.Task[None]:
         if self._opening is None:
             self._opening = kernel_task(self.kernel.loop, self._open(), f"aiorts links {self.kernel.name}")
@@ -163,7 +182,10 @@ class Links(KernelService):
         return self._opening
 
     async def _open(self) -> None:
-        transport = self._transport = self._transport or find_transport(self._settings.transport, self.kernel.plugins)
+        self._transport = self._transport or find_transport(self._settings.transport, self.kernel.plugins)
+        await self._use(self._transport)
+
+    async def _use(self, transport: Transport) -> None:
         transport.answer("offer", self._offered)
         transport.answer("request", self._requested)
         transport.answer("come", self._come)
@@ -171,7 +193,7 @@ class Links(KernelService):
             for what, handler in questions.handlers().items():
                 transport.answer(what, handler)
         await transport.open(_Face(self))
-        transport.presence(self._present)
+        transport.presence(partial(self._present, transport))
 
     def _report_opening(self, task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()) is not None:
@@ -185,26 +207,29 @@ class Links(KernelService):
 
     def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
         """See `FarPorts.resolve`."""
-        near = [port for port in ports if not isinstance(port, str)]
+        near = [port for port in ports if not (isinstance(port, str) or port.elsewhere)]
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         if not near:
-            raise WiringError(f"{where}: one of the ports must be of this kernel; connect them from one of theirs")
+            raise WiringError(f"{where}: one of the ports must be in this process; connect them from one of theirs")
         like = near[0]
         if is_service(like):
-            return self._calls.resolve(ports), options
+            return self._calls.resolve([port if port in near else _text_of(port) for port in ports]), options
         if len({isinstance(port, OutPort) for port in near}) > 1:
             raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
-        found = [self._far_port(like, port) if isinstance(port, str) else port for port in ports]
+        found = [port if port in near else self._far_port(like, port) for port in ports]
         return found, link_options(where, options, from_reader=isinstance(like, InPort))
 
-    def _far_port(self, like: InPort[Any] | OutPort[Any], text: str) -> Port[Any]:
+    def _far_port(self, like: InPort[Any] | OutPort[Any], given: str | Port[Any]) -> Port[Any]:
         """What stands for a port of another kernel; the same that is connected already with this one, if one is."""
-        path = Path.parse(text)
+        elsewhere = None if isinstance(given, str) else given.elsewhere
+        path = elsewhere or Path.parse(str(given))
         if not path.port:
-            raise WiringError(f"{text}: is a component; give one of its ports")
+            raise WiringError(f"{given}: is a component; give one of its ports")
         others = [one.in_ if isinstance(like, OutPort) else one.out for one in like.connectors]
-        known = next((port for port in others if port.is_far and port.path == text), None)
-        return known or far_port(self.kernel, like, path, like.unit, like.shape)
+        known = next((port for port in others if isinstance(port, FarInPort | FarOutPort) and port.far == path), None)
+        if known is not None or isinstance(given, str):
+            return known or far_port(self.kernel, like, path, like.unit, like.shape)
+        return far_port(self.kernel, like, path, given.unit, given.shape, given.path.rpartition(".")[0])
 
     def connector_made(self, connector: Connector) -> None:
         if self._link(connector) is not None:
@@ -248,9 +273,9 @@ class Links(KernelService):
 
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """See `Kernels.ask`."""
-        await self.opened()
-        assert self._transport is not None  # noqa: S101 - it is open
-        return await self._transport.ask(peer, what, body, within=within)
+        if (carrier := self._peers.get(peer)) is None:
+            raise LinkError(f"{peer.kernel}: is gone")
+        return await carrier.ask(peer, what, body, within=within)
 
     def _all(self) -> list[Link]:
         return [*self._writers.values(), *self._readers.values()]
@@ -281,16 +306,22 @@ class Links(KernelService):
 
     def _start(self, link: Link) -> None:
         self._first[link] = self.kernel.loop.create_future()
-        self._open_soon()
+        if self._far(link).kernel not in self._carried:
+            self._open_soon()
         self._try(link)
         if link not in self._asking:
             self._answer_first(link, None)
             link.why = f"there is no kernel {self._far(link).kernel!r} yet"
             _LOG.warning("W-LINK: %s: waits: %s", link.connector.name, link.why)
 
+    def far_of(self, connector: Connector) -> Path:
+        """See `Kernels.far_of`."""
+        port = connector.in_ if connector.in_.is_far else connector.out
+        assert isinstance(port, FarInPort | FarOutPort)  # noqa: S101 - it is one of a link
+        return port.far
+
     def _far(self, link: Link) -> Path:
-        port = link.connector.in_ if isinstance(link, WriterLink) else link.connector.out
-        return Path.parse(port.path)
+        return self.far_of(link.connector)
 
     def _lost(self, link: Link, why: str) -> None:
         connector = link.connector
@@ -350,14 +381,14 @@ class Links(KernelService):
 
     # -- offering ------------------------------------------------------------------------------------------------------
 
-    def _present(self, peer: Peer, up: bool) -> None:
+    def _present(self, transport: Transport, peer: Peer, up: bool) -> None:
         if not up:
             self._peers.pop(peer, None)
             self._calls.present(peer, False)
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             return
-        self._peers[peer] = None
+        self._peers[peer] = transport
         self._calls.present(peer, True)
         for link in self._all():
             if self._peer(link) == peer:
@@ -389,7 +420,8 @@ class Links(KernelService):
     async def _ask(self, link: Link) -> None:
         will_be_offered = False
         try:
-            await self.opened()
+            if self._far(link).kernel not in self._carried:
+                await self.opened()
             peer = self._peer(link)
             if peer is None or self._link(link.connector) is not link:
                 return
@@ -414,7 +446,6 @@ class Links(KernelService):
             self._try(link)
 
     async def _offer(self, link: WriterLink, peer: Peer) -> None:
-        assert self._transport is not None  # noqa: S101 - it is open
         connector = link.connector
         out = connector.out
         schema, text = layout_of(out.type)
@@ -439,7 +470,7 @@ class Links(KernelService):
             return self._not_now(link, answer)
         version = versions.agreed(peer.kernel, answer.protocol)
         agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
-        channel = await self._transport.channel(agreed, link)
+        channel = await self._carrier(peer).channel(agreed, link)
         if self._writers.get(connector) is not link:
             channel.close()
             return None
@@ -449,7 +480,6 @@ class Links(KernelService):
 
     async def _request(self, link: ReaderLink, peer: Peer) -> bool:
         """Ask the writer's kernel for an offer; returns whether it will make one."""
-        assert self._transport is not None  # noqa: S101 - it is open
         connector = link.connector
         options = chosen_options(connector.profile)
         request = LinkRequest(self._here(connector.out), self._here(connector.in_), options, versions.SPOKEN)
@@ -461,8 +491,7 @@ class Links(KernelService):
 
     async def _question(self, peer: Peer, what: str, body: bytes) -> Answer:
         """The answer of another kernel; where it speaks no version of this one, that is why it is refused."""
-        assert self._transport is not None  # noqa: S101 - it is open
-        answer = Answer.from_bytes(await self._transport.ask(peer, what, body, within=_ASK_SECONDS))
+        answer = Answer.from_bytes(await self.ask(peer, what, body, _ASK_SECONDS))
         try:
             versions.agreed(peer.kernel, answer.protocol)
         except WiringError as error:
@@ -495,7 +524,8 @@ class Links(KernelService):
             return refusal("an offer", caller, error)
         if link is not None:
             self._answer_first(link, None)
-            self.run(self._join(link, replace(offer, reader_epoch=answer.epoch, number=answer.number)), "aiorts link")
+            agreed = replace(offer, reader_epoch=answer.epoch, number=answer.number)
+            self.run(self._join(link, agreed, caller.peer), "aiorts link")
         return sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
@@ -525,10 +555,9 @@ class Links(KernelService):
             self._accepting = False
         return self._read_end(connector)
 
-    async def _join(self, link: ReaderLink, offer: LinkOffer) -> None:
-        assert self._transport is not None  # noqa: S101 - it is open
+    async def _join(self, link: ReaderLink, offer: LinkOffer, peer: Peer | None) -> None:
         try:
-            channel = await self._transport.channel(offer, link)
+            channel = await self._carrier(peer).channel(offer, link)
         except LinkError as error:
             link.why = str(error)
             return
@@ -552,7 +581,7 @@ class Links(KernelService):
         if not isinstance(found, OutPort):
             raise WiringError(f"{request.writer}: is no out-port")
         for connector, link in self._writers.items():
-            if connector.out is found and connector.in_.path == request.reader:
+            if connector.out is found and str(self.far_of(connector)) == request.reader:
                 self._try(link)
                 return Answer()
         self._accepting = True
@@ -605,8 +634,8 @@ class Links(KernelService):
             task.cancel()
         if self._opening is not None:
             self._opening.cancel()
-        if self._transport is not None:
-            closing = kernel_task(self.kernel.loop, self._transport.close(), "aiorts links close")
+        for transport in (*self._carriers, *(() if self._transport is None else (self._transport,))):
+            closing = kernel_task(self.kernel.loop, transport.close(), "aiorts links close")
             closing.add_done_callback(_observed)
 
     # -- helpers -------------------------------------------------------------------------------------------------------
@@ -627,7 +656,13 @@ class Links(KernelService):
         return replace(Path.parse(port.path), kernel=self.reached_as)
 
     def _here(self, port: Port[Any]) -> str:
-        return port.path if port.is_far else str(self.path_of(port))
+        return str(port.far) if isinstance(port, FarInPort | FarOutPort) else str(self.path_of(port))
+
+    def _carrier(self, peer: Peer | None) -> Transport:
+        carrier = None if peer is None else self._peers.get(peer)
+        if carrier is None:
+            raise LinkError(f"{'the other kernel' if peer is None else peer.kernel}: is gone")
+        return carrier
 
 
 class _Face:
@@ -643,6 +678,11 @@ class _Face:
 
     def report(self, text: str) -> None:
         _report(text)
+
+
+def _text_of(port: str | Port[Any]) -> str:
+    """The path of a port that is in another kernel."""
+    return port if isinstance(port, str) else str(port.elsewhere)
 
 
 def _observed(task: asyncio.Task[None]) -> None:

@@ -11,6 +11,7 @@ from aiorts.links.messages import Answer
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports import Port
+    from aiorts.kernel.ports.connector import Connector
     from aiorts.links.transport import Caller, Peer
     from aiorts.model.names import Path
 
@@ -22,6 +23,10 @@ class Kernels(Protocol):
 
     def peer_of(self, path: Path) -> Peer | None:
         """The kernel of a path, if it is there."""
+        ...
+
+    def far_of(self, connector: Connector) -> Path:
+        """The port at the end of a connector that is in another kernel."""
         ...
 
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:

@@ -16,7 +16,6 @@ from aiorts.late import dataclass
 from aiorts.links.linked import added
 from aiorts.links.messages import fields, packed
 from aiorts.links.writer_link import WriterLink
-from aiorts.model.names import Path
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
@@ -111,7 +110,7 @@ class Ledgers:
             LinkError: the other kernel is not there or does not answer, or either end is another one now.
         """
         connector = link.connector
-        far = Path.parse((connector.in_ if isinstance(link, WriterLink) else connector.out).path)
+        far = self._links.far_of(connector)
         peer = self._links.peer_of(far)
         if peer is None:
             raise LinkError(f"{connector.name}: ledger: there is no kernel {far.kernel!r}")
@@ -134,7 +133,7 @@ class Ledgers:
     async def _joined(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
         for connector, link in self._writers.items():
-            if connector.name == name and self._links.peer_of(Path.parse(connector.in_.path)) == caller.peer:
+            if connector.name == name and self._links.peer_of(self._links.far_of(connector)) == caller.peer:
                 ledger = await self.of(link, _WITHIN)
                 counts = [ledger.written, ledger.delivered, ledger.buffered, ledger.in_flight]
                 return packed([*counts, ledger.acknowledged_before, dict(ledger.dropped)])

@@ -19,7 +19,6 @@ from aiorts.kernel.ports.transport import Waiting
 from aiorts.kernel.quality.dated import Dated, times_of
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.names import names_kernel
 from aiorts.model.policy import Dataflow, Subscription
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
@@ -211,7 +210,7 @@ def added(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
 
 def _drained(profile: ConnectorProfile) -> bool:
     """Whether a link drains it: its reader is in another kernel."""
-    return profile.on_link_lost is not None and any(map(names_kernel, profile.ports[-1:]))
+    return profile.far_end == "reader"
 
 
 def _is_pulled(profile: ConnectorProfile) -> bool:
@@ -220,7 +219,7 @@ def _is_pulled(profile: ConnectorProfile) -> bool:
 
 def _asks(profile: ConnectorProfile) -> bool:
     """Whether it is the reader's end of a link that pulls."""
-    return profile.dataflow is Dataflow.PULL and any(map(names_kernel, profile.ports[:1]))
+    return profile.dataflow is Dataflow.PULL and profile.far_end == "writer"
 
 
 def _confirms(profile: ConnectorProfile) -> bool:

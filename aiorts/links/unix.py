@@ -39,9 +39,15 @@ Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
 
 class UnixTransport:
-    """Carries links between kernels of one user on one host. See `Transport`."""
+    """Carries links between kernels of one user on one host. See `Transport`.
 
-    def __init__(self) -> None:
+    Args:
+        listens: whether other kernels find this one by the run-time folder; else it has the connections that it is
+            given with `take`.
+    """
+
+    def __init__(self, *, listens: bool = True) -> None:
+        self._listens = listens
         self._handlers: dict[str, Handler] = {}
         self._tells: list[Callable[[Peer, bool], None]] = []
         self._peers: dict[Peer, list[_Connection]] = {}
@@ -62,6 +68,8 @@ class UnixTransport:
         """
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
         self.greeting = packed([_host(), kernel.name, kernel.epoch])
+        if not self._listens:
+            return
         try:
             folder = private_folder()
             others = sorted(folder.glob(f"*{_SUFFIX}"))
@@ -98,7 +106,7 @@ class UnixTransport:
                 with contextlib.suppress(OSError):
                     path.unlink()
             return None
-        return self._take(sock)
+        return self.take(sock)
 
     def _accept(self) -> None:
         assert self._listener is not None  # noqa: S101 - it listens
@@ -113,13 +121,14 @@ class UnixTransport:
         if _user_of(sock) != os.geteuid():
             sock.close()
             return
-        self._take(sock)
+        self.take(sock)
 
     def _accept_again(self) -> None:
         if self._listener is not None:
             self.loop.add_reader(self._listener.fileno(), self._accept)
 
-    def _take(self, sock: socket.socket) -> _Connection:
+    def take(self, sock: socket.socket) -> _Connection:
+        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel."""
         connection = _Connection(self, sock)
         self._connections.add(connection)
         return connection

@@ -66,6 +66,8 @@ class ConnectorProfile:
     """Options that aiorts keeps and reports but does not act on."""
     on_link_lost: OnLinkLost | None = None
     """What happens when the link to the reader's kernel is lost; None where both ends are in one kernel."""
+    far_end: str = ""
+    """Which end is in another kernel, "writer" or "reader"; "" where both are in this one."""
 
 
 @dataclass(frozen=True, slots=True)

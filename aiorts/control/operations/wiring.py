@@ -13,7 +13,6 @@ from aiorts.control.operations.known import absent
 from aiorts.control.session import Session
 from aiorts.errors import AbsentError, LinkError, WiringError
 from aiorts.late import dataclass
-from aiorts.model.names import names_kernel
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 from aiorts.model.service_profile import ServiceConnectorProfile, ServiceStatistics
 
@@ -103,7 +102,7 @@ async def _connectors(session: Session, given: Wires) -> tuple[Wire, ...]:
 
 async def _both_ends(session: Session, connector: Any) -> str:
     profile = connector.profile
-    if not isinstance(profile, ConnectorProfile) or not any(map(names_kernel, profile.ports)):
+    if not isinstance(profile, ConnectorProfile) or not profile.far_end:
         return ""
     from aiorts.links import Links  # late: few systems have links
 

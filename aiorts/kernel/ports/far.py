@@ -23,15 +23,19 @@ if TYPE_CHECKING:
 class FarInPort(InPort[Any]):
     """Stands for an in-port of another kernel: what is written to it is sent there."""
 
-    __slots__ = ()
+    __slots__ = ("far",)
     is_far = True
+    far: Path
+    """Which port it stands for; `path` may say it otherwise."""
 
 
 class FarOutPort(OutPort[Any]):
     """Stands for an out-port of another kernel: what is received from there is written at it."""
 
-    __slots__ = ("held",)
+    __slots__ = ("far", "held")
     is_far = True
+    far: Path
+    """Which port it stands for; `path` may say it otherwise."""
     held: Callable[[], int]
     """How many samples have come that are not written yet, since a reader has no room; set by the service."""
 
@@ -54,14 +58,24 @@ class FarPorts(Protocol):
 
 
 def far_port(
-    kernel: KernelSide, like: Port[Any], path: Path, unit: str | None, shape: tuple[int, ...] | None
+    kernel: KernelSide,
+    like: Port[Any],
+    path: Path,
+    unit: str | None,
+    shape: tuple[int, ...] | None,
+    owner: str = "",
 ) -> FarInPort | FarOutPort:
-    """What stands for the port of this path at the other end of a connector of `like`, a port of this kernel."""
-    host = PortHost(str(replace(path, port="")), Turns())
+    """What stands for the port of this path at the other end of a connector of `like`, a port of this kernel.
+
+    Args:
+        owner: the component of this kernel whose port it looks like; "" where it is that of another kernel.
+    """
+    host = PortHost(owner or str(replace(path, port="")), Turns())
     host.kernel = kernel
     kind = FarInPort if isinstance(like, OutPort) else FarOutPort
     port = kind(like.type, unit=unit, shape=shape)
     host.ports[path.port] = port
+    port.far = path
     if isinstance(port, FarOutPort):
         port.held = _nothing
     port._attach(host, path.port)

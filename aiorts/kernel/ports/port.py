@@ -16,6 +16,7 @@ from aiorts.model.profile import PortProfile
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import PortHost
+    from aiorts.model.names import Path
 
 T = TypeVar("T")
 P = TypeVar("P", bound="Port[Any]")
@@ -55,6 +56,8 @@ class PortDeclaration:
 
     name: str
     """The port's name; "" where it is the attribute's."""
+    elsewhere: Path | None = None
+    """Of a port of a component that runs in another kernel: where it is. Only what is connected with it is here."""
 
     def check_declared(self, cls: type[Any], attribute: str) -> None:
         """Raise DeclarationError when this class, or one derived from it, cannot have such a port."""
@@ -115,7 +118,7 @@ class Port(PortDeclaration, Generic[T]):
 
     direction: ClassVar[str] = ""
     is_far: ClassVar[bool] = False
-    """Whether it stands for a port of another kernel."""
+    """Whether it stands for a port of another kernel, as one end of a connector."""
 
     def __init__(
         self,

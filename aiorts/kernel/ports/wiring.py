@@ -66,7 +66,7 @@ def plan(
         seen.add((out, in_))
     _check_stamp(base, pairs)
     for out, in_ in pairs:
-        check_features(out, in_, base)
+        check_features(out, in_, _ended(out, in_, base))
     for port, count in Counter(port for pair in pairs for port in pair).items():
         _check_limit(port, count, limits)
     profiles: dict[int | None, ConnectorProfile] = {None: base}
@@ -256,9 +256,16 @@ def _check_pair(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) 
 
 def _between(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> ConnectorProfile:
     """The options of one connector: with a converter of its own, where they have one."""
-    if profile.convert is None:
+    if profile.convert is not None:
+        profile = replace(profile, convert=converter_between(out, in_, profile.convert))
+    return _ended(out, in_, profile)
+
+
+def _ended(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> ConnectorProfile:
+    """The options of one connector, with the end that is in another kernel."""
+    if not (out.is_far or in_.is_far):
         return profile
-    return replace(profile, convert=converter_between(out, in_, profile.convert))
+    return replace(profile, far_end="writer" if out.is_far else "reader")
 
 
 def converter_between(out: OutPort[Any], in_: InPort[Any], converter: str) -> str:
