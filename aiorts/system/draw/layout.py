@@ -110,7 +110,26 @@ def picture(system: SystemFile, catalogue: Catalogue | None = None) -> Picture:
     outside = _group(system, "", "in no context", [name for name in alone if name not in inside], boxes, homes, "")
     if outside.boxes or outside.inner:
         groups.append(outside)
-    return Picture(tuple(groups), arrows)
+    return Picture((*groups, *elsewhere(arrows)), arrows)
+
+
+def end_of(path: str) -> tuple[str, str]:
+    """The component of a port's path, with its kernel where that is another one, and the port."""
+    kernel, slash, rest = path.rpartition("/")
+    component, _, port = rest.partition(".")
+    return f"{kernel}{slash}{component}", port
+
+
+def elsewhere(arrows: Iterable[Arrow]) -> Iterator[Group]:
+    """A group of the components in other kernels that arrows lead to or come from; none where there are none."""
+    boxes: dict[str, dict[tuple[str, bool], Pin]] = {}
+    for arrow in arrows:
+        for (component, port), out in ((arrow.source, True), (arrow.target, False)):
+            if "/" in component:
+                boxes.setdefault(component, {})[port, out] = Pin(port, "", out)
+    if boxes:
+        found = (Box(name, "in another kernel", tuple(pins.values())) for name, pins in boxes.items())
+        yield Group("", "in other kernels", tuple(found))
 
 
 def _group(
@@ -186,10 +205,7 @@ def _arrows(found: Survey) -> list[Arrow]:
         profile = found.profiles.get(connection.number)
         said = "" if profile is None else label(profile[0])
         source, *targets = connection.ports
-        here = source.partition(".")
-        for target in targets:
-            there = target.partition(".")
-            arrows.append(Arrow((here[0], here[2]), (there[0], there[2]), said))
+        arrows += [Arrow(end_of(source), end_of(target), said) for target in targets]
     return arrows
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from aiorts.observe import ComponentReport, ConnectorReport, ContextReport, SystemProfile
 from aiorts.system.draw.graph import drawn
-from aiorts.system.draw.layout import Arrow, Box, Group, Picture, Pin, composite_title, label
+from aiorts.system.draw.layout import Arrow, Box, Group, Picture, Pin, composite_title, elsewhere, end_of, label
 
 
 def running_graph(profile: SystemProfile, language: str = "mermaid", earlier: SystemProfile | None = None) -> str:
@@ -34,7 +34,7 @@ def _picture(profile: SystemProfile, earlier: SystemProfile | None) -> Picture:
     inside = {member for one in composites.values() if one.composite is not None for member in one.composite.members}
     alone = (name for name in profile.components if name not in inside)
     groups.append(_group("", "in no context", (*alone, *left), composites, left))
-    return Picture(tuple(group for group in groups if group.all_boxes), arrows)
+    return Picture((*(group for group in groups if group.all_boxes), *elsewhere(arrows)), arrows)
 
 
 def _group(
@@ -81,17 +81,12 @@ def _arrows(profile: SystemProfile, earlier: SystemProfile | None) -> Iterator[A
     for name, one in profile.connectors.items():
         before = earlier.connectors.get(name) if earlier is not None else None
         words = (_rate(one, before), label(one.options), _dropped(one))
-        yield Arrow(_end(one.source), _end(one.target), ", ".join(filter(None, words)))
+        yield Arrow(end_of(one.source), end_of(one.target), ", ".join(filter(None, words)))
     for each in profile.service_connectors.values():
         calls = sum(binding.statistics.calls for binding in each.bindings)
         source, *targets = each.ports
         for target in targets:
-            yield Arrow(_end(source), _end(target), f"{calls} calls")
-
-
-def _end(path: str) -> tuple[str, str]:
-    component, _, port = path.partition(".")
-    return component, port
+            yield Arrow(end_of(source), end_of(target), f"{calls} calls")
 
 
 def _rate(one: ConnectorReport, before: ConnectorReport | None) -> str:
