@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import msgpack  # type: ignore[import-untyped]
 
-from aiorts.errors import LinkError
+from aiorts.errors import LinkError, WireError
 from aiorts.late import dataclass
+from aiorts.wire import LINK, count_values
 
 _LARGEST: Final = 1_048_576
 _LONGEST: Final = 2_000
@@ -86,8 +87,9 @@ def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False) -> lis
     if len(body) > _LARGEST:
         raise LinkError(f"a message of {len(body)} bytes; at most {_LARGEST} are allowed")
     try:
+        count_values(body, LINK)
         values = msgpack.unpackb(body, strict_map_key=False, max_ext_len=0)
-    except (ValueError, TypeError, msgpack.UnpackException) as error:
+    except (WireError, ValueError, TypeError, msgpack.UnpackException) as error:
         raise LinkError(f"no message of this protocol: {type(error).__name__}") from None
     return checked(values, kinds, longer=longer)
 
