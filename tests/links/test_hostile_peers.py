@@ -10,6 +10,8 @@ import pytest
 
 from aiorts.errors import LinkError
 from aiorts.links.messages import fields
+from aiorts.model.links import ReaderEnd, WriterEnd
+from aiorts.model.links.frames import BATCH, BATCH_BYTES, acknowledgement, data, hello
 
 LARGEST = 1_048_576
 """Bytes of a message at the most."""
@@ -42,3 +44,27 @@ def test_a_message_that_is_a_bomb_takes_10_ms_of_the_processor(bomb: bytes) -> N
     assert held_up(lambda: fields(bomb, (list,), longer=True)) < 0.010
     with pytest.raises(LinkError, match="no message of this protocol"):
         fields(bomb, (list,), longer=True)
+
+
+def test_an_acknowledgement_says_what_became_of_no_more_samples_than_may_be_on_their_way() -> None:
+    end = WriterEnd(7, 1_000, window=256)
+    end.channel_up(0, 2_000)
+    end.receive(0, hello(7, 2_000, 0))
+    for _ in range(256):
+        end.offer(0, b"x")
+    end.poll(0, lambda _head, _parts: True)
+    frame = acknowledgement(7, 256, 256, dict.fromkeys(range(1, 65536), "x" * 255))
+    assert held_up(lambda: end.receive(0, frame)) < 0.010
+    assert (end.ledger.bad_frames, end.ledger.in_flight) == (3, 256)
+    end.receive(0, acknowledgement(7, 256, 256, dict.fromkeys(range(1, 257), "rejected")))
+    assert (end.ledger.bad_frames, end.ledger.dropped) == (3, 256)
+
+
+def test_samples_of_one_frame_are_together_as_large_as_a_writer_sends_them() -> None:
+    end = ReaderEnd(7, 2_000)
+    end.channel_up(0, 1_000)
+    end.receive(0, data(7, 1, 1, [bytes(10_000)] * BATCH, confirm=False))
+    assert (end.ledger.bad_frames, end.held) == (1, 0)
+    end.receive(0, data(7, 1, 1, [bytes(BATCH_BYTES // 2)] * 2, confirm=False))
+    end.receive(0, data(7, 3, 1, [bytes(1_000_000)], confirm=False))
+    assert (end.ledger.bad_frames, end.held) == (1, 3)

@@ -123,6 +123,8 @@ def samples_of(frame: Buffer, count: int, ages: int = 0) -> list[memoryview]:
     start = _NUMBERED.size + 4 * count
     if not 0 < count <= BATCH or len(view) < start:
         raise BadFrame("no such number of samples")
+    if len(view) - start > BATCH_BYTES:
+        raise BadFrame("of more bytes than several samples have together")
     found = []
     for length in struct.unpack_from(f"<{count}I", view, _NUMBERED.size):
         found.append(view[start : start + length])

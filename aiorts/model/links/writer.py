@@ -178,6 +178,8 @@ class WriterEnd:
         try:
             kind, flags, count, one, received = frames.head_of(head, self.number)
             if kind == frames.ACK:
+                if count > self._window:
+                    raise BadFrame("of more samples than are on their way")
                 self._acknowledge(now, one, received, frames.fates_of(head, count) if count else {})
             elif kind == frames.HELLO:
                 if one != self._peer_epoch or received > self._highest:
