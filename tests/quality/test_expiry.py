@@ -465,3 +465,34 @@ async def test_a_synchroniser_takes_nothing_that_is_too_old(simulated_clock: Sim
             both.match_nowait()
         left.out.write_nowait(TimedLong(5, 3))
         assert both.match_nowait() == (TimedLong(5, 3), TimedLong(5, 2))
+
+
+class _Hurried(SimulatedClock):
+    """A clock that goes on at each look at it."""
+
+    step_ns = gone_ns = 0
+
+    def monotonic_ns(self) -> int:
+        self.gone_ns += self.step_ns
+        return super().monotonic_ns() + self.gone_ns
+
+
+@pytest.mark.parametrize("sources", [False, True])
+def test_drain_gives_what_it_has_taken_when_the_last_sample_expires_in_between(sources: bool) -> None:
+    async def run() -> None:
+        clock = _Hurried()
+        async with Kernel(clock=clock) as kernel:
+            source, sink = await kernel.add(Source()), await kernel.add(Sink())
+            connector = await kernel.connect(source.out, sink.inp, lifespan=1.0, length=8)
+            got = []
+            for looks in range(1, 12):
+                source.out.write_nowait(long(1))
+                source.out.write_nowait(long(2))
+                clock.step_ns = 1_000_000_000 // looks
+                got.append(len(sink.inp.drain(sources=sources)))
+                clock.step_ns = 0
+                assert connector.statistics.buffered == 0
+                assert connector.statistics.delivered == sum(got)
+            assert {0, 1, 2} == set(got)
+
+    asyncio.run(run())

@@ -7,7 +7,10 @@ the code it ran before: nothing there asks for features. The rows are in a room 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from anyio import WouldBlock
 
 from aiorts.kernel.ports.connector import Connector
 from aiorts.kernel.ports.periodic_transport import PeriodicTransport
@@ -150,6 +153,26 @@ class SettlingReceiver(Receiver):
         for transport in self.transports:
             transport.settle()
         return super().newest()
+
+    def drain(self) -> list[Any]:
+        samples: list[Any] = []
+        with self.guard(), suppress(WouldBlock):  # the last one was there, and has expired in this moment
+            if (now := self.port._receiver) is not self:
+                return now.drain()
+            while self.unread():
+                samples.append(self.port.read_nowait())
+        return samples
+
+    def drain_sources(self) -> list[tuple[Connector, Any]]:
+        pairs: list[tuple[Connector, Any]] = []
+        with self.guard(), suppress(WouldBlock):  # as above
+            if (now := self.port._receiver) is not self:
+                return now.drain_sources()
+            while self.unread():
+                sample, source = self.port.read_nowait(), self.last_source
+                assert source is not None  # noqa: S101 - it was read
+                pairs.append((source, sample))
+        return pairs
 
 
 class AskingReceiver(SettlingReceiver):
