@@ -13,6 +13,8 @@ from typing import Any, Final
 from aiorts.wire import layout_text
 
 _SHOWN: Final = 80
+_LONGEST: Final = 65_536
+"""Letters of the text of the other end up to which it is looked for what differs, or twice as many as ours has."""
 _NOTHING: Final[Mapping[str, Any]] = {}
 
 
@@ -26,6 +28,8 @@ def difference(theirs: str, ours: str) -> str:
     """What differs first between two layouts, in the order of our fields; "" if nothing does."""
     if theirs == ours:
         return ""
+    if len(theirs) > max(_LONGEST, 2 * len(ours)):
+        return f"the other end describes its type in {len(theirs)} letters"
     try:
         other = json.loads(theirs)
     except (ValueError, RecursionError):

@@ -9,9 +9,11 @@ from contextlib import suppress
 import pytest
 
 from aiorts.errors import LinkError
+from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import fields
 from aiorts.model.links import ReaderEnd, WriterEnd
 from aiorts.model.links.frames import BATCH, BATCH_BYTES, acknowledgement, data, hello
+from aiorts.types import TimedString
 
 LARGEST = 1_048_576
 """Bytes of a message at the most."""
@@ -68,3 +70,11 @@ def test_samples_of_one_frame_are_together_as_large_as_a_writer_sends_them() -> 
     end.receive(0, data(7, 1, 1, [bytes(BATCH_BYTES // 2)] * 2, confirm=False))
     end.receive(0, data(7, 3, 1, [bytes(1_000_000)], confirm=False))
     assert (end.ledger.bad_frames, end.held) == (1, 3)
+
+
+def test_the_text_of_a_type_that_is_a_bomb_takes_20_ms_of_the_processor() -> None:
+    ours = layout_of(TimedString)[1]
+    for count in (20_000, 340_000):
+        bomb = '{"prefixItems":[' + "[]," * count + '[]],"title":"TimedString"}'
+        assert held_up(lambda bomb=bomb: difference(bomb, ours)) < 0.020  # type: ignore[misc]
+        assert difference(bomb, ours)
