@@ -109,7 +109,11 @@ def restored(hint: Any, value: Any) -> Any:
         kind, inner = typing.get_origin(one) or one, typing.get_args(one)
         if kind in _LISTS and type(value) is list:
             parts = _parts(kind, inner, len(value))
-            return kind(restored(part, each) for part, each in zip(parts, value, strict=False))
+            found = [restored(part, each) for part, each in zip(parts, value, strict=False)]
+            try:
+                return kind(found)
+            except TypeError as error:  # a set of what cannot be in one
+                raise InterfaceMismatch(f"no {spelled(hint)}: {format_error(error)}") from None
         if kind is dict and type(value) is dict:
             of_key, part = inner or (Any, Any)
             return {restored(of_key, key): restored(part, each) for key, each in value.items()}

@@ -8,7 +8,8 @@ from contextlib import suppress
 
 import pytest
 
-from aiorts.errors import LinkError
+from aiorts.errors import InterfaceMismatch, LinkError
+from aiorts.links.call_values import restored
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.messages import fields
 from aiorts.model.links import ReaderEnd, WriterEnd
@@ -78,3 +79,9 @@ def test_the_text_of_a_type_that_is_a_bomb_takes_20_ms_of_the_processor() -> Non
         bomb = '{"prefixItems":[' + "[]," * count + '[]],"title":"TimedString"}'
         assert held_up(lambda bomb=bomb: difference(bomb, ours)) < 0.020  # type: ignore[misc]
         assert difference(bomb, ours)
+
+
+@pytest.mark.parametrize("hint", [set[int], frozenset[int]])
+def test_a_set_of_what_cannot_be_in_one_is_no_such_value(hint: object) -> None:
+    with pytest.raises(InterfaceMismatch, match=r"no .*set.*unhashable"):
+        restored(hint, [[1]])
