@@ -157,6 +157,12 @@ class LinkTimeout(LinkError, TimeoutError):
     code = "E-LINK-TIMEOUT"
 
 
+class ProcessError(AiortsError, RuntimeError):
+    """A process cannot be started, or not with the limits that were asked for: says why."""
+
+    code = "E-PROCESS"
+
+
 class PortTypeError(AiortsError, TypeError):
     """A value of the wrong type or shape was written to a port; nothing was sent."""
 

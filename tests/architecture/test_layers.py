@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 ORDER = """
 aiorts/errors.py aiorts/exits.py aiorts/late.py aiorts/progress.py
 aiorts/description.py
-aiorts/guide
+aiorts/guide aiorts/processes
 aiorts/timer_heap.py
 aiorts/clock.py
 aiorts/model
@@ -71,7 +71,7 @@ plugins/aiorts_foxglove
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
     *("adapting", "composites", "configuration", "control", "diagnostics", "functions", "health", "links", "observe"),
-    *("planning", "realtime", "reload", "rules", "services", "statemachines", "supervision", "sync"),
+    *("planning", "processes", "realtime", "reload", "rules", "services", "statemachines", "supervision", "sync"),
 )
 """The rooms round the microkernel."""
 LARGEST_ROOM = 21

@@ -179,6 +179,11 @@ CODES: Final[dict[str, Code]] = {
         "A misspelt name, a package that is not installed, an import that fails.",
         "aiorts plugins lists what there is; aiorts plugins --check imports each and shows what is wrong.",
     ),
+    "E-PROCESS": Code(
+        "A process cannot be started, or not with the limits that were asked for.",
+        "The system has no more processes or descriptors, or limits.processes needs a cgroup v2 that is not delegated.",
+        "Read the reason in the line; with systemd, Delegate=yes in the unit gives it a cgroup of its own.",
+    ),
     "E-READ-TIMEOUT": Code(
         "No sample arrived in time.",
         "The writer is not active, or sends more rarely than the reader waits.",

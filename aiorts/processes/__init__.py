@@ -1,0 +1,24 @@
+"""Starts the processes of kernels, says how each of them ended, and leaves nothing of them.
+
+They are started below one small helper process, which is no kernel and runs nobody's code: it keeps the children's
+limits and output within bounds and kills what has lost its parent. A child's program begins with `prepare`.
+"""
+
+from __future__ import annotations
+
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.processes.child import DESCRIPTOR, limit_memory, prepare
+    from aiorts.processes.launcher import Child, Launcher
+    from aiorts.processes.values import Ending, Limits
+
+_late(
+    globals(),
+    {
+        "aiorts.processes.child": "DESCRIPTOR limit_memory prepare",
+        "aiorts.processes.launcher": "Child Launcher",
+        "aiorts.processes.values": "Ending Limits",
+    },
+)

@@ -1,0 +1,90 @@
+"""Which processes descend from one, and what Linux does with those that lose their parent.
+
+Where there is no /proc, as on macOS, only the group of a process is known: what has left it is not found.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+
+from aiorts.late import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36
+HAS_PROC = os.path.exists("/proc/self/task")
+
+
+def adopt_orphans() -> None:
+    """Become the parent of each descendant whose own parent ends, where the system has this. For the whole process."""
+    _prctl(_SET_CHILD_SUBREAPER, 1)
+
+
+def ask_at_parents_end(number: int) -> None:
+    """Ask for a signal when the thread ends that started this process, where the system has this."""
+    _prctl(_SET_PDEATHSIG, number)
+
+
+def _prctl(option: int, value: int) -> None:
+    if not HAS_PROC:
+        return
+    import ctypes  # late: 3 ms
+
+    ctypes.CDLL(None).prctl(option, ctypes.c_ulong(value), 0, 0, 0)
+
+
+def children(pid: int) -> Iterator[int]:
+    """The processes whose parent this one is, also those that have ended and were not waited for.
+
+    While they come and go one may be missing: ask again until there are none.
+    """
+    try:
+        threads = os.listdir(f"/proc/{pid}/task")
+    except OSError:
+        return
+    for thread in threads:
+        try:
+            with open(f"/proc/{pid}/task/{thread}/children", encoding="ascii") as file:
+                yield from map(int, file.read().split())
+        except OSError:
+            continue  # the thread has ended; its children are another thread's
+
+
+def kill(pid: int, number: int = signal.SIGKILL) -> None:
+    """Send a signal; a process that has ended, or belongs to another user by now, is left alone."""
+    try:
+        os.kill(pid, number)
+    except (ProcessLookupError, PermissionError):
+        return
+
+
+def kill_group(pid: int) -> None:
+    """Kill a process that began a session, and what stayed in its group."""
+    try:
+        os.killpg(pid, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):
+        kill(pid)
+
+
+def kill_tree(pid: int) -> None:
+    """Kill a process that is no child of this one, and its descendants: stopped first, so that none is started."""
+    found: list[int] = []
+    new = [pid]
+    while new:
+        for one in new:
+            kill(one, signal.SIGSTOP)
+        found += new
+        new = [one for parent in found for one in children(parent) if one not in found]
+    for one in found:
+        kill(one)
+
+
+def started(pid: int) -> int:
+    """When a process began, in ticks since the machine started; 0: there is none. Tells it from a later one."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="ascii", errors="replace") as file:
+            return int(file.read().rpartition(")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return 0

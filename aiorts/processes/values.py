@@ -1,0 +1,45 @@
+"""What a process may use, and how one ended: values, which do nothing."""
+
+from __future__ import annotations
+
+import signal as signals
+
+from aiorts.late import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a process may use; None is without a limit."""
+
+    memory: int | None = None
+    """Bytes of address space above what the process has when it calls `limit_memory`: after its imports."""
+    cpu: float | None = None
+    """Share of one processor: a bound where cgroup v2 is delegated, else nice, which yields to others only."""
+    processes: int | None = None
+    """Processes and threads, its own included; refused where cgroup v2 is not delegated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a process ended: by its exit status or by a signal; neither where the helper was lost, too."""
+
+    status: int | None
+    signal: int | None
+    out_of_memory: bool = False
+    """The system killed it since memory was short, as far as its counters say."""
+    last_lines: tuple[str, ...] = ()
+    """The last lines that it wrote, also those that were left out."""
+
+    @property
+    def text(self) -> str:
+        """ "exit status 3", "killed by SIGSEGV (signal 11)", "killed by SIGKILL, out of memory"."""
+        if self.signal is None:
+            return (
+                "end not seen: the helper process was killed" if self.status is None else f"exit status {self.status}"
+            )
+        if self.out_of_memory:
+            return "killed by SIGKILL, out of memory"
+        try:
+            return f"killed by {signals.Signals(self.signal).name} (signal {self.signal})"
+        except ValueError:  # a real-time signal
+            return f"killed by signal {self.signal}"
