@@ -6,6 +6,7 @@ this process, then the process itself.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import threading
@@ -13,7 +14,7 @@ import time
 from typing import Final
 
 from aiorts.errors import ProcessError
-from aiorts.processes.tree import HAS_PROC, adopt_orphans, ask_at_parents_end, children, kill
+from aiorts.processes.tree import HAS_PROC, adopt_orphans, ask_at_parents_end, children, kill_trees
 
 DESCRIPTOR: Final = 3
 """The number that the descriptor given to `Launcher.start` has in the child."""
@@ -48,20 +49,14 @@ def _end_with_parent() -> None:
     os.read(_LIVENESS, 1)
     until = time.monotonic() + _KILLING
     while (found := list(children(os.getpid()))) and time.monotonic() < until:
+        kill_trees(found)
         for pid in found:
-            kill(pid)  # its own children are this process's then, or those of the next that adopts
-            _wait_for(pid)
+            with contextlib.suppress(ChildProcessError):  # another thread waits for it
+                os.waitpid(pid, os.WNOHANG)
         time.sleep(0.001)
     if HAS_PROC:
         os._exit(1)
     os.killpg(0, signal.SIGKILL)
-
-
-def _wait_for(pid: int) -> None:
-    try:
-        os.waitpid(pid, os.WNOHANG)
-    except ChildProcessError:
-        return  # somebody else waits for it
 
 
 def limit_memory(size: int) -> None:

@@ -4,13 +4,15 @@ It belongs to one process, whose end it notices by the end-of-file of its socket
 pidfd, which copies of the socket in forked processes do not hold up. It runs nobody's code and never waits for
 anything but its descriptors. Requests and reports are JSON, one a line.
 
-All children are started by its one thread, and it adopts the descendants of those that have ended: that is process-wide,
-so an application could not do it in itself without getting the orphans of its other children, and would have to wait
-for processes that it does not know. For the same reason nothing of it is in `aiorts run`.
+All children are started by its one thread, and it adopts the descendants of those that have ended. Adopting is
+process-wide: an application that did it in itself, `aiorts run` too, would get the orphans of whatever its components
+start, and would have to wait for processes that it does not know. And when it is killed, nobody would be left to kill
+the descendants of a child that is stopped or holds the interpreter's lock.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -18,11 +20,12 @@ import signal
 import socket
 import sys
 import time
+from functools import partial
 
 from aiorts.late import TYPE_CHECKING
 from aiorts.processes import groups
 from aiorts.processes.output import Output
-from aiorts.processes.tree import HAS_PROC, adopt_orphans, children, kill, kill_group, started
+from aiorts.processes.tree import HAS_PROC, adopt_orphans, children, kill, kill_trees, started
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,12 +61,12 @@ class Helper:
         self._control = control
         self._children: dict[int, _Child] = {}
         self._old_groups: list[groups.Group] = []
-        self._requests, self._outgoing = b"", b""
+        self._requests, self._outgoing = b"", bytearray()
         self._descriptors: list[int] = []
         self._closing = False
         self._killed_for_memory = groups.killed_for_memory()
         self._poll = select.poll()
-        self._ready: dict[int, Callable[[], None]] = {}
+        self._ready: dict[int, Callable[[], object]] = {}
         control.setblocking(False)
         self._watch(control.fileno(), self._exchange)
         self._null = os.open(os.devnull, os.O_RDWR)
@@ -75,10 +78,8 @@ class Helper:
         signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
         self._watch(self._woken, self._reap)
         if hasattr(os, "pidfd_open"):
-            try:
+            with contextlib.suppress(OSError):  # it has gone, or the system has none: the socket reports it
                 self._watch(os.pidfd_open(parent), self._close)
-            except OSError:  # it has gone, or the system has none: the socket reports it
-                pass
         if os.getppid() != parent:
             self._close()
 
@@ -98,7 +99,7 @@ class Helper:
         due = [child.output.due for child in self._children.values() if child.output.due is not None]
         return max(0.0, min(due) - time.monotonic()) * 1000 + 1 if due else None
 
-    def _watch(self, descriptor: int, ready: Callable[[], None]) -> None:
+    def _watch(self, descriptor: int, ready: Callable[[], object]) -> None:
         self._ready[descriptor] = ready
         self._poll.register(descriptor, select.POLLIN)
 
@@ -138,11 +139,11 @@ class Helper:
     def _flush(self) -> None:
         try:
             while self._outgoing:
-                self._outgoing = self._outgoing[self._control.send(self._outgoing) :]
+                del self._outgoing[: self._control.send(self._outgoing)]
         except BlockingIOError:
             pass
         except OSError:
-            self._outgoing = b""
+            self._outgoing.clear()
             self._close()
         self._poll.modify(self._control.fileno(), select.POLLIN | (select.POLLOUT if self._outgoing else 0))
 
@@ -158,6 +159,8 @@ class Helper:
             group = self._group(number, limits, granted, denied)
             pipes = [*os.pipe(), *os.pipe()]
             pid = self._spawn(request, descriptor, pipes[1], pipes[3])
+            if group is not None:
+                self._put(pid, group, limits, granted, denied)
         except (OSError, groups.Refused) as error:
             for one in pipes[::2]:
                 os.close(one)
@@ -169,12 +172,6 @@ class Helper:
             for one in (descriptor, *pipes[1::2]):
                 os.close(one)
         child = self._children[pid] = _Child(number, pid, group)
-        if group is not None:
-            try:
-                group.add(pid)
-            except groups.Refused as error:
-                denied |= dict.fromkeys(granted, str(error))
-                granted.clear()
         if limits["memory"] is not None:
             if HAS_PROC:
                 granted["memory"] = "RLIMIT_AS, by the process itself after its imports"
@@ -185,7 +182,7 @@ class Helper:
         for stream, pipe in zip(_STREAMS, pipes[::2], strict=True):
             os.set_blocking(pipe, False)
             child.pipes[stream] = pipe
-            self._watch(pipe, lambda stream=stream: self._read(child, stream))  # type: ignore[misc]
+            self._watch(pipe, partial(self._read, child, stream))
         self._report(number, pid=pid, began=started(pid), granted=granted, denied=denied)
 
     def _group(
@@ -211,6 +208,18 @@ class Helper:
             return None
         granted.update({limit: f"cgroup v2, {file} = {value}" for limit, (_, file, value) in bounds.items()})
         return group
+
+    def _put(
+        self, pid: int, group: groups.Group, limits: dict[str, Any], granted: dict[str, str], denied: dict[str, str]
+    ) -> None:
+        try:
+            group.add(pid)
+        except groups.Refused as error:
+            if limits["processes"] is not None:
+                kill(pid)
+                raise
+            granted.clear()
+            denied["cpu"] = str(error)
 
     def _spawn(self, request: dict[str, Any], descriptor: int, stdout: int, stderr: int) -> int:
         if os.path.isdir(request["folder"]):
@@ -256,35 +265,33 @@ class Helper:
                 self._kill_child(child)
 
     def _kill_child(self, child: _Child) -> None:
-        """What left its group comes to this process when it has ended, and is killed then."""
-        kill_group(child.pid)
+        """What lost its parent meanwhile has come to this process, and was killed."""
+        kill_trees([child.pid])
         if child.group is not None:
             child.group.kill()
 
     def _reap(self) -> bool:
         """Wait for what has ended, and kill what lost its parent by that. Whether there is any child left."""
-        try:
+        with contextlib.suppress(BlockingIOError):
             os.read(self._woken, _AT_ONCE)
-        except BlockingIOError:
-            pass
-        while True:
+        left = True
+        while left:
             try:
                 pid, status = os.waitpid(-1, os.WNOHANG)
             except ChildProcessError:
-                return False
+                left = False
+                break
             if not pid:
                 break
             if child := self._children.pop(pid, None):
                 self._ended(child, os.waitstatus_to_exitcode(status))
-        for orphan in children(os.getpid()):
-            if orphan not in self._children:
-                kill(orphan)
+        kill_trees(orphan for orphan in children(os.getpid()) if orphan not in self._children)
         self._old_groups = [group for group in self._old_groups if not group.remove()]
-        return True
+        return left
 
     def _ended(self, child: _Child, code: int) -> None:
-        if not HAS_PROC:
-            kill_group(child.pid)
+        if not HAS_PROC:  # what is left of its group
+            kill_trees([child.pid])
         if child.group is not None:
             child.group.kill()
             self._old_groups.append(child.group)
@@ -315,10 +322,8 @@ class Helper:
         for group in self._old_groups:
             group.remove()
         self._control.settimeout(1.0)
-        try:
+        with contextlib.suppress(OSError):  # nobody reads
             self._control.sendall(self._outgoing)
-        except OSError:  # nobody reads
-            pass
 
 
 def _be_nice(pid: int, share: float, granted: dict[str, str], denied: dict[str, str]) -> None:

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from aiorts.errors import ClosedError, ProcessError
 from aiorts.late import dataclass
-from aiorts.processes.tree import kill_tree, started
+from aiorts.processes.tree import kill_trees, started
 from aiorts.processes.values import Ending, Limits
 
 _STARTING: Final = 10.0
@@ -68,7 +68,7 @@ class Child:
     def _lose(self) -> None:
         """The helper is gone, so nobody waits for this process any more."""
         if started(self.pid) == self._began:
-            kill_tree(self.pid)
+            kill_trees([self.pid])
         self._end(Ending(None, None))
 
     def _end(self, ending: Ending) -> None:
@@ -218,13 +218,14 @@ class Launcher:
         self._outgoing.clear()
 
     def _read(self) -> None:
-        assert self._control is not None
+        data = b""
         try:
-            data = self._control.recv(_AT_ONCE)
+            if self._control is not None:
+                data = self._control.recv(_AT_ONCE)
         except BlockingIOError:
             return
-        except OSError:
-            data = b""
+        except OSError:  # as if it had closed it
+            pass
         *lines, self._incoming = (self._incoming + data).split(b"\n")
         for line in lines:
             self._take(json.loads(line))
