@@ -121,6 +121,8 @@ class Helper:
             return
         except OSError:
             data, descriptors = b"", []
+        for descriptor in descriptors:
+            os.set_inheritable(descriptor, False)  # what is received is inherited otherwise, by whatever starts next
         self._descriptors += descriptors
         if not data:
             self._close()

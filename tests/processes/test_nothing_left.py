@@ -1,0 +1,164 @@
+"""Whoever is killed at whatever moment: no process, socket, shared memory or temporary file is left."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from campaign import cases, time_limit
+from process_parts import DAEMON, GONE, WAIT, all_gone, marked, program, started, there
+
+PARENT = """
+import asyncio, os, socket, sys
+from aiorts.processes import Launcher
+
+async def main():
+    launcher = Launcher()
+    ours, its = socket.socketpair()
+    def on_line(stream, line):
+        print(line, flush=True)
+    for code in sys.argv[1:]:
+        child = await launcher.start(["-c", code], descriptor=its.fileno(), name="child", on_line=on_line)
+    print(launcher._helper.pid, child.pid, flush=True)
+    await asyncio.sleep(100)
+
+asyncio.run(main())
+"""
+IDLE = "print('idle', flush=True)\nimport time; time.sleep(100)"
+STOPPED = "print('stopped', flush=True)\nimport os, signal\nos.kill(os.getpid(), signal.SIGSTOP)"
+LOCKED = "print('locked', flush=True)\nimport ctypes\nctypes.PyDLL(None).sleep(100)"  # holds the interpreter's lock
+DAEMONS = DAEMON + "print('daemons', flush=True)\nimport time; time.sleep(100)"
+FORKED = "if os.fork() == 0:\n    time.sleep(100)\n"
+
+
+class Parent:
+    """A process with a launcher and children, which has said that they run."""
+
+    def __init__(self, *bodies: str, before: str = "") -> None:
+        codes = [program(body)[1] for body in bodies]
+        self.process = subprocess.Popen([sys.executable, "-c", before + PARENT, *codes], stdout=subprocess.PIPE)
+        self.expected = len(bodies) + 1
+
+    def ready(self) -> tuple[int, int]:
+        """The helper and the last child; each child has written its line."""
+        assert self.process.stdout is not None
+        lines = [self.process.stdout.readline() for _ in range(self.expected)]
+        found = next(line for line in lines if line[:1].isdigit())
+        helper, child = map(int, found.split())
+        return helper, child
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait(WAIT)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+def things() -> set[str]:
+    """What is in the folders where names can be left, and the sockets that have one."""
+    folders = ("/dev/shm", tempfile.gettempdir(), os.environ["XDG_RUNTIME_DIR"])
+    names = {str(path) for folder in folders if os.path.isdir(folder) for path in Path(folder).glob("*aiorts*")}
+    sockets = {line.split()[-1] for line in Path("/proc/net/unix").read_text().splitlines() if "aiorts" in line}
+    return names | sockets
+
+
+@pytest.mark.parametrize("body", [IDLE, STOPPED, LOCKED, DAEMONS], ids=["idle", "stopped", "locked", "daemons"])
+def test_nothing_is_left_of_a_parent_that_is_killed(body: str) -> None:
+    before = things()
+    with marked() as mark:
+        parent = Parent(IDLE, body)
+        parent.ready()
+        assert len(there(mark)) == 4 + (body is DAEMONS)
+        parent.kill()
+        assert all_gone(mark) == {}
+    assert things() == before
+
+
+@pytest.mark.timeout(time_limit(600))
+def test_nothing_is_left_of_a_parent_that_is_killed_at_any_moment() -> None:
+    before, chosen = things(), random.Random(19)
+    longest = 0.0
+    for _ in range(cases(100)):
+        with marked() as mark:
+            parent = Parent(IDLE, DAEMONS)
+            time.sleep(chosen.random() * 0.4)
+            parent.kill()
+            began = time.monotonic()
+            assert all_gone(mark) == {}
+            longest = max(longest, time.monotonic() - began)
+    print(f"longest: {longest:.3f} s")
+    assert things() == before
+
+
+def test_a_parent_that_has_forked_is_noticed_though_its_sockets_are_still_held() -> None:
+    """multiprocessing forks, too: the copies of the socket stay open in processes that live on."""
+    fork = "import os, threading\nthreading.Timer(0.0, lambda: None)\n"
+    body = PARENT.replace(
+        "    await asyncio.sleep(100)", "    os.fork() or os.environ.clear()\n    await asyncio.sleep(100)"
+    )
+    with marked() as mark:
+        process = subprocess.Popen([sys.executable, "-c", fork + body, program(IDLE)[1]], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        helper = next(int(line.split()[0]) for line in process.stdout if line[:1].isdigit())
+        until = time.monotonic() + WAIT
+        while len(there(mark)) < 4 and time.monotonic() < until:
+            time.sleep(0.01)
+        process.kill()
+        process.wait(WAIT)
+        process.stdout.close()
+        copies = set()
+        until = time.monotonic() + GONE
+        while len(copies := set(there(mark))) > 1 and time.monotonic() < until:
+            time.sleep(0.01)
+        assert len(copies) == 1
+        assert helper not in copies
+        os.kill(copies.pop(), signal.SIGKILL)
+        assert all_gone(mark) == {}
+
+
+@pytest.mark.parametrize("body", [IDLE, STOPPED, DAEMONS], ids=["idle", "stopped", "daemons"])
+def test_nothing_is_left_when_parent_and_helper_are_killed_together(body: str) -> None:
+    with marked() as mark:
+        parent = Parent(IDLE, body)
+        helper, _ = parent.ready()
+        os.kill(helper, signal.SIGKILL)
+        parent.kill()
+        assert all_gone(mark) == {}
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("body", [IDLE, STOPPED, LOCKED, DAEMONS], ids=["idle", "stopped", "locked", "daemons"])
+async def test_a_helper_that_is_killed_takes_its_children_along_and_the_next_start_has_another(body: str) -> None:
+    async with started() as its, asyncio.timeout(WAIT):
+        child = await its.start(body)
+        await its.line(body.partition("'")[2].partition("'")[0] if body is not DAEMONS else "daemons")
+        helper = its.helper
+        os.kill(helper, signal.SIGKILL)
+        ending = await child.ended
+        assert ending.text == "end not seen: the helper process was killed"
+        again = await its.start("raise SystemExit(4)")
+        assert (await again.ended).status == 4
+        until = time.monotonic() + GONE
+        while (left := set(there(its.mark))) != {its.helper} and time.monotonic() < until:
+            await asyncio.sleep(0.01)
+        assert left == {its.helper} != {helper}
+
+
+@pytest.mark.anyio
+async def test_a_group_of_the_terminal_that_is_interrupted_leaves_helper_and_children_alone() -> None:
+    async with started() as its, asyncio.timeout(WAIT):
+        child = await its.start("import os; os.read(3, 1)")
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(its.helper, number)
+        assert os.getsid(its.helper) == its.helper
+        its.ours.send(b"x")
+        assert (await child.ended).text == "exit status 0"
