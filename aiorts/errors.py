@@ -35,6 +35,7 @@ __all__ = (
     "Place",
     "PluginError",
     "PortTypeError",
+    "ProcessError",
     "ReadTimeout",
     "RecordError",
     "RecordTypeError",

@@ -108,14 +108,14 @@ async def test_environment_and_folder_are_those_of_now(monkeypatch: pytest.Monke
 async def test_output_without_bound_holds_up_nobody_and_is_counted() -> None:
     async with started() as its, asyncio.timeout(WAIT):
         child = await its.start(
-            "import os\nfor _ in range(1000): os.write(1, b'0123456789abcde\\n' * 4096)\nprint('last')"
+            "import os\nfor _ in range(300): os.write(1, b'0123456789abcde\\n' * 4096)\nprint('last')"
         )
         time.sleep(0.1)  # this loop does not turn meanwhile
         ending = await child.ended
     said = [line.split() for _, line in its.lines if line.startswith("...")]
     lines = [line for _, line in its.lines if not line.startswith("...")]
     assert ending.last_lines[-1] == "last"
-    assert sum(int(words[1]) for words in said) + len(lines) == 1000 * 4096 + 1
+    assert sum(int(words[1]) for words in said) + len(lines) == 300 * 4096 + 1
     assert len(lines) < 10_000
 
 
@@ -175,7 +175,7 @@ async def test_processes_that_start_others_without_end_are_all_killed() -> None:
     async with started() as its, asyncio.timeout(WAIT):
         child = await its.start(bomb)
         await its.line("ready")
-        await asyncio.sleep(0.3)
+        await asyncio.sleep(0.1)
         child.kill()
         assert (await child.ended).signal == signal.SIGKILL
         while set(there(its.mark)) != {its.helper}:

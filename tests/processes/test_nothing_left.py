@@ -8,7 +8,6 @@ import random
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -37,7 +36,6 @@ IDLE = "print('idle', flush=True)\nimport time; time.sleep(100)"
 STOPPED = "print('stopped', flush=True)\nimport os, signal\nos.kill(os.getpid(), signal.SIGSTOP)"
 LOCKED = "print('locked', flush=True)\nimport ctypes\nctypes.PyDLL(None).sleep(100)"  # holds the interpreter's lock
 DAEMONS = DAEMON + "print('daemons', flush=True)\nimport time; time.sleep(100)"
-FORKED = "if os.fork() == 0:\n    time.sleep(100)\n"
 
 
 class Parent:
@@ -63,30 +61,33 @@ class Parent:
         self.process.stdout.close()
 
 
-def things() -> set[str]:
-    """What is in the folders where names can be left, and the sockets that have one."""
-    folders = ("/dev/shm", tempfile.gettempdir(), os.environ["XDG_RUNTIME_DIR"])
-    names = {str(path) for folder in folders if os.path.isdir(folder) for path in Path(folder).glob("*aiorts*")}
-    sockets = {line.split()[-1] for line in Path("/proc/net/unix").read_text().splitlines() if "aiorts" in line}
-    return names | sockets
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the processes of a test put temporary files and sockets."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+def names(folder: Path) -> list[str]:
+    """What is left there, and the shared memory of ours."""
+    return [path.name for path in folder.iterdir()] + [name for name in os.listdir("/dev/shm") if "aiorts" in name]
 
 
 @pytest.mark.parametrize("body", [IDLE, STOPPED, LOCKED, DAEMONS], ids=["idle", "stopped", "locked", "daemons"])
-def test_nothing_is_left_of_a_parent_that_is_killed(body: str) -> None:
-    before = things()
+def test_nothing_is_left_of_a_parent_that_is_killed(body: str, folder: Path) -> None:
     with marked() as mark:
         parent = Parent(IDLE, body)
         parent.ready()
         assert len(there(mark)) == 4 + (body is DAEMONS)
         parent.kill()
         assert all_gone(mark) == {}
-    assert things() == before
+    assert names(folder) == []
 
 
 @pytest.mark.timeout(time_limit(600))
-def test_nothing_is_left_of_a_parent_that_is_killed_at_any_moment() -> None:
-    before, chosen = things(), random.Random(19)
-    longest = 0.0
+def test_nothing_is_left_of_a_parent_that_is_killed_at_any_moment(folder: Path) -> None:
+    chosen, longest = random.Random(19), 0.0
     for _ in range(cases(100)):
         with marked() as mark:
             parent = Parent(IDLE, DAEMONS)
@@ -96,17 +97,16 @@ def test_nothing_is_left_of_a_parent_that_is_killed_at_any_moment() -> None:
             assert all_gone(mark) == {}
             longest = max(longest, time.monotonic() - began)
     print(f"longest: {longest:.3f} s")
-    assert things() == before
+    assert names(folder) == []
 
 
 def test_a_parent_that_has_forked_is_noticed_though_its_sockets_are_still_held() -> None:
     """multiprocessing forks, too: the copies of the socket stay open in processes that live on."""
-    fork = "import os, threading\nthreading.Timer(0.0, lambda: None)\n"
     body = PARENT.replace(
         "    await asyncio.sleep(100)", "    os.fork() or os.environ.clear()\n    await asyncio.sleep(100)"
     )
     with marked() as mark:
-        process = subprocess.Popen([sys.executable, "-c", fork + body, program(IDLE)[1]], stdout=subprocess.PIPE)
+        process = subprocess.Popen([sys.executable, "-c", body, program(IDLE)[1]], stdout=subprocess.PIPE)
         assert process.stdout is not None
         helper = next(int(line.split()[0]) for line in process.stdout if line[:1].isdigit())
         until = time.monotonic() + WAIT

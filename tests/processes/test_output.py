@@ -52,7 +52,7 @@ def test_a_line_without_an_end_takes_no_memory() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.sampled_from(["stdout", "stderr"]), st.integers(0, 9000), st.integers(0, 9000)), max_size=40)
+    st.lists(st.tuples(st.sampled_from(["stdout", "stderr"]), st.integers(0, 9000), st.integers(0, 9000)), max_size=12)
 )
 def test_every_byte_is_passed_on_or_counted(parts: list[tuple[str, int, int]]) -> None:
     output, found, fed = Output(), [], 0
