@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, cast, overload
 
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.microkernel import Microkernel
@@ -16,6 +16,7 @@ from aiorts.kernel.microkernel import Microkernel
 if TYPE_CHECKING:
     from aiorts.configuration import ConfigurationFiles
     from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
+    from aiorts.isolation import Isolation, Limits
     from aiorts.kernel.component import Component
     from aiorts.kernel.connection import Connection
     from aiorts.kernel.ports import Port, PortDeclaration
@@ -54,12 +55,17 @@ class Kernel(Microkernel):
 
     _deadlines: DeadlineMonitor | None = None
     _supervision: Supervising | None = None
+    _isolation: Isolation | None = None
 
     async def start(self, context: X, *components: Component, activate: bool = False, timeout: float | None = 5.0) -> X:
         if self._deadlines is None:
             from aiorts.diagnostics import DeadlineMonitor
 
             self._deadlines = self.service(DeadlineMonitor)
+        if self._isolation is not None:
+            from aiorts.isolation.placing import placed
+
+            context = cast("X", placed(context, components))
         return await super().start(context, *components, activate=activate, timeout=timeout)
 
     start.__doc__ = Microkernel.start.__doc__
@@ -136,7 +142,9 @@ class Kernel(Microkernel):
             from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
 
             return await connect_adapted(self, (one, two, *more), options)
-        if any(isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)):
+        if self._isolation is not None or any(
+            isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)
+        ):
             self.check_open("connect")
             from aiorts.links import Links  # late: few systems have links
 
@@ -144,6 +152,30 @@ class Kernel(Microkernel):
         return await super().connect(one, two, *more, **options)
 
     connect.__doc__ = Microkernel.connect.__doc__
+
+    async def create_isolated(
+        self, kind: type[Component] | str, name: str = "", *, limits: Limits | None = None, **params: object
+    ) -> Component:
+        """Make a component that runs in a process of its own, and add what stands for it here.
+
+        It has the component's ports, parameters and lifecycle, is started in a context of its own kind as any other,
+        and what is connected with it is a link. When its process ends, it goes to error; a reset starts another. On a
+        simulated clock the component runs in this process, which is said once.
+
+        Args:
+            kind, name, params: as `create`; the process has to be able to import the class.
+            limits: what the process may use, `aiorts.isolation.Limits(memory=, cpu=, processes=)`.
+
+        Raises:
+            DeclarationError: the class is of `__main__`, or was made in a function.
+            ProcessError: the process cannot be started, or has not come up within 10 s.
+                What `create` raises.
+        """
+        self.check_open("create_isolated")
+        from aiorts.isolation import Isolation, Limits  # late: few kernels have processes
+
+        self._isolation = self.service(Isolation)
+        return await self._isolation.create(kind, name, limits or Limits(), params)
 
     def monitor_deadlines(self, context: Context) -> ContextTimer | None:
         return None if self._deadlines is None else self._deadlines.monitor(context)

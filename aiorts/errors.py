@@ -372,6 +372,17 @@ class StaleError(ControlError):
     code = "E-STALE"
 
 
+def error_of_code(code: str, text: str) -> AiortsError | None:
+    """The error that another kernel reports by its code; None where no class that is made of a text alone has it."""
+    for kind in map(globals().get, __all__):
+        if isinstance(kind, type) and issubclass(kind, AiortsError) and kind.code == code:
+            try:
+                return kind(text)
+            except TypeError:  # it is made of more than its text
+                return None
+    return None
+
+
 def format_error(error: BaseException) -> str:
     """`Class: text` of an exception that foreign code raised, also where its `__str__` raises."""
     try:

@@ -12,6 +12,9 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.control.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
     from aiorts.control.folder import Entry, entries, private_folder
+    from aiorts.control.operation import Right
+    from aiorts.control.operations import OPERATIONS
+    from aiorts.control.session import Session
     from aiorts.control.target import (
         FILES,
         PATIENCE,
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = (
     "END",
     "FILES",
+    "OPERATIONS",
     "PATIENCE",
     "TIMEOUT",
     "Client",
@@ -37,7 +41,9 @@ __all__ = (
     "Entry",
     "Found",
     "Kernels",
+    "Right",
     "Running",
+    "Session",
     "Silent",
     "Stream",
     "entries",
@@ -57,6 +63,9 @@ _late(
     {
         "aiorts.control.client": "END TIMEOUT Client CutOff Silent Stream open_all",
         "aiorts.control.folder": "Entry entries private_folder",
+        "aiorts.control.operation": "Right",
+        "aiorts.control.operations": "OPERATIONS",
+        "aiorts.control.session": "Session",
         "aiorts.control.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
         ),

@@ -24,7 +24,7 @@ from aiorts import errors
 from aiorts.control.ahead import Ahead, Waiting
 from aiorts.control.folder import Entry, discard, is_served
 from aiorts.control.protocol import ANSWERS, NEWEST, OLDEST, REQUESTS, STALL_SECONDS, agreed, answer_in, framed, frames
-from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError
+from aiorts.errors import AiortsError, ControlError, NoAnswerError, WireError, error_of_code
 from aiorts.late import dataclass
 
 TIMEOUT: Final = 5.0
@@ -477,11 +477,8 @@ def _error_of(found: object, entry: Entry) -> AiortsError:
     if not isinstance(found, dict):
         return ControlError(f"{entry.address}: {found!s:.200}")
     code, text = str(found.get("code", "")), str(found.get("text", ""))
-    for name in errors.__all__:
-        kind = getattr(errors, name)
-        if isinstance(kind, type) and issubclass(kind, AiortsError) and kind.code == code:
-            with contextlib.suppress(TypeError):  # one that is made of more than its text
-                return kind(text)
+    if (known := error_of_code(code, text)) is not None:
+        return known
     error = ControlError(text)
     error.code = code or ControlError.code  # type: ignore[misc] # of a newer kernel
     return error

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError
 from aiorts.kernel.between_cycles import between_cycles, soon
 from aiorts.kernel.commit import Edit, commit
-from aiorts.kernel.declarations import declarations
+from aiorts.kernel.declarations import declarations, kinds_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.parameters import Declared, Parameters
 from aiorts.kernel.ports import InPort, OutPort
@@ -137,6 +137,8 @@ class Configuration:
         component, kernel = self._component, cell(self._component).kernel
         change = partial(commit, component, edit)
         if kernel is not None:
+            for kind in kinds_of(component):
+                await kind.configuring(component, edit(self._state).values)
             await between_cycles(kernel, component, change)
         elif (error := change()) is not None:
             raise error

@@ -106,7 +106,7 @@ class Connections:
             self._kernel.registry.port(one) if isinstance(one, str) and not beyond else one
             for one, beyond in zip(ports, is_far, strict=True)
         ]
-        if far is not None and any(is_far):
+        if far is not None and (any(is_far) or any(getattr(one, "elsewhere", None) for one in found)):
             return far.resolve(found, options)
         if options.get("on_link_lost") is not None:
             raise WiringError("on_link_lost: both ports are in this kernel; there is no link that could be lost")

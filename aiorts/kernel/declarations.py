@@ -32,6 +32,9 @@ class Kind:
         """What its profile says beside what every component's says: fields of a ComponentReport."""
         return {}
 
+    async def configuring(self, component: Any, values: Mapping[str, Any]) -> None:
+        """These values of its parameters are about to be in force; what it raises refuses them."""
+
     def keeps_code(self, component: Any) -> str:
         """Why its code cannot be replaced now; "" where it can."""
         return ""

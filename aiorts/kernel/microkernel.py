@@ -361,6 +361,10 @@ class Microkernel:
             raise DeclarationError(f"naming = {policy!r}: expected NamePolicy(...)")
         self._naming = policy
 
+    def free_instance_name(self, kind: type) -> str:
+        """A name that nothing has, for an instance of this class, by `naming`."""
+        return self._instance_name(kind)
+
     def _free_name(self, stem: str) -> str:
         return self._numbering.lowest(stem.lower())
 

@@ -127,9 +127,13 @@ class UnixTransport:
         if self._listener is not None:
             self.loop.add_reader(self._listener.fileno(), self._accept)
 
-    def take(self, sock: socket.socket) -> _Connection:
-        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel."""
-        connection = _Connection(self, sock)
+    def take(self, sock: socket.socket, *, greets_within: float = _GREETING_SECONDS) -> _Connection:
+        """Use a connected socket, at whose other end is another kernel; its end is the end of that kernel.
+
+        Args:
+            greets_within: seconds until it must have said who it is.
+        """
+        connection = _Connection(self, sock, greets_within)
         self._connections.add(connection)
         return connection
 
@@ -271,7 +275,7 @@ class _UnixChannel:
 class _Connection:
     """A connection with another kernel: its greeting, questions, and the frames of all channels."""
 
-    def __init__(self, transport: UnixTransport, sock: socket.socket) -> None:
+    def __init__(self, transport: UnixTransport, sock: socket.socket, greets_within: float) -> None:
         self._transport = transport
         self.peer: Peer | None = None
         self.greeted: asyncio.Future[None] = transport.loop.create_future()
@@ -281,7 +285,7 @@ class _Connection:
         self._answering = 0
         self._identity = f"user {_user_of(sock)}"
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
-        self._silent = transport.loop.call_later(_GREETING_SECONDS, self._never_greeted)
+        self._silent = transport.loop.call_later(greets_within, self._never_greeted)
         self.stream.send(_HELLO, 0, transport.greeting)
 
     def close(self) -> None:

@@ -6,16 +6,18 @@ is a part of the system like any other: it is in `Kernel.connectors`, in profile
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
+from aiorts.errors import StateError
 from aiorts.kernel.ports.host import PortHost
 from aiorts.kernel.ports.in_port import InPort
 from aiorts.kernel.ports.out_port import OutPort
 from aiorts.kernel.ports.port import Port, Turns
 
 if TYPE_CHECKING:
+    from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
     from aiorts.model.names import Path
 
@@ -38,6 +40,62 @@ class FarOutPort(OutPort[Any]):
     """Which port it stands for; `path` may say it otherwise."""
     held: Callable[[], int]
     """How many samples have come that are not written yet, since a reader has no room; set by the service."""
+
+
+class RemoteInPort(InPort[Any]):
+    """The in-port of a component that runs in another kernel: connecting it makes a far in-port and a link."""
+
+    __slots__ = ("elsewhere",)
+
+    def bind(self, host: PortHost, name: str) -> RemoteInPort:
+        limits: dict[str, Any] = {"max_connectors": self.max_connectors, "length": self.length}
+        port = RemoteInPort(self.type, unit=self.unit, shape=self.shape, doc=self.doc, **limits)
+        port._attach(host, name)
+        return port
+
+    @property
+    def connectors(self) -> tuple[Connector, ...]:
+        """The connectors of this kernel that end at the port."""
+        return tuple(one for one in _connectors_of(self) if getattr(one.in_, "far", None) == self.elsewhere)
+
+    def read_nowait(self) -> Any:
+        raise _not_here(self)
+
+    async def read(self, timeout: float | None = None) -> Any:  # noqa: ASYNC109 - as that of every in-port
+        raise _not_here(self)
+
+
+class RemoteOutPort(OutPort[Any]):
+    """The out-port of a component that runs in another kernel: connecting it makes a far out-port and a link."""
+
+    __slots__ = ("elsewhere",)
+
+    def bind(self, host: PortHost, name: str) -> RemoteOutPort:
+        port = RemoteOutPort(
+            self.type, unit=self.unit, shape=self.shape, doc=self.doc, max_connectors=self.max_connectors
+        )
+        port._attach(host, name)
+        return port
+
+    @property
+    def connectors(self) -> tuple[Connector, ...]:
+        """The connectors of this kernel that begin at the port."""
+        return tuple(one for one in _connectors_of(self) if getattr(one.out, "far", None) == self.elsewhere)
+
+    def write_nowait(self, sample: Any) -> bool:
+        raise _not_here(self)
+
+    async def write(self, sample: Any) -> bool:
+        raise _not_here(self)
+
+
+def _connectors_of(port: Port[Any]) -> Iterable[Connector]:
+    kernel = None if port._host is None else port._host.kernel
+    return () if kernel is None or port.elsewhere is None else kernel.connections.connectors.values()
+
+
+def _not_here(port: Port[Any]) -> StateError:
+    return StateError(f"{port.path}: its component runs in a process of its own; connect the port with one of yours")
 
 
 class FarPorts(Protocol):

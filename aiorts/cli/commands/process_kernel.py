@@ -1,0 +1,21 @@
+"""`aiorts kernel`: the program of a process that runs one component; a kernel starts it, and nobody else."""
+
+from __future__ import annotations
+
+import click
+
+from aiorts import exits
+from aiorts.processes import DESCRIPTOR, prepare
+
+
+@click.command(hidden=True)
+@click.option("--fd", "descriptor", type=int, required=True, metavar="N", help="The socket of the kernel that started it.")
+def kernel(descriptor: int) -> int:
+    """Run a kernel for one component, as another kernel says; it ends with that kernel."""
+    if descriptor != DESCRIPTOR:
+        raise click.UsageError("this command is for aiorts itself; `aiorts run` runs a component")
+    prepare()
+    from aiorts.isolation.child import main  # late: `prepare` comes before everything that takes long
+
+    main()
+    return exits.DONE

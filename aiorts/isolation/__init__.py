@@ -1,0 +1,28 @@
+"""Components that run in processes of their own.
+
+`Kernel.create_isolated` starts a process with a kernel in it, makes the component there, and gives a stand-in of it to
+this kernel. What is connected with the stand-in's ports is a link; its lifecycle, parameters and errors are those of
+the component in the process, whose end is a failure of the component like any other.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.isolation.isolating import Isolation, IsolationSettings
+    from aiorts.isolation.stand_in import RemoteComponent
+    from aiorts.processes import Limits
+
+__all__ = ("Isolation", "IsolationSettings", "Limits", "RemoteComponent")
+
+_late(
+    globals(),
+    {
+        "aiorts.isolation.isolating": "Isolation IsolationSettings",
+        "aiorts.isolation.stand_in": "RemoteComponent",
+        "aiorts.processes": "Limits",
+    },
+)

@@ -1,0 +1,133 @@
+"""The process of one component: a kernel that the kernel which started it operates over a socket.
+
+It has no socket that others could find, and ends with the one that it was started with.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import logging
+import socket
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+from aiorts.assembly import Kernel
+from aiorts.control import OPERATIONS, Right, Session
+from aiorts.errors import AiortsError, ComponentError, LinkError, format_error
+from aiorts.isolation import messages
+from aiorts.kernel.extensions.catalogue import Catalogue
+from aiorts.kernel.loop.bus import StateChanged
+from aiorts.links import Caller, Links, Peer
+from aiorts.links.unix import UnixTransport
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.reading import from_plain
+from aiorts.processes import DESCRIPTOR, limit_memory
+from aiorts.running import run
+
+MARK: Final = "\x1e"
+"""Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
+_REPORT_SECONDS: Final = 5.0
+
+
+def main() -> None:
+    """Do as the kernel at the other end of the socket says, until that ends. `prepare` was called before."""
+    sock = socket.socket(fileno=DESCRIPTOR)
+    first = messages.First.receive(sock)
+    sys.path[:] = first.path
+    _log_to_stderr(first.log_level)
+    run(_Process(first, sock).serve(), loop=first.loop)
+
+
+class _Process:
+    """The kernel of one component."""
+
+    def __init__(self, first: messages.First, sock: socket.socket) -> None:
+        self._first, self._socket = first, sock
+        self._transport = UnixTransport(listens=False)
+        self._over = asyncio.Event()
+        self._parent: Peer | None = None
+        self._reports: set[asyncio.Task[None]] = set()
+
+    async def serve(self) -> None:
+        first = self._first
+        plugins = Catalogue(folders=tuple(map(Path, first.plugins)))
+        async with Kernel(first.kernel, plugins=plugins) as kernel:
+            self._kernel = kernel
+            self._session = Session(kernel, Right.CODE, "the kernel that started this process", _unsent)
+            self._links = kernel.service(Links)
+            self._links.use(self._transport)
+            self._transport.answer(messages.OPERATE, self._operate)
+            await self._links.opened()
+            self._transport.presence(self._present)
+            kernel.bus.subscribe(StateChanged, self._changed)
+            self._transport.take(self._socket)
+            await self._over.wait()
+            self._session.end()
+
+    def _present(self, peer: Peer, up: bool) -> None:
+        self._parent = peer
+        if not up:
+            self._over.set()
+
+    async def _operate(self, body: bytes, caller: Caller) -> bytes:
+        name, given = messages.asked(body)
+        try:
+            if name == "end":
+                self._over.set()
+                return messages.done(None)
+            if name == "ping":
+                return messages.done([one.ticks for one in self._kernel.contexts.values()])
+            return messages.done(await self._run(name, given))
+        except AiortsError as error:
+            return messages.refused(error)
+        except Exception as error:  # noqa: BLE001 - a hook of the component may raise anything
+            return messages.refused(ComponentError(format_error(error)))
+
+    async def _run(self, name: str, given: dict[str, Any]) -> Any:
+        operation = OPERATIONS[name]
+        value = operation.run(self._session, from_plain(operation.arguments, given))
+        if inspect.isawaitable(value):
+            value = await value
+        if name == "create" and self._first.memory is not None:
+            limit_memory(self._first.memory)
+        return value
+
+    def _changed(self, event: StateChanged) -> None:
+        component = self._kernel.components.get(event.component)
+        if component is None or component.name != self._first.component:
+            return
+        error = component.last_error if event.new is LifecycleState.ERROR else None
+        report = messages.Report(
+            event.new.value, component.has_finished, "" if error is None else format_error(error)
+        )
+        task = self._links.run(self._report(report), "aiorts report")
+        self._reports.add(task)
+        task.add_done_callback(self._reports.discard)
+
+    async def _report(self, report: messages.Report) -> None:
+        if self._parent is None:
+            return
+        try:
+            await self._links.ask(self._parent, messages.REPORT, report.to_bytes(), _REPORT_SECONDS)
+        except LinkError as error:
+            logging.getLogger(__name__).warning("%s: not reported: %s", report.state, error)
+
+
+def _unsent(_message: object, _sent: object) -> None:
+    """Nothing is sent by a session: operations that stream are not asked for."""
+
+
+def _log_to_stderr(level: int) -> None:
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Marked())
+    logging.basicConfig(level=level, handlers=[handler], force=True)
+
+
+class _Marked(logging.Formatter):
+    """One line for each line of a record, with its level."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        head = f"{MARK}{record.levelno} "
+        return "\n".join(head + line for line in super().format(record).splitlines() or [""])

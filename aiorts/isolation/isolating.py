@@ -1,0 +1,142 @@
+"""The service of isolation: starts processes for components, and ends them with their kernel."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.clock import SimulatedClock
+from aiorts.errors import DeclarationError, LinkError
+from aiorts.isolation.messages import REPORT, Report
+from aiorts.isolation.process import Process
+from aiorts.isolation.stand_in import RemoteComponent, stand_in_of
+from aiorts.kernel.component import Component
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.extensions.loading import load_aside
+from aiorts.kernel.extensions.type_names import extension_of
+from aiorts.kernel.extensions.type_texts import type_text
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.service import KernelService
+from aiorts.links import Caller, Links
+from aiorts.links.unix import UnixTransport
+from aiorts.processes import Launcher, Limits
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+
+_LOG: Final = KernelLog()
+
+
+class Isolation(KernelService):
+    """The processes of one kernel's components."""
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self._launcher: Launcher | None = None
+        self._transport = UnixTransport(listens=False)
+        self._transport.answer(REPORT, self._reported)
+        self._opening: asyncio.Task[None] | None = None
+        self._limits: dict[str, Limits] = {}
+        self._processes: dict[str, Process] = {}
+        """By the name of the process's kernel."""
+        self._components: dict[Process, RemoteComponent] = {}
+        self._said = False
+
+    def report(self) -> Mapping[str, Any]:
+        """Of each component its process, and for how long it has not answered."""
+        return {
+            one.name: {"pid": one.pid, **({"busy": f"for {one.busy:.1f} s"} if one.busy else {})}
+            for one in self._processes.values()
+        }
+
+    async def create(
+        self, kind: type[Component] | str, name: str, limits: Limits, params: Mapping[str, object]
+    ) -> Component:
+        """See `Kernel.create_isolated`."""
+        kernel = self.kernel
+        if isinstance(kernel.clock, SimulatedClock):
+            if not self._said:
+                self._said = True
+                _LOG.warning("W-ISOLATION: on a simulated clock isolated components run in this process")
+            return await kernel.create(kind, name, **params)  # type: ignore[arg-type] # either is one that it takes
+        if isinstance(kind, str):
+            cls: type[Component] = await load_aside(extension_of(kind, kernel.plugins), kernel.clock, Component)
+            kernel.check_open("create_isolated")
+        else:
+            cls = kind
+        if not (isinstance(cls, type) and issubclass(cls, Component)):
+            raise DeclarationError(f"{cls!r}: expected a class derived from Component")
+        text = "" if cls.__module__ == "__main__" else type_text(cls, kernel.plugins)
+        if not text:
+            raise DeclarationError(
+                f"{cls.__module__}.{cls.__qualname__}: a process of its own cannot import it; write it into a module or "
+                'a file of its own, and create it from there, or as "FILE.py:Class"'
+            )
+        component = stand_in_of(cls, text)(name)
+        if not name:
+            cell(component).rename(kernel.free_instance_name(cls))
+        self._limits[component.name] = limits
+        try:
+            return await kernel.add(component, **params)
+        except BaseException:
+            await self.end(component)
+            raise
+
+    def process_of(self, component: RemoteComponent) -> Process:
+        """The process of a component, which is not started yet."""
+        if self._launcher is None:
+            self._launcher = Launcher()
+        if self._opening is None:
+            self._opening = kernel_task(
+                self.kernel.loop, self.kernel.service(Links).carry(self._transport), "aiorts isolation"
+            )
+        process = Process(
+            self.kernel,
+            self._launcher,
+            self._transport,
+            component.name,
+            self._limits.get(component.name, Limits()),
+            ended=component.process_ended,
+            line=partial(_log_line, component),
+            ticked=partial(_count, component),
+        )
+        self._processes[process.kernel] = process
+        self._components[process] = component
+        return process
+
+    async def end(self, component: RemoteComponent) -> None:
+        """End the process of a component; with the last one, all that starts them."""
+        process = next((one for one, other in self._components.items() if other is component), None)
+        if process is None:
+            return
+        del self._components[process]
+        await process.end()
+        if self._processes.get(process.kernel) is process:
+            del self._processes[process.kernel]
+        if not self._components and self._launcher is not None:
+            launcher, self._launcher = self._launcher, None
+            await launcher.close()
+
+    def stopped(self) -> None:
+        if self._launcher is not None:
+            kernel_task(self.kernel.loop, self._launcher.close(), "aiorts isolation close")
+
+    async def _reported(self, body: bytes, caller: Caller) -> bytes:
+        process = None if caller.peer is None else self._processes.get(caller.peer.kernel)
+        component = None if process is None else self._components.get(process)
+        if component is None:
+            raise LinkError("no process of this kernel")
+        component.reported(Report.from_bytes(body))
+        return b""
+
+
+def _log_line(component: RemoteComponent, level: int, text: str) -> None:
+    component.log.log(level, "%s", text)
+
+
+def _count(component: RemoteComponent, ticks: list[int]) -> None:
+    for context, count in zip(component.contexts, ticks, strict=False):
+        context.ticks = count

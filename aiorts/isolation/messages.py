@@ -1,0 +1,117 @@
+"""What a kernel and the processes of its components say to each other: the first message, requests and reports.
+
+Both ends are of one program. Requests are operations of the control table; the first message is all that a process
+needs before it has a kernel: nothing of it is in the process's arguments, which other users can read.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Final
+
+from aiorts.errors import AiortsError, ControlError, error_of_code
+from aiorts.late import dataclass
+from aiorts.model.plain import plain
+
+OPERATE: Final = "operate"
+"""The question by which the kernel asks for an operation in the process."""
+REPORT: Final = "report"
+"""The question by which the process reports a change of state."""
+_LENGTH: Final = struct.Struct("<I")
+
+
+@dataclass(frozen=True, slots=True)
+class First:
+    """What a process is told first."""
+
+    kernel: str
+    """The name of its kernel."""
+    component: str
+    path: list[str]
+    """What `sys.path` is to be."""
+    plugins: list[str]
+    """Folders with plugins."""
+    loop: str
+    """"uvloop" or "asyncio"."""
+    log_level: int
+    memory: int | None
+    """Bytes above what it has once the component is made."""
+
+    def send(self, sock: socket.socket) -> None:
+        """Send it, blocking: it is small, and nothing else is in the socket."""
+        body = json.dumps(asdict(self)).encode()
+        sock.sendall(_LENGTH.pack(len(body)) + body)
+
+    @classmethod
+    def receive(cls, sock: socket.socket) -> First:
+        """Wait for it, and take nothing behind it. ConnectionError: the other end is gone."""
+        (length,) = _LENGTH.unpack(_exactly(sock, _LENGTH.size))
+        return cls(**json.loads(_exactly(sock, length)))
+
+
+def _exactly(sock: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        more = sock.recv(size - len(data))
+        if not more:
+            raise ConnectionError("the kernel that started this process is gone")
+        data += more
+    return data
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What has become of the component in a process."""
+
+    state: str
+    """The lifecycle state in its context."""
+    finished: bool
+    """Whether it was a source that has nothing more."""
+    error: str
+    """What it failed with, where it is in error."""
+
+    def to_bytes(self) -> bytes:
+        """The report as a body."""
+        return json.dumps(asdict(self)).encode()
+
+    @classmethod
+    def from_bytes(cls, body: bytes) -> Report:
+        """The report of a body."""
+        return cls(**json.loads(body))
+
+
+def request(operation: str, arguments: Mapping[str, Any]) -> bytes:
+    """The body of a request."""
+    return json.dumps([operation, plain(arguments)]).encode()
+
+
+def asked(body: bytes) -> tuple[str, dict[str, Any]]:
+    """The operation and the arguments of a request."""
+    operation, arguments = json.loads(body)
+    return operation, arguments
+
+
+def done(value: Any) -> bytes:
+    """The answer to a request that was carried out."""
+    return json.dumps({"value": plain(value)}).encode()
+
+
+def refused(error: AiortsError) -> bytes:
+    """The answer to a request that was not carried out."""
+    return json.dumps({"code": error.code, "text": str(error)}).encode()
+
+
+def value_of(body: bytes) -> Any:
+    """What a request gave.
+
+    Raises:
+        AiortsError: what refused it, as the class that has its code.
+    """
+    answer = json.loads(body)
+    if "code" in answer:
+        raise error_of_code(answer["code"], answer["text"]) or ControlError(answer["text"])
+    return answer["value"]

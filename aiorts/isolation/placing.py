@@ -1,0 +1,96 @@
+"""The context of a component that runs in a process of its own: it stands for the one that runs there."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import StateError
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.execution.cycle import Wait
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.execution.cell import ComponentSide
+
+_MISSING: Final = object()
+
+
+class RemoteContext(Context):
+    """Stands for a context that runs in the process of its one member. It runs no cycles itself.
+
+    Args:
+        given: the context as it was made for `Kernel.start`; it is started in the process.
+    """
+
+    exclusive = True
+
+    def __init__(self, given: Context) -> None:
+        super().__init__(name=given.name, deadline=given.deadline, timing=given.timing)
+        self.given = given
+        """The context that it stands for; it never runs here."""
+        self.kind = given.kind  # type: ignore[misc] # that of the one it stands for
+        self._rate = given.rate
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name in ("given", "name"):
+            raise AttributeError(name)
+        raise AttributeError(f"{self.name}.{name}: this context runs in the process of its member", name=name, obj=self)
+
+    @property
+    def rate(self) -> float | None:
+        return self._rate
+
+    async def set_rate(self, rate: float, timeout: float | None = 5.0) -> None:
+        """Have another rate from the next cycle on. Errors as those of the context that it stands for."""
+        before, self._rate = self._rate, rate
+        try:
+            for member in self.members:
+                await member.on_rate_changed()  # type: ignore[attr-defined] # a stand-in
+        except BaseException:
+            self._rate = before
+            raise
+
+    def as_started(self) -> dict[str, Any]:
+        """What starts it in the process: name, kind and options."""
+        given, options = self.given, {}
+        for argument, parameter in inspect.signature(type(given)).parameters.items():
+            value = getattr(given, argument, _MISSING)
+            if argument != "name" and value is not _MISSING and value != parameter.default:
+                options[argument] = value
+        if self._rate is not None:
+            options["rate"] = self._rate
+        return {"name": self.name, "kind": self.kind, "options": options}
+
+    def _next_cause(self) -> Wait | None:
+        return Wait(None)
+
+    def _check_can_add(self, component: ComponentSide) -> None:
+        super()._check_can_add(component)
+        if not hasattr(type(component), "original"):
+            raise StateError(f"{component.name}: is in this process, and {self.name} runs in another")
+        if self._members:
+            raise _two(self._members[0].component, component)
+
+
+def placed(context: Context, components: Sequence[Component]) -> Context:
+    """The context to start with these components: another one, where they run in a process of their own.
+
+    Raises:
+        StateError: they run in different processes.
+    """
+    remote = [one for one in components if hasattr(type(one), "original")]
+    if not remote:
+        return context
+    if len(components) > 1:
+        raise _two(remote[0], next(one for one in components if one is not remote[0]))
+    return context if isinstance(context, RemoteContext) else RemoteContext(context)
+
+
+def _two(one: ComponentSide, other: ComponentSide) -> StateError:
+    where = "in another" if hasattr(type(other), "original") else "in that of its kernel"
+    return StateError(
+        f"{one.name} runs in a process of its own, and {other.name} {where}: a context runs where its members are; "
+        "start one for each"
+    )

@@ -1,0 +1,208 @@
+"""One process that runs a component: started, asked, watched, ended."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import AiortsError, LinkError, LinkTimeout, ProcessError
+from aiorts.isolation import messages
+from aiorts.isolation.child import MARK
+from aiorts.links import Links
+from aiorts.processes import DESCRIPTOR
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+    from aiorts.links import Peer
+    from aiorts.links.unix import UnixTransport
+    from aiorts.processes import Child, Ending, Launcher, Limits
+
+_COMES_UP: Final = 10.0
+"""Seconds in which a process has a kernel and its component: the import of heavy modules counts."""
+_LOOK: Final = 0.5
+"""How often it is looked whether the process answers."""
+_BUSY_BEYOND: Final = 2.0
+"""Seconds beyond its deadline that a hook may hold its process."""
+_ENDS: Final = 4.0
+"""Seconds that a process has to end by itself: hooks have 2 s, and their grace."""
+
+
+class Process:
+    """A process with a kernel of its own for one component.
+
+    Args:
+        name: the component's.
+        ended: called once, when it has ended without being asked to, with how.
+        line: called with a level of the log and a line that it wrote.
+        ticked: called with the cycles of its contexts, about twice a second.
+    """
+
+    def __init__(
+        self,
+        kernel: Microkernel,
+        launcher: Launcher,
+        transport: UnixTransport,
+        name: str,
+        limits: Limits,
+        *,
+        ended: Callable[[Ending], None],
+        line: Callable[[int, str], None],
+        ticked: Callable[[list[int]], None],
+    ) -> None:
+        self._kernel, self._launcher, self._transport = kernel, launcher, transport
+        self.name, self._limits = name, limits
+        self._ended, self._line, self._ticked = ended, line, ticked
+        self._links = kernel.service(Links)
+        self.kernel = f"{self._links.reached_as}-{name}"
+        """The name of its kernel."""
+        self._child: Child | None = None
+        self._peer: Peer | None = None
+        self._looking: asyncio.Task[None] | None = None
+        self._busy_since: float | None = None
+        self.deadline: float | None = None
+        """Seconds that a hook may take there."""
+        self._ending = False
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is there."""
+        return self._child is not None and not self._child.ended.done()
+
+    @property
+    def pid(self) -> int | None:
+        """Its number."""
+        return None if self._child is None else self._child.pid
+
+    @property
+    def busy(self) -> float:
+        """Seconds for which it has not answered; 0 while it does."""
+        return 0.0 if self._busy_since is None else self._kernel.loop.time() - self._busy_since
+
+    async def start(self, text: str, params: dict[str, Any]) -> None:
+        """Start it, and make the component there.
+
+        Raises:
+            ProcessError: it cannot be started, or has not come up in time.
+            AiortsError: what refused the component.
+        """
+        ours, theirs = socket.socketpair()
+        self._ending, self._peer = False, None
+        try:
+            first = messages.First(
+                self.kernel,
+                self.name,
+                sys.path,
+                [str(folder) for folder in self._kernel.plugins.folders],
+                "uvloop" if type(self._kernel.loop).__module__.startswith("uvloop") else "asyncio",
+                logging.getLogger("aiorts").getEffectiveLevel(),
+                self._limits.memory,
+            )
+            first.send(ours)
+            arguments = ("-m", "aiorts", "kernel", "--fd", str(DESCRIPTOR))
+            self._child = await self._launcher.start(
+                arguments, descriptor=theirs.fileno(), name=self.name, on_line=self._wrote, limits=self._limits
+            )
+        except BaseException:
+            ours.close()
+            raise
+        finally:
+            theirs.close()
+        self._links.carried(self.kernel)
+        connection = self._transport.take(ours, greets_within=_COMES_UP)
+        self._child.ended.add_done_callback(self._over)
+        try:
+            async with asyncio.timeout(_COMES_UP):
+                await asyncio.wait((connection.greeted, self._child.ended), return_when=asyncio.FIRST_COMPLETED)
+                self._peer = connection.peer
+                await self.ask("create", within=_COMES_UP, type=text, name=self.name, params=params)
+        except TimeoutError:
+            raise await self._not_up(f"has not come up within {_COMES_UP:g} s") from None
+        except LinkError as error:
+            raise await self._not_up(str(error)) from None
+        except BaseException:
+            await self.end()
+            raise
+        self._looking = self._links.run(self._look(), f"aiorts process {self.name}")
+
+    async def _not_up(self, why: str) -> ProcessError:
+        """The error that the process did not come up, which is over then."""
+        child = self._child
+        assert child is not None  # noqa: S101 - it was started
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_LOOK):
+                await asyncio.shield(child.ended)
+                why = f"its process ended: {child.ended.result().text}"
+        await self.end()
+        lines = "".join(f"\n  {_text(line)}" for line in child.ended.result().last_lines) if child.ended.done() else ""
+        return ProcessError(f"{self.name}: {why}{lines}")
+
+    async def ask(self, operation: str, within: float = 7.0, **arguments: Any) -> Any:
+        """What an operation gives there.
+
+        Raises:
+            ProcessError: the process is gone, or does not answer in time.
+            AiortsError: what refused it.
+        """
+        if self._peer is None or not self.runs:
+            raise ProcessError(f"{self.name}: its process has ended")
+        body = messages.request(operation, arguments)
+        try:
+            answer = await self._transport.ask(self._peer, messages.OPERATE, body, within=within)
+        except LinkTimeout:
+            raise ProcessError(f"{self.name}: {operation}: its process has not answered within {within:g} s") from None
+        except LinkError as error:
+            raise ProcessError(f"{self.name}: {operation}: {error}") from None
+        return messages.value_of(answer)
+
+    async def end(self) -> None:
+        """Have it end in order, or kill it."""
+        self._ending = True
+        if self._looking is not None:
+            self._looking.cancel()
+        child = self._child
+        if child is None:
+            return
+        if self._peer is not None and self.runs:
+            with contextlib.suppress(AiortsError):
+                await self.ask("end", within=_LOOK)
+            await asyncio.wait((child.ended,), timeout=_ENDS)
+        child.kill()
+        await asyncio.wait((child.ended,), timeout=_ENDS)
+
+    def _over(self, ended: asyncio.Future[Ending]) -> None:
+        if self._looking is not None:
+            self._looking.cancel()
+        self._busy_since = None
+        if not self._ending and self._looking is not None and not ended.cancelled():
+            self._ended(ended.result())
+
+    async def _look(self) -> None:
+        """See whether it answers; kill it when a hook holds it beyond its deadline."""
+        while True:
+            await asyncio.sleep(_LOOK)
+            asked = self._kernel.loop.time()
+            try:
+                self._ticked(await self.ask("ping", within=_LOOK))
+                self._busy_since = None
+            except ProcessError:
+                self._busy_since = self._busy_since or asked
+                if self.deadline is not None and self.busy > self.deadline + _BUSY_BEYOND and self._child is not None:
+                    self._line(logging.ERROR, f"killed: a hook has held its process for {self.busy:.1f} s")
+                    self._child.kill()
+                    return
+
+    def _wrote(self, stream: str, line: str) -> None:
+        if line.startswith(MARK):
+            level, _, text = line[1:].partition(" ")
+            self._line(int(level) if level.isdecimal() else logging.INFO, text)
+        else:
+            self._line(logging.WARNING if stream == "stderr" else logging.INFO, line)
+
+
+def _text(line: str) -> str:
+    return line[1:].partition(" ")[2] if line.startswith(MARK) else line

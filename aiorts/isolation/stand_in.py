@@ -1,0 +1,193 @@
+"""What stands in a kernel for a component that runs in a process of its own.
+
+It is a component of this kernel like any other: it has the ports and parameters that the class declares, is in one
+context, and its hooks ask the process to do the same. No code of the class runs here, and none of its other attributes
+are here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from aiorts.errors import ComponentError, DeclarationError, ProcessError, StateError
+from aiorts.isolation.placing import RemoteContext
+from aiorts.kernel.component import Component
+from aiorts.kernel.declarations import Kind, declarations
+from aiorts.kernel.execution.cell import cell
+from aiorts.kernel.parameters import Declared
+from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.names import Path
+
+if TYPE_CHECKING:
+    from aiorts.isolation.messages import Report
+    from aiorts.isolation.process import Process
+    from aiorts.processes import Ending
+
+_ASKED = (LifecycleState.ACTIVE, LifecycleState.INACTIVE)
+
+
+class RemoteKind(Kind):
+    """Passes changes of parameters on, before they are in force here."""
+
+    def keeps_code(self, component: Any) -> str:
+        return "it runs in a process of its own; remove it, and create it anew"
+
+    async def configuring(self, component: RemoteComponent, values: Mapping[str, Any]) -> None:
+        process = component._process
+        if process is not None and process.runs and not component.kernel.registry.is_arriving(component):
+            await process.ask("configure", component=component.name, values={"": dict(values)})
+
+
+class RemoteComponent(Component, kind=RemoteKind()):
+    """A component that runs in a process of its own, as its kernel sees it. `Kernel.create_isolated` makes it."""
+
+    original: ClassVar[type[Component]]
+    """The class whose code runs in the process."""
+    type_text: ClassVar[str]
+    """What the process finds that class by."""
+    _process: Process | None = None
+    _there = LifecycleState.INACTIVE
+    """The state that the process has reported last."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        raise AttributeError(
+            f"{self.name}.{name}: {type(self).__name__} runs in a process of its own: here are its ports, parameters "
+            "and lifecycle, and no other attribute",
+            name=name,
+            obj=self,
+        )
+
+    @property
+    def pid(self) -> int | None:
+        """The number of its process; None before it was started."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def busy(self) -> float:
+        """Seconds for which a hook has held its process; 0 while it answers."""
+        return 0.0 if self._process is None else self._process.busy
+
+    # -- the process -----------------------------------------------------------------------------------------------
+
+    async def on_initialize(self) -> None:
+        from aiorts.isolation.isolating import Isolation  # late: that knows this class
+
+        self._process = process = self.kernel.service(Isolation).process_of(self)
+        await self._begin()
+        for port in self.ports.values():
+            if isinstance(port, RemoteInPort | RemoteOutPort):
+                port.elsewhere = replace(Path.parse(port.path), kernel=process.kernel)
+
+    async def on_finalize(self) -> None:
+        from aiorts.isolation.isolating import Isolation  # late: that knows this class
+
+        await self.kernel.service(Isolation).end(self)
+
+    async def _begin(self) -> None:
+        state, declared = cell(self).configuration, declarations(type(self)).configuration
+        params = {name: value for name, value in state.values.items() if value != declared.values.get(name)}
+        self._there = LifecycleState.INACTIVE
+        await self._running.start(self.type_text, params)
+
+    @property
+    def _running(self) -> Process:
+        if self._process is None:
+            raise StateError(f"{self.name}: has no process yet; await kernel.add(...) first")
+        return self._process
+
+    def process_ended(self, ending: Ending) -> None:
+        """Its process has ended, and nobody asked it to."""
+        lines = "".join(f"\n  {line}" for line in ending.last_lines[-3:])
+        self._there = LifecycleState.ERROR
+        self._fail(ProcessError(f"{self.name}: its process has ended: {ending.text}{lines}"))
+
+    def reported(self, report: Report) -> None:
+        """The process says what has become of the component."""
+        self._there = LifecycleState(report.state)
+        if self._there is LifecycleState.ERROR:
+            self._fail(ComponentError(f"{self.name}: {report.error}"))
+        elif report.finished and self.state is LifecycleState.ACTIVE:
+            self.finish()
+
+    def _fail(self, error: Exception) -> None:
+        members = cell(self).members
+        if not members:
+            cell(self).last_error = error
+            self.log.error("%s", error)
+        for member in members:
+            member.context.runner.life.task_failed(member, error)
+
+    # -- its context -----------------------------------------------------------------------------------------------
+
+    async def on_startup(self) -> None:
+        context = self.context
+        if not isinstance(context, RemoteContext):
+            raise StateError(f"{self.name}: runs in a process of its own, and {context.name} in that of its kernel")
+        if not self._running.runs:
+            await self._begin()
+        self._running.deadline = context.deadline
+        await self._running.ask("start_context", members=[self.name], **context.as_started())
+
+    async def on_shutdown(self) -> None:
+        if self._running.runs:
+            await self._running.ask("stop_context", context=self.context.name)
+
+    async def on_activated(self) -> None:
+        await self._ask("activate")
+
+    async def on_deactivated(self) -> None:
+        if self._running.runs and self._there is LifecycleState.ACTIVE:
+            await self._ask("deactivate")
+
+    async def on_reset(self) -> None:
+        if self._running.runs:
+            if self._there is LifecycleState.ERROR:
+                await self._ask("reset")
+            return
+        await self.on_startup()
+
+    async def on_rate_changed(self) -> None:
+        await self._running.ask("set_rate", context=self.context.name, rate=self.context.rate)
+
+    async def _ask(self, operation: str) -> None:
+        await self._running.ask(operation, component=self.name, context=self.context.name)
+
+
+_classes: dict[tuple[type[Component], str], type[RemoteComponent]] = {}
+
+
+def stand_in_of(cls: type[Component], text: str) -> type[RemoteComponent]:
+    """The class of what stands for components of this class, which a process finds by this text.
+
+    Raises:
+        DeclarationError: it has what cannot be used across processes yet, such as service ports.
+    """
+    if (known := _classes.get((cls, text))) is not None:
+        return known
+    body: dict[str, Any] = {"original": cls, "type_text": text, "configurations": cls.configurations}
+    for attribute, port in declarations(cls).ports.items():
+        body[attribute] = _remote_port(cls, attribute, port)
+    for base in reversed(cls.__mro__):
+        body |= {name: value for name, value in vars(base).items() if isinstance(value, Declared)}
+    body |= {"__module__": cls.__module__, "__qualname__": cls.__qualname__, "__doc__": cls.__doc__}
+    made = _classes[cls, text] = type(cls.__name__, (RemoteComponent,), body)
+    return made
+
+
+def _remote_port(cls: type[Component], attribute: str, port: Any) -> RemoteInPort | RemoteOutPort:
+    alike = {"unit": port.unit, "shape": port.shape, "doc": port.doc, "name": port.name or None} if isinstance(
+        port, InPort | OutPort
+    ) else {}
+    if isinstance(port, InPort):
+        return RemoteInPort(port.type, max_connectors=port.max_connectors, length=port.length, **alike)
+    if isinstance(port, OutPort):
+        return RemoteOutPort(port.type, max_connectors=port.max_connectors, **alike)
+    raise DeclarationError(
+        f"{cls.__qualname__}.{attribute}: a component with service ports cannot run in a process of its own yet"
+    )
