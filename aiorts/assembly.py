@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, cast, overload
 
@@ -16,7 +17,7 @@ from aiorts.kernel.microkernel import Microkernel
 if TYPE_CHECKING:
     from aiorts.configuration import ConfigurationFiles
     from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
-    from aiorts.isolation import Isolation, Limits
+    from aiorts.isolation import Limits
     from aiorts.kernel.component import Component
     from aiorts.kernel.connection import Connection
     from aiorts.kernel.ports import Port, PortDeclaration
@@ -55,15 +56,14 @@ class Kernel(Microkernel):
 
     _deadlines: DeadlineMonitor | None = None
     _supervision: Supervising | None = None
-    _isolation: Isolation | None = None
 
     async def start(self, context: X, *components: Component, activate: bool = False, timeout: float | None = 5.0) -> X:
         if self._deadlines is None:
             from aiorts.diagnostics import DeadlineMonitor
 
             self._deadlines = self.service(DeadlineMonitor)
-        if self._isolation is not None:
-            from aiorts.isolation.placing import placed
+        if self.isolates:
+            from aiorts.isolation import placed
 
             context = cast("X", placed(context, components))
         return await super().start(context, *components, activate=activate, timeout=timeout)
@@ -142,7 +142,7 @@ class Kernel(Microkernel):
             from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
 
             return await connect_adapted(self, (one, two, *more), options)
-        if self._isolation is not None or any(
+        if self.isolates or any(
             isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)
         ):
             self.check_open("connect")
@@ -172,10 +172,9 @@ class Kernel(Microkernel):
                 What `create` raises.
         """
         self.check_open("create_isolated")
-        from aiorts.isolation import Isolation, Limits  # late: few kernels have processes
+        from aiorts.isolation import Isolation  # late: few kernels have processes
 
-        self._isolation = self.service(Isolation)
-        return await self._isolation.create(kind, name, limits or Limits(), params)
+        return await self.service(Isolation).create(kind, name, asdict(limits) if limits else {}, params)
 
     def monitor_deadlines(self, context: Context) -> ContextTimer | None:
         return None if self._deadlines is None else self._deadlines.monitor(context)

@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
-    from aiorts.isolation.isolating import Isolation, IsolationSettings
+    from aiorts.isolation.isolating import Isolation
+    from aiorts.isolation.placing import given_of, placed
     from aiorts.isolation.stand_in import RemoteComponent
     from aiorts.processes import Limits
 
-__all__ = ("Isolation", "IsolationSettings", "Limits", "RemoteComponent")
+__all__ = ("Isolation", "Limits", "RemoteComponent", "given_of", "placed")
 
 _late(
     globals(),
     {
-        "aiorts.isolation.isolating": "Isolation IsolationSettings",
+        "aiorts.isolation.isolating": "Isolation",
+        "aiorts.isolation.placing": "given_of placed",
         "aiorts.isolation.stand_in": "RemoteComponent",
         "aiorts.processes": "Limits",
     },

@@ -99,9 +99,7 @@ class _Process:
         if component is None or component.name != self._first.component:
             return
         error = component.last_error if event.new is LifecycleState.ERROR else None
-        report = messages.Report(
-            event.new.value, component.has_finished, "" if error is None else format_error(error)
-        )
+        report = messages.Report(event.new.value, component.has_finished, "" if error is None else format_error(error))
         task = self._links.run(self._report(report), "aiorts report")
         self._reports.add(task)
         task.add_done_callback(self._reports.discard)

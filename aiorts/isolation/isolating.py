@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
@@ -13,7 +14,6 @@ from aiorts.isolation.messages import REPORT, Report
 from aiorts.isolation.process import Process
 from aiorts.isolation.stand_in import RemoteComponent, stand_in_of
 from aiorts.kernel.component import Component
-from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.extensions.loading import load_aside
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.extensions.type_texts import type_text
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _LOG: Final = KernelLog()
+_NO_LIMITS: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 class Isolation(KernelService):
@@ -35,11 +36,12 @@ class Isolation(KernelService):
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
+        kernel.isolates = True
         self._launcher: Launcher | None = None
         self._transport = UnixTransport(listens=False)
         self._transport.answer(REPORT, self._reported)
         self._opening: asyncio.Task[None] | None = None
-        self._limits: dict[str, Limits] = {}
+        self._limits: dict[str, Mapping[str, Any]] = {}
         self._processes: dict[str, Process] = {}
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
@@ -53,15 +55,10 @@ class Isolation(KernelService):
         }
 
     async def create(
-        self, kind: type[Component] | str, name: str, limits: Limits, params: Mapping[str, object]
+        self, kind: type[Component] | str, name: str, limits: Mapping[str, Any], params: Mapping[str, object]
     ) -> Component:
         """See `Kernel.create_isolated`."""
         kernel = self.kernel
-        if isinstance(kernel.clock, SimulatedClock):
-            if not self._said:
-                self._said = True
-                _LOG.warning("W-ISOLATION: on a simulated clock isolated components run in this process")
-            return await kernel.create(kind, name, **params)  # type: ignore[arg-type] # either is one that it takes
         if isinstance(kind, str):
             cls: type[Component] = await load_aside(extension_of(kind, kernel.plugins), kernel.clock, Component)
             kernel.check_open("create_isolated")
@@ -69,21 +66,32 @@ class Isolation(KernelService):
             cls = kind
         if not (isinstance(cls, type) and issubclass(cls, Component)):
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
-        text = "" if cls.__module__ == "__main__" else type_text(cls, kernel.plugins)
+        name = name or kernel.free_instance_name(cls)
+        return await kernel.create(self.stand_in(cls, name, limits), name, **params)
+
+    def stand_in(self, cls: type[Component], name: str, limits: Mapping[str, Any]) -> type[Component]:
+        """The class of what stands for a component of this class and name; on a simulated clock it is the class itself.
+
+        Raises:
+            DeclarationError: a process cannot import the class, or it has what cannot be used across processes.
+        """
+        if isinstance(self.kernel.clock, SimulatedClock):
+            if not self._said:
+                self._said = True
+                _LOG.warning("W-ISOLATION: on a simulated clock isolated components run in this process")
+            return cls
+        text = "" if cls.__module__ == "__main__" else type_text(cls, self.kernel.plugins)
         if not text:
             raise DeclarationError(
-                f"{cls.__module__}.{cls.__qualname__}: a process of its own cannot import it; write it into a module or "
-                'a file of its own, and create it from there, or as "FILE.py:Class"'
+                f"{cls.__module__}.{cls.__qualname__}: a process of its own cannot import it; write it into a module "
+                'or a file of its own, and create it from there, or as "FILE.py:Class"'
             )
-        component = stand_in_of(cls, text)(name)
-        if not name:
-            cell(component).rename(kernel.free_instance_name(cls))
-        self._limits[component.name] = limits
-        try:
-            return await kernel.add(component, **params)
-        except BaseException:
-            await self.end(component)
-            raise
+        self._limits[name] = limits
+        return stand_in_of(cls, text)
+
+    def limits_of(self, name: str) -> Mapping[str, Any]:
+        """What the process of this component may use."""
+        return self._limits.get(name, _NO_LIMITS)
 
     def process_of(self, component: RemoteComponent) -> Process:
         """The process of a component, which is not started yet."""
@@ -98,7 +106,7 @@ class Isolation(KernelService):
             self._launcher,
             self._transport,
             component.name,
-            self._limits.get(component.name, Limits()),
+            Limits(**self.limits_of(component.name)),
             ended=component.process_ended,
             line=partial(_log_line, component),
             ticked=partial(_count, component),

@@ -74,6 +74,11 @@ class RemoteContext(Context):
             raise _two(self._members[0].component, component)
 
 
+def given_of(context: Context) -> Context:
+    """The context as it was given to `Kernel.start`, wherever it runs."""
+    return context.given if isinstance(context, RemoteContext) else context
+
+
 def placed(context: Context, components: Sequence[Component]) -> Context:
     """The context to start with these components: another one, where they run in a process of their own.
 

@@ -69,6 +69,13 @@ class RemoteComponent(Component, kind=RemoteKind()):
         return None if self._process is None else self._process.pid
 
     @property
+    def limits(self) -> Mapping[str, Any]:
+        """What its process may use."""
+        from aiorts.isolation.isolating import Isolation  # late: that knows this class
+
+        return self.kernel.service(Isolation).limits_of(self.name)
+
+    @property
     def busy(self) -> float:
         """Seconds for which a hook has held its process; 0 while it answers."""
         return 0.0 if self._process is None else self._process.busy
@@ -181,13 +188,12 @@ def stand_in_of(cls: type[Component], text: str) -> type[RemoteComponent]:
 
 
 def _remote_port(cls: type[Component], attribute: str, port: Any) -> RemoteInPort | RemoteOutPort:
-    alike = {"unit": port.unit, "shape": port.shape, "doc": port.doc, "name": port.name or None} if isinstance(
-        port, InPort | OutPort
-    ) else {}
+    if not isinstance(port, InPort | OutPort):
+        raise DeclarationError(
+            f"{cls.__qualname__}.{attribute}: a component with service ports cannot run in a process of its own yet"
+        )
+    alike: dict[str, Any] = {"unit": port.unit, "shape": port.shape, "doc": port.doc, "name": port.name or None}
+    alike["max_connectors"] = port.max_connectors
     if isinstance(port, InPort):
-        return RemoteInPort(port.type, max_connectors=port.max_connectors, length=port.length, **alike)
-    if isinstance(port, OutPort):
-        return RemoteOutPort(port.type, max_connectors=port.max_connectors, **alike)
-    raise DeclarationError(
-        f"{cls.__qualname__}.{attribute}: a component with service ports cannot run in a process of its own yet"
-    )
+        return RemoteInPort(port.type, length=port.length, **alike)
+    return RemoteOutPort(port.type, **alike)

@@ -106,6 +106,8 @@ class Microkernel:
         """The thread of its loop, once it is open."""
         self._services: dict[type[KernelService], KernelService] = {}
         self._naming = NamePolicy()
+        self.isolates = False
+        """Whether components of it run in processes of their own, or did."""
         self.opened_ns = 0
         """When it was opened, on its clock."""
         self.registry = Registry(self)

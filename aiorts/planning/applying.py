@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.composites import parts_of
 from aiorts.errors import StateError, WiringError, format_error
+from aiorts.isolation import Isolation
 from aiorts.kernel.between_cycles import between_cycles
 from aiorts.kernel.commit import commit
 from aiorts.kernel.component import Component
@@ -219,6 +220,8 @@ class Application:
             kernel.registry.unpark(component)
             self._put_back()
         else:
+            if entry.isolation:
+                cls = kernel.service(Isolation).stand_in(cls, entry.name, entry.limits)
             component = await setting.create(kernel, cls, entry.name)
         self._supervise_as(component, entry)
 

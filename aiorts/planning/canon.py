@@ -73,6 +73,8 @@ class Canon:
         start: StartRule | None,
         *,
         exclusive: bool,
+        isolation: str = "",
+        limits: Mapping[str, Any] = MappingProxyType({}),
     ) -> ComponentEntry:
         """A component of this class with this configuration."""
         text = self.named(cls, "components")
@@ -91,6 +93,8 @@ class Canon:
             supervision if supervision != Supervision() else None,
             start,
             exclusive,
+            isolation,
+            limits,
         )
 
     def _params(self, name: str, state: ConfigurationState, declared: ConfigurationState) -> Mapping[str, Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
 from aiorts.composites import Composite, group_of
+from aiorts.isolation import RemoteComponent, given_of
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.service import owned_by
 from aiorts.model.lifecycle import LifecycleState
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 _SHOWN: Final = 20
 _MISSING: Final = object()
 _NO_RULES: Final[Mapping[str, Any]] = MappingProxyType({})
+_NO_LIMITS: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 def wanted_of(kernel: Microkernel, notes: list[str] | None = None) -> Wanted:
@@ -112,6 +114,8 @@ class _Reader:
             None if supervised is None else supervised.policy,
             self._rules.get(component.name),
             exclusive=component.name in self._exclusive,
+            isolation="process" if isinstance(component, RemoteComponent) else "",
+            limits=component.limits if isinstance(component, RemoteComponent) else _NO_LIMITS,
         )
 
     # -- composites and contexts -----------------------------------------------------------------------------------
@@ -149,7 +153,7 @@ class _Reader:
         if activate and idle:
             names = ", ".join(idle[:_SHOWN])
             self._canon.notes.append(f"{name}: {names}: not active, and active in the saved system with the others")
-        return ContextEntry(name, context.kind, shown, activate, self._canon.context_options(context))
+        return ContextEntry(name, context.kind, shown, activate, self._canon.context_options(given_of(context)))
 
     # -- connections -----------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from typing import Any
 from aiorts.assembly import Kernel
 from aiorts.composites import Composite
 from aiorts.errors import AiortsError, ComponentError, PluginError, StateError, SystemFileError, WiringError
+from aiorts.isolation import Isolation
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.execution.cell import flattened
@@ -155,15 +156,15 @@ async def _make(kernel: Kernel, plan: Blueprint) -> None:
 
 async def _start(kernel: Kernel, plan: Blueprint) -> None:
     """Start the contexts and activate their members."""
-    system = plan.system
+    system, started = plan.system, {}
     for context in system.contexts.values():
         members = [kernel.components[name] for name in context.members]
-        await kernel.start(plan.contexts[context.name], *members)
+        started[context.name] = await kernel.start(plan.contexts[context.name], *members)
     for name in _in_order(system):
         entry = system.components.get(name)
         for context in system.contexts.values():
             if context.activate and name in context.members and (entry is None or entry.start is None):
-                await _activate(plan.contexts[context.name], kernel.components[name])
+                await _activate(started[context.name], kernel.components[name])
     rules = [entry.start for entry in system.components.values() if entry.start is not None]
     for rule in in_order(rules):
         # One that fails is in error; whoever waits for it says so, unless it is helped in time.
@@ -179,9 +180,11 @@ def _options(plan: Blueprint, connection: ConnectionEntry) -> Mapping[str, Any]:
 
 async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
     """A component with its sets in force before its first hook, and supervised before it can fail."""
-    cls, setting = plan.types[name], plan.settings[name]
+    cls, setting, entry = plan.types[name], plan.settings[name], plan.system.components[name]
+    if entry.isolation:
+        cls = kernel.service(Isolation).stand_in(cls, name, entry.limits)
     component = await setting.create(kernel, cls, name)
-    policy = plan.system.components[name].supervision
+    policy = entry.supervision
     if policy is not None:
         kernel.supervise(component, policy, factory=partial(setting.make, cls))
 

@@ -69,7 +69,16 @@ class _Reader:
     def _component(self, entry: ComponentEntry) -> ComponentEntry:
         cls = self._plan.types[entry.name]
         state = self._plan.settings[entry.name].merged(declarations(cls).configuration, entry.name)
-        return self._canon.component(entry.name, cls, state, entry.supervision, entry.start, exclusive=entry.exclusive)
+        return self._canon.component(
+            entry.name,
+            cls,
+            state,
+            entry.supervision,
+            entry.start,
+            exclusive=entry.exclusive,
+            isolation=entry.isolation,
+            limits=entry.limits,
+        )
 
     def _context(self, entry: ContextEntry) -> ContextEntry:
         return replace(entry, options=self._canon.context_options(self._plan.contexts[entry.name]))

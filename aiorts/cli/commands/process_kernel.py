@@ -9,7 +9,7 @@ from aiorts.processes import DESCRIPTOR, prepare
 
 
 @click.command(hidden=True)
-@click.option("--fd", "descriptor", type=int, required=True, metavar="N", help="The socket of the kernel that started it.")
+@click.option("--fd", "descriptor", type=int, required=True, metavar="N", help="The socket of who started it.")
 def kernel(descriptor: int) -> int:
     """Run a kernel for one component, as another kernel says; it ends with that kernel."""
     if descriptor != DESCRIPTOR:

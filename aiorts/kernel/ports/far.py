@@ -61,7 +61,7 @@ class RemoteInPort(InPort[Any]):
     def read_nowait(self) -> Any:
         raise _not_here(self)
 
-    async def read(self, timeout: float | None = None) -> Any:  # noqa: ASYNC109 - as that of every in-port
+    async def read(self, timeout: float | None = None) -> Any:
         raise _not_here(self)
 
 

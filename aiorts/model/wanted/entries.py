@@ -33,6 +33,10 @@ class ComponentEntry:
     start: StartRule | None = None
     exclusive: bool = False
     """Whether it holds what its replacement needs: a plan ends it before anything is made."""
+    isolation: str = ""
+    """"process" for a process of its own."""
+    limits: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """What that process may use: memory, cpu, processes."""
 
 
 def chosen(rule: Supervision | StartRule) -> dict[str, Any]:

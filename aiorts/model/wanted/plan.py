@@ -192,6 +192,10 @@ class _Planner:
             if before != after:
                 what = "is added" if before is None else "is taken away" if after is None else "is changed"
                 yield f"[{name}] {what}: the table of a service is read when a system starts; stop it and run the file"
+        for name, new in wanted.components.items():
+            old = now.components.get(name)
+            if old is not None and (old.isolation, old.limits) != (new.isolation, new.limits):
+                yield f"{name}: isolation and limits of a component that runs cannot be changed; give it another name"
         for one, other, what in ((now, wanted, "composite"), (wanted, now, "component")):
             for name in one.components:
                 if name in other.composites:

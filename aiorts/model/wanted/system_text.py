@@ -102,6 +102,10 @@ class _Writer:
             yield f"start = {self._inline(one.name, chosen(one.start))}"
         if one.exclusive:
             yield "exclusive = true"
+        if one.isolation:
+            yield f"isolation = {basic_string(one.isolation)}"
+        if one.limits:
+            yield f"limits = {self._inline(one.name, one.limits)}"
 
     def _composite(self, one: CompositeEntry) -> Iterator[str]:
         yield self._pair(one.name, "members", one.members)

@@ -25,6 +25,7 @@ from aiorts.model.names import Path as PortPath
 from aiorts.model.names import check_name, names_kernel
 from aiorts.model.options import OWN_KEYS, SERVICE_KEYS
 from aiorts.model.wanted.entries import ClockEntry, ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry
+from aiorts.processes import Limits
 from aiorts.supervision import StartRule, Supervision, in_order
 from aiorts.system.expansion.choices import AS_WRITTEN, Choices
 from aiorts.system.expansion.expand import TOP_KEYS, Expanded, expand
@@ -53,7 +54,11 @@ __all__ = (
 CLOCKS: Final = ("system", "scaled", "simulated")
 _PLUGINS: Final = 'write plugins.path = ["."], the folders with plugins, counted from this file; [] is none'
 TOP: Final = ("schema", *TOP_KEYS, "plugins", "clock", "components", "composites", "connections", "contexts")
-_COMPONENT: Final = ("type", "options", "params", "sets", "active", "supervision", "start", "exclusive", IF, REPEAT)
+_LIMITS: Final = ("memory", "cpu", "processes")
+_COMPONENT: Final = (
+    *("type", "options", "params", "sets", "active", "supervision", "start", "exclusive", "isolation", "limits"),
+    *(IF, REPEAT),
+)
 _COMPOSITE: Final = ("members", "exported", "order", "groups", "errors", "own_schedule", IF, REPEAT)
 _SUPERVISION: Final = tuple(field.name for field in fields(Supervision))
 _START: Final = tuple(field.name for field in fields(StartRule) if field.name != "component")
@@ -204,7 +209,18 @@ class _Reader(Reading):
             self._supervision(key, table),
             self._start(key, table),
             self._get(key, table, "exclusive", bool, default=False),
+            *self._isolation(key, table),
         )
+
+    def _isolation(self, key: Key, table: dict[str, Any]) -> tuple[str, Mapping[str, Any]]:
+        isolation = self._get(key, table, "isolation", str, "")
+        if isolation not in ("", "process"):
+            self._say((*key, "isolation"), f"expected 'process', or no such line, got {isolation!r:.80}")
+        limits = self._get(key, table, "limits", dict, {})
+        if limits and not isolation:
+            self._say((*key, "limits"), 'limits are those of a process; add isolation = "process"', of_key=True)
+        self._made((*key, "limits"), limits, _LIMITS, Limits)
+        return isolation, MappingProxyType(dict(limits))
 
     def _options(self, key: Key, given: Any) -> tuple[str, ...]:
         if isinstance(given, str):

@@ -38,6 +38,23 @@ def exclusive_schema() -> dict[str, Any]:
     return {"type": "boolean", "default": False, "description": what}
 
 
+def isolation_schema() -> dict[str, Any]:
+    """`isolation` of a component."""
+    return {"enum": ["process"], "description": "process: it runs in a process of its own, in a context of its own."}
+
+
+def limits_schema() -> dict[str, Any]:
+    """`limits` of a component that runs in a process of its own."""
+    return _table(
+        'What the process of the component may use; with isolation = "process".',
+        {
+            "memory": {"type": "integer", "minimum": 1, "description": "Bytes above what it has after its imports."},
+            "cpu": {"type": "number", "exclusiveMinimum": 0, "description": "Share of one processor."},
+            "processes": {"type": "integer", "minimum": 1, "description": "Processes and threads, itself included."},
+        },
+    )
+
+
 def supervision_schema() -> dict[str, Any]:
     """`[components.X.supervision]`."""
     text = "What is done about an error: never; reset (on_reset, active again); restart (a new instance)."
