@@ -129,10 +129,12 @@ class Helper:
         *lines, self._requests = (self._requests + data).split(b"\n")
         for line in lines:
             request = json.loads(line)
-            if "start" in request:
-                self._start(request, self._descriptors.pop(0))
-            else:
+            if "kill" in request:
                 self._kill(request["kill"])
+            elif self._descriptors:
+                self._start(request, self._descriptors.pop(0))
+            else:  # the system drops what there is no room for
+                self._report(request["number"], refused="the helper process has no descriptors left")
 
     def _report(self, number: int, **report: Any) -> None:
         self._outgoing += json.dumps({"number": number, **report}).encode() + b"\n"
@@ -346,6 +348,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD):
         # The parent ends in order when it gets these, and this with it. Ignored they would be ignored in children.
         signal.signal(number, lambda *_: None)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())  # the thread that started this one may have blocked SIGCHLD
     adopt_orphans()
     control = socket.socket(fileno=int(sys.argv[1]))
     control.set_inheritable(False)

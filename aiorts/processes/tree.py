@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 _SET_PDEATHSIG, _SET_CHILD_SUBREAPER = 1, 36
+_ROUNDS = 1000
+"""After so many looks a process that starts others cannot be stopped: it is another user's."""
 HAS_PROC = os.path.exists("/proc/self/task")
 
 
@@ -69,11 +71,13 @@ def kill_trees(roots: Iterable[int]) -> None:
     """
     found: dict[int, None] = {}  # in the order in which they were found
     new = [*roots]
-    while new:
+    for _ in range(_ROUNDS):
         for pid in new:
             kill(pid, signal.SIGSTOP)
             found[pid] = None
         new = [child for pid in found for child in children(pid) if child not in found]
+        if not new:
+            break
     for pid in found:
         if not HAS_PROC:
             with contextlib.suppress(ProcessLookupError, PermissionError):

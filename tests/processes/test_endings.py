@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
+import resource
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
 from aiorts.errors import ClosedError, ProcessError
 from aiorts.processes import Ending, Limits
+from aiorts.processes.tree import children
 from process_parts import DAEMON, WAIT, started, there
 
 SILENT = "import faulthandler, resource; resource.setrlimit(resource.RLIMIT_CORE, (0, 0))\n"
@@ -232,3 +237,35 @@ def test_a_program_that_no_launcher_started_is_refused() -> None:
 
     with pytest.raises(ProcessError, match="AIORTS_HELPER is not set"):
         prepare()
+
+
+def test_the_text_says_what_is_known() -> None:
+    assert Ending(None, signal.SIGKILL, out_of_memory=True).text == "killed by SIGKILL, out of memory"
+    assert Ending(0, None).text == "exit status 0"
+    assert Ending(None, None).text == "end not seen: the helper process was killed"
+
+
+@pytest.mark.anyio
+async def test_the_process_that_starts_others_adopts_and_waits_for_nothing_else() -> None:
+    own = subprocess.Popen([sys.executable, "-S", "-c", "raise SystemExit(7)"])
+    async with started() as its, asyncio.timeout(WAIT):
+        await (await its.start("pass")).ended
+        adopts = ctypes.c_int(-1)
+        ctypes.CDLL(None).prctl(37, ctypes.byref(adopts), 0, 0, 0)  # PR_GET_CHILD_SUBREAPER
+        assert adopts.value == 0
+        assert {pid for pid in children(os.getpid()) if pid != own.pid} >= {its.helper}
+    assert own.wait(WAIT) == 7
+
+
+@pytest.mark.anyio
+async def test_a_helper_without_descriptors_refuses_and_its_children_go_on() -> None:
+    async with started() as its, asyncio.timeout(WAIT):
+        child = await its.start("import os; os.read(3, 1)")
+        resource.prlimit(its.helper, resource.RLIMIT_NOFILE, (len(os.listdir(f"/proc/{its.helper}/fd")), 1024))
+        for _ in range(2):
+            with pytest.raises(ProcessError, match="camera0: "):
+                await its.start("pass")
+        resource.prlimit(its.helper, resource.RLIMIT_NOFILE, (1024, 1024))
+        assert (await (await its.start("pass")).ended).status == 0
+        its.ours.send(b"x")
+        assert (await child.ended).status == 0

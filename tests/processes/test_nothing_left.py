@@ -61,6 +61,14 @@ class Parent:
         self.process.stdout.close()
 
 
+def wait_until_stopped(pid: int) -> None:
+    """It has written its line just before: killed in between, its thread may not have its turn before the stop."""
+    until = time.monotonic() + WAIT
+    while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+        assert time.monotonic() < until
+        time.sleep(0.001)
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the processes of a test put temporary files and sockets."""
@@ -129,7 +137,9 @@ def test_a_parent_that_has_forked_is_noticed_though_its_sockets_are_still_held()
 def test_nothing_is_left_when_parent_and_helper_are_killed_together(body: str) -> None:
     with marked() as mark:
         parent = Parent(IDLE, body)
-        helper, _ = parent.ready()
+        helper, child = parent.ready()
+        if body is STOPPED:
+            wait_until_stopped(child)
         os.kill(helper, signal.SIGKILL)
         parent.kill()
         assert all_gone(mark) == {}
@@ -141,6 +151,8 @@ async def test_a_helper_that_is_killed_takes_its_children_along_and_the_next_sta
     async with started() as its, asyncio.timeout(WAIT):
         child = await its.start(body)
         await its.line(body.partition("'")[2].partition("'")[0] if body is not DAEMONS else "daemons")
+        if body is STOPPED:
+            wait_until_stopped(child.pid)
         helper = its.helper
         os.kill(helper, signal.SIGKILL)
         ending = await child.ended
