@@ -9,8 +9,10 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, cast, overload
+from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
+from aiorts.kernel.component import Component
+from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.microkernel import Microkernel
 
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from aiorts.configuration import ConfigurationFiles
     from aiorts.diagnostics import ContextTimer, DeadlineMonitor, LoopStalls
     from aiorts.isolation import Limits
-    from aiorts.kernel.component import Component
     from aiorts.kernel.connection import Connection
     from aiorts.kernel.ports import Port, PortDeclaration
     from aiorts.kernel.ports.connector import Connector
@@ -62,10 +63,9 @@ class Kernel(Microkernel):
             from aiorts.diagnostics import DeadlineMonitor
 
             self._deadlines = self.service(DeadlineMonitor)
-        if self.isolates:
-            from aiorts.isolation import placed
-
-            context = cast("X", placed(context, components))
+        for component in components:
+            for kind in kinds_of(component) if isinstance(component, Component) else ():
+                context = kind.placed(component, context, components)
         return await super().start(context, *components, activate=activate, timeout=timeout)
 
     start.__doc__ = Microkernel.start.__doc__
@@ -142,7 +142,7 @@ class Kernel(Microkernel):
             from aiorts.adapting import connect_adapted  # late: few connectors have a filter between
 
             return await connect_adapted(self, (one, two, *more), options)
-        if self.isolates or any(
+        if self.connections.far is not None or any(
             isinstance(port, str) and self.registry.is_elsewhere(port) for port in (one, two, *more)
         ):
             self.check_open("connect")

@@ -68,7 +68,7 @@ _COMMANDS: Final = {
     "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),
     "stop": ("aiorts.cli.commands.live.lifecycle:stop", "End a run in order."),
     "filter": ("aiorts.cli.filtering:filter_", "Run a component as a filter, whatever its name."),
-    "kernel": ("aiorts.cli.commands.process_kernel:kernel", "The process of one component; started by aiorts alone."),
+    "kernel": ("aiorts.cli.runtime.process_kernel:kernel", "The process of one component; started by aiorts alone."),
     "doctor": ("aiorts.cli.commands.doctor:doctor", "Look at this machine, and say what to do."),
     "completion": ("aiorts.cli.console.completion:completion", "Print the script that completes words in your shell."),
     "help": ("aiorts.cli.commands.helping:help_", "The guide; help for a command or an error code."),

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from aiorts.control.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
     from aiorts.control.folder import Entry, entries, private_folder
     from aiorts.control.operation import Right
-    from aiorts.control.operations import OPERATIONS
     from aiorts.control.session import Session
     from aiorts.control.target import (
         FILES,
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 __all__ = (
     "END",
     "FILES",
-    "OPERATIONS",
     "PATIENCE",
     "TIMEOUT",
     "Client",
@@ -64,7 +62,6 @@ _late(
         "aiorts.control.client": "END TIMEOUT Client CutOff Silent Stream open_all",
         "aiorts.control.folder": "Entry entries private_folder",
         "aiorts.control.operation": "Right",
-        "aiorts.control.operations": "OPERATIONS",
         "aiorts.control.session": "Session",
         "aiorts.control.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"

@@ -13,17 +13,32 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.isolation.isolating import Isolation
-    from aiorts.isolation.placing import given_of, placed
+    from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
+    from aiorts.isolation.placing import given_of
     from aiorts.isolation.stand_in import RemoteComponent
     from aiorts.processes import Limits
 
-__all__ = ("Isolation", "Limits", "RemoteComponent", "given_of", "placed")
+__all__ = (
+    "MARK",
+    "OPERATE",
+    "REPORT",
+    "First",
+    "Isolation",
+    "Limits",
+    "RemoteComponent",
+    "Report",
+    "asked",
+    "done",
+    "given_of",
+    "refused",
+)
 
 _late(
     globals(),
     {
         "aiorts.isolation.isolating": "Isolation",
-        "aiorts.isolation.placing": "given_of placed",
+        "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
+        "aiorts.isolation.placing": "given_of",
         "aiorts.isolation.stand_in": "RemoteComponent",
         "aiorts.processes": "Limits",
     },

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.clock import SimulatedClock
@@ -20,15 +19,13 @@ from aiorts.kernel.extensions.type_texts import type_text
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
-from aiorts.links import Caller, Links
-from aiorts.links.unix import UnixTransport
+from aiorts.links import Caller, Links, UnixTransport
 from aiorts.processes import Launcher, Limits
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _LOG: Final = KernelLog()
-_NO_LIMITS: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 class Isolation(KernelService):
@@ -36,12 +33,10 @@ class Isolation(KernelService):
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
-        kernel.isolates = True
         self._launcher: Launcher | None = None
         self._transport = UnixTransport(listens=False)
         self._transport.answer(REPORT, self._reported)
         self._opening: asyncio.Task[None] | None = None
-        self._limits: dict[str, Mapping[str, Any]] = {}
         self._processes: dict[str, Process] = {}
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
@@ -66,11 +61,13 @@ class Isolation(KernelService):
             cls = kind
         if not (isinstance(cls, type) and issubclass(cls, Component)):
             raise DeclarationError(f"{cls!r}: expected a class derived from Component")
-        name = name or kernel.free_instance_name(cls)
-        return await kernel.create(self.stand_in(cls, name, limits), name, **params)
+        return await kernel.create(self.stand_in(cls, limits), name, **params)
 
-    def stand_in(self, cls: type[Component], name: str, limits: Mapping[str, Any]) -> type[Component]:
-        """The class of what stands for a component of this class and name; on a simulated clock it is the class itself.
+    def stand_in(self, cls: type[Component], limits: Mapping[str, Any]) -> type[Component]:
+        """The class of what stands for components of this class; on a simulated clock it is the class itself.
+
+        Args:
+            limits: what the process of each may use.
 
         Raises:
             DeclarationError: a process cannot import the class, or it has what cannot be used across processes.
@@ -86,12 +83,7 @@ class Isolation(KernelService):
                 f"{cls.__module__}.{cls.__qualname__}: a process of its own cannot import it; write it into a module "
                 'or a file of its own, and create it from there, or as "FILE.py:Class"'
             )
-        self._limits[name] = limits
-        return stand_in_of(cls, text)
-
-    def limits_of(self, name: str) -> Mapping[str, Any]:
-        """What the process of this component may use."""
-        return self._limits.get(name, _NO_LIMITS)
+        return stand_in_of(cls, text, limits)
 
     def process_of(self, component: RemoteComponent) -> Process:
         """The process of a component, which is not started yet."""
@@ -106,7 +98,7 @@ class Isolation(KernelService):
             self._launcher,
             self._transport,
             component.name,
-            Limits(**self.limits_of(component.name)),
+            Limits(**component.limits),
             ended=component.process_ended,
             line=partial(_log_line, component),
             ticked=partial(_count, component),

@@ -21,6 +21,8 @@ OPERATE: Final = "operate"
 """The question by which the kernel asks for an operation in the process."""
 REPORT: Final = "report"
 """The question by which the process reports a change of state."""
+MARK: Final = "\x1e"
+"""Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
 _LENGTH: Final = struct.Struct("<I")
 
 

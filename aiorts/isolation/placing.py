@@ -27,7 +27,7 @@ class RemoteContext(Context):
     exclusive = True
 
     def __init__(self, given: Context) -> None:
-        super().__init__(name=given.name, deadline=given.deadline, timing=given.timing)
+        super().__init__(name=given.name)  # a deadline is for the hooks there, not for those that ask for them
         self.given = given
         """The context that it stands for; it never runs here."""
         self.kind = given.kind  # type: ignore[misc] # that of the one it stands for

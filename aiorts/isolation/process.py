@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import AiortsError, LinkError, LinkTimeout, ProcessError
 from aiorts.isolation import messages
-from aiorts.isolation.child import MARK
 from aiorts.links import Links
 from aiorts.processes import DESCRIPTOR
 
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
-    from aiorts.links import Peer
-    from aiorts.links.unix import UnixTransport
+    from aiorts.links import Peer, UnixTransport
     from aiorts.processes import Child, Ending, Launcher, Limits
 
 _COMES_UP: Final = 10.0
@@ -138,7 +136,9 @@ class Process:
                 await asyncio.shield(child.ended)
                 why = f"its process ended: {child.ended.result().text}"
         await self.end()
-        lines = "".join(f"\n  {_text(line)}" for line in child.ended.result().last_lines) if child.ended.done() else ""
+        lines = (
+            "".join(f"\n  {text_of(line)}" for line in child.ended.result().last_lines) if child.ended.done() else ""
+        )
         return ProcessError(f"{self.name}: {why}{lines}")
 
     async def ask(self, operation: str, within: float = 7.0, **arguments: Any) -> Any:
@@ -197,12 +197,13 @@ class Process:
                     return
 
     def _wrote(self, stream: str, line: str) -> None:
-        if line.startswith(MARK):
+        if line.startswith(messages.MARK):
             level, _, text = line[1:].partition(" ")
             self._line(int(level) if level.isdecimal() else logging.INFO, text)
         else:
             self._line(logging.WARNING if stream == "stderr" else logging.INFO, line)
 
 
-def _text(line: str) -> str:
-    return line[1:].partition(" ")[2] if line.startswith(MARK) else line
+def text_of(line: str) -> str:
+    """A line of a process without what says that it is one of its log."""
+    return line[1:].partition(" ")[2] if line.startswith(messages.MARK) else line

@@ -7,12 +7,14 @@ are here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from aiorts.errors import ComponentError, DeclarationError, ProcessError, StateError
-from aiorts.isolation.placing import RemoteContext
+from aiorts.isolation.placing import RemoteContext, placed
+from aiorts.isolation.process import text_of
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import Kind, declarations
 from aiorts.kernel.execution.cell import cell
@@ -31,7 +33,10 @@ _ASKED = (LifecycleState.ACTIVE, LifecycleState.INACTIVE)
 
 
 class RemoteKind(Kind):
-    """Passes changes of parameters on, before they are in force here."""
+    """Passes changes of parameters on, before they are in force here; says in which context it is started."""
+
+    def placed(self, component: Any, context: Any, components: Sequence[Any]) -> Any:
+        return placed(context, components)
 
     def keeps_code(self, component: Any) -> str:
         return "it runs in a process of its own; remove it, and create it anew"
@@ -49,6 +54,8 @@ class RemoteComponent(Component, kind=RemoteKind()):
     """The class whose code runs in the process."""
     type_text: ClassVar[str]
     """What the process finds that class by."""
+    limits: ClassVar[Mapping[str, Any]]
+    """What its process may use."""
     _process: Process | None = None
     _there = LifecycleState.INACTIVE
     """The state that the process has reported last."""
@@ -67,13 +74,6 @@ class RemoteComponent(Component, kind=RemoteKind()):
     def pid(self) -> int | None:
         """The number of its process; None before it was started."""
         return None if self._process is None else self._process.pid
-
-    @property
-    def limits(self) -> Mapping[str, Any]:
-        """What its process may use."""
-        from aiorts.isolation.isolating import Isolation  # late: that knows this class
-
-        return self.kernel.service(Isolation).limits_of(self.name)
 
     @property
     def busy(self) -> float:
@@ -110,7 +110,7 @@ class RemoteComponent(Component, kind=RemoteKind()):
 
     def process_ended(self, ending: Ending) -> None:
         """Its process has ended, and nobody asked it to."""
-        lines = "".join(f"\n  {line}" for line in ending.last_lines[-3:])
+        lines = "".join(f"\n  {text_of(line)}" for line in ending.last_lines[-3:])
         self._there = LifecycleState.ERROR
         self._fail(ProcessError(f"{self.name}: its process has ended: {ending.text}{lines}"))
 
@@ -138,7 +138,7 @@ class RemoteComponent(Component, kind=RemoteKind()):
             raise StateError(f"{self.name}: runs in a process of its own, and {context.name} in that of its kernel")
         if not self._running.runs:
             await self._begin()
-        self._running.deadline = context.deadline
+        self._running.deadline = context.given.deadline
         await self._running.ask("start_context", members=[self.name], **context.as_started())
 
     async def on_shutdown(self) -> None:
@@ -166,24 +166,26 @@ class RemoteComponent(Component, kind=RemoteKind()):
         await self._running.ask(operation, component=self.name, context=self.context.name)
 
 
-_classes: dict[tuple[type[Component], str], type[RemoteComponent]] = {}
+_classes: dict[tuple[Any, ...], type[RemoteComponent]] = {}
 
 
-def stand_in_of(cls: type[Component], text: str) -> type[RemoteComponent]:
+def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> type[RemoteComponent]:
     """The class of what stands for components of this class, which a process finds by this text.
 
     Raises:
         DeclarationError: it has what cannot be used across processes yet, such as service ports.
     """
-    if (known := _classes.get((cls, text))) is not None:
+    key = cls, text, *sorted(limits.items())
+    if (known := _classes.get(key)) is not None:
         return known
-    body: dict[str, Any] = {"original": cls, "type_text": text, "configurations": cls.configurations}
+    body: dict[str, Any] = {"original": cls, "type_text": text, "limits": MappingProxyType(dict(limits))}
+    body["configurations"] = cls.configurations
     for attribute, port in declarations(cls).ports.items():
         body[attribute] = _remote_port(cls, attribute, port)
     for base in reversed(cls.__mro__):
         body |= {name: value for name, value in vars(base).items() if isinstance(value, Declared)}
     body |= {"__module__": cls.__module__, "__qualname__": cls.__qualname__, "__doc__": cls.__doc__}
-    made = _classes[cls, text] = type(cls.__name__, (RemoteComponent,), body)
+    made = _classes[key] = type(cls.__name__, (RemoteComponent,), body)
     return made
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from aiorts.kernel import naming
@@ -31,6 +31,10 @@ class Kind:
     def reports(self, component: Any) -> Mapping[str, Any]:
         """What its profile says beside what every component's says: fields of a ComponentReport."""
         return {}
+
+    def placed(self, component: Any, context: Any, components: Sequence[Any]) -> Any:
+        """The context to start in the place of this one, with these components; StateError: they do not go together."""
+        return context
 
     async def configuring(self, component: Any, values: Mapping[str, Any]) -> None:
         """These values of its parameters are about to be in force; what it raises refuses them."""

@@ -106,8 +106,6 @@ class Microkernel:
         """The thread of its loop, once it is open."""
         self._services: dict[type[KernelService], KernelService] = {}
         self._naming = NamePolicy()
-        self.isolates = False
-        """Whether components of it run in processes of their own, or did."""
         self.opened_ns = 0
         """When it was opened, on its clock."""
         self.registry = Registry(self)
@@ -362,10 +360,6 @@ class Microkernel:
         if not isinstance(policy, NamePolicy):
             raise DeclarationError(f"naming = {policy!r}: expected NamePolicy(...)")
         self._naming = policy
-
-    def free_instance_name(self, kind: type) -> str:
-        """A name that nothing has, for an instance of this class, by `naming`."""
-        return self._instance_name(kind)
 
     def _free_name(self, stem: str) -> str:
         return self._numbering.lowest(stem.lower())

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         answer_of,
     )
     from aiorts.links.transports import find_transport
+    from aiorts.links.unix import UnixTransport
 
 __all__ = (
     "Caller",
@@ -32,6 +33,7 @@ __all__ = (
     "LinksSettings",
     "Peer",
     "Transport",
+    "UnixTransport",
     "answer_of",
     "find_transport",
 )
@@ -43,5 +45,6 @@ _late(
         "aiorts.links.ledgers": "LinkLedger",
         "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of",
         "aiorts.links.transports": "find_transport",
+        "aiorts.links.unix": "UnixTransport",
     },
 )

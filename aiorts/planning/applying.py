@@ -221,7 +221,7 @@ class Application:
             self._put_back()
         else:
             if entry.isolation:
-                cls = kernel.service(Isolation).stand_in(cls, entry.name, entry.limits)
+                cls = kernel.service(Isolation).stand_in(cls, entry.limits)
             component = await setting.create(kernel, cls, entry.name)
         self._supervise_as(component, entry)
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from aiorts.processes.launcher import Child, Launcher
     from aiorts.processes.values import Ending, Limits
 
+__all__ = ("DESCRIPTOR", "Child", "Ending", "Launcher", "Limits", "limit_memory", "prepare")
+
 _late(
     globals(),
     {

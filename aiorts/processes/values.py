@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import signal as signals
 
+from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
 
 
@@ -17,6 +19,14 @@ class Limits:
     """Share of one processor: a bound where cgroup v2 is delegated, else nice, which yields to others only."""
     processes: int | None = None
     """Processes and threads, its own included; refused where cgroup v2 is not delegated."""
+
+    def __post_init__(self) -> None:
+        for name in ("memory", "processes"):
+            value = getattr(self, name)
+            if value is not None and (type(value) is not int or value < 1):
+                raise ConfigurationError(f"{name} = {value!r:.80}: expected a whole number from 1")
+        if self.cpu is not None and (type(self.cpu) not in (int, float) or not 0 < self.cpu < math.inf):
+            raise ConfigurationError(f"cpu = {self.cpu!r:.80}: expected a share of one processor above 0, such as 0.5")
 
 
 @dataclass(frozen=True, slots=True)

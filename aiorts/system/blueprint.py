@@ -182,7 +182,7 @@ async def _create(kernel: Kernel, plan: Blueprint, name: str) -> None:
     """A component with its sets in force before its first hook, and supervised before it can fail."""
     cls, setting, entry = plan.types[name], plan.settings[name], plan.system.components[name]
     if entry.isolation:
-        cls = kernel.service(Isolation).stand_in(cls, name, entry.limits)
+        cls = kernel.service(Isolation).stand_in(cls, entry.limits)
     component = await setting.create(kernel, cls, name)
     policy = entry.supervision
     if policy is not None:

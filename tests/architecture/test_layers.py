@@ -43,12 +43,13 @@ aiorts/observe
 aiorts/composites aiorts/statemachines
 aiorts/supervision
 aiorts/reload
+aiorts/control
+aiorts/links
+aiorts/isolation
 aiorts/planning
 aiorts/adapting
-aiorts/control
 aiorts/control/operations
 aiorts/control/server
-aiorts/links
 aiorts/assembly.py
 aiorts/running.py aiorts/events.py aiorts/statechart.py
 aiorts/system/text
@@ -70,8 +71,20 @@ plugins/aiorts_foxglove
 """
 """The rooms, lowest first; those of one line know nothing of each other."""
 SERVICES = (
-    *("adapting", "composites", "configuration", "control", "diagnostics", "functions", "health", "links", "observe"),
-    *("planning", "processes", "realtime", "reload", "rules", "services", "statemachines", "supervision", "sync"),
+    *("adapting", "composites", "configuration", "control", "diagnostics", "functions", "health", "isolation"),
+    *(
+        "links",
+        "observe",
+        "planning",
+        "processes",
+        "realtime",
+        "reload",
+        "rules",
+        "services",
+        "statemachines",
+        "supervision",
+        "sync",
+    ),
 )
 """The rooms round the microkernel."""
 LARGEST_ROOM = 21

@@ -15,7 +15,7 @@ def kernel(descriptor: int) -> int:
     if descriptor != DESCRIPTOR:
         raise click.UsageError("this command is for aiorts itself; `aiorts run` runs a component")
     prepare()
-    from aiorts.isolation.child import main  # late: `prepare` comes before everything that takes long
+    from aiorts.cli.runtime.component_process import main  # late: `prepare` comes before everything that takes long
 
     main()
     return exits.DONE

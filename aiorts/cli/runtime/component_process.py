@@ -14,27 +14,25 @@ from pathlib import Path
 from typing import Any, Final
 
 from aiorts.assembly import Kernel
-from aiorts.control import OPERATIONS, Right, Session
+from aiorts.control import Right, Session
+from aiorts.control.operations import OPERATIONS
 from aiorts.errors import AiortsError, ComponentError, LinkError, format_error
-from aiorts.isolation import messages
+from aiorts.isolation import MARK, OPERATE, REPORT, First, Report, asked, done, refused
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop.bus import StateChanged
-from aiorts.links import Caller, Links, Peer
-from aiorts.links.unix import UnixTransport
+from aiorts.links import Caller, Links, Peer, UnixTransport
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.reading import from_plain
 from aiorts.processes import DESCRIPTOR, limit_memory
 from aiorts.running import run
 
-MARK: Final = "\x1e"
-"""Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
 _REPORT_SECONDS: Final = 5.0
 
 
 def main() -> None:
     """Do as the kernel at the other end of the socket says, until that ends. `prepare` was called before."""
     sock = socket.socket(fileno=DESCRIPTOR)
-    first = messages.First.receive(sock)
+    first = First.receive(sock)
     sys.path[:] = first.path
     _log_to_stderr(first.log_level)
     run(_Process(first, sock).serve(), loop=first.loop)
@@ -43,7 +41,7 @@ def main() -> None:
 class _Process:
     """The kernel of one component."""
 
-    def __init__(self, first: messages.First, sock: socket.socket) -> None:
+    def __init__(self, first: First, sock: socket.socket) -> None:
         self._first, self._socket = first, sock
         self._transport = UnixTransport(listens=False)
         self._over = asyncio.Event()
@@ -58,7 +56,7 @@ class _Process:
             self._session = Session(kernel, Right.CODE, "the kernel that started this process", _unsent)
             self._links = kernel.service(Links)
             self._links.use(self._transport)
-            self._transport.answer(messages.OPERATE, self._operate)
+            self._transport.answer(OPERATE, self._operate)
             await self._links.opened()
             self._transport.presence(self._present)
             kernel.bus.subscribe(StateChanged, self._changed)
@@ -72,18 +70,18 @@ class _Process:
             self._over.set()
 
     async def _operate(self, body: bytes, caller: Caller) -> bytes:
-        name, given = messages.asked(body)
+        name, given = asked(body)
         try:
             if name == "end":
                 self._over.set()
-                return messages.done(None)
+                return done(None)
             if name == "ping":
-                return messages.done([one.ticks for one in self._kernel.contexts.values()])
-            return messages.done(await self._run(name, given))
+                return done([one.ticks for one in self._kernel.contexts.values()])
+            return done(await self._run(name, given))
         except AiortsError as error:
-            return messages.refused(error)
+            return refused(error)
         except Exception as error:  # noqa: BLE001 - a hook of the component may raise anything
-            return messages.refused(ComponentError(format_error(error)))
+            return refused(ComponentError(format_error(error)))
 
     async def _run(self, name: str, given: dict[str, Any]) -> Any:
         operation = OPERATIONS[name]
@@ -99,16 +97,16 @@ class _Process:
         if component is None or component.name != self._first.component:
             return
         error = component.last_error if event.new is LifecycleState.ERROR else None
-        report = messages.Report(event.new.value, component.has_finished, "" if error is None else format_error(error))
+        report = Report(event.new.value, component.has_finished, "" if error is None else format_error(error))
         task = self._links.run(self._report(report), "aiorts report")
         self._reports.add(task)
         task.add_done_callback(self._reports.discard)
 
-    async def _report(self, report: messages.Report) -> None:
+    async def _report(self, report: Report) -> None:
         if self._parent is None:
             return
         try:
-            await self._links.ask(self._parent, messages.REPORT, report.to_bytes(), _REPORT_SECONDS)
+            await self._links.ask(self._parent, REPORT, report.to_bytes(), _REPORT_SECONDS)
         except LinkError as error:
             logging.getLogger(__name__).warning("%s: not reported: %s", report.state, error)
 

@@ -1,0 +1,97 @@
+"""Components for processes of their own; the processes import this file."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from aiorts import Component, InPort, OutPort, Param
+from aiorts.types import TimedDoubleSeq, TimedLong
+
+
+class Source(Component):
+    out = OutPort(TimedLong)
+    large = OutPort(TimedDoubleSeq)
+
+
+class Sink(Component):
+    inp = InPort(TimedLong, length=10_000)
+    large = InPort(TimedDoubleSeq)
+
+
+class Scale(Component):
+    """Multiplies whole numbers; some numbers make it fail in a way of their own."""
+
+    inp = InPort(TimedLong, length=10_000)
+    out = OutPort(TimedLong)
+    factor: int = Param(2, ge=0)
+    configurations: ClassVar[Mapping[str, Mapping[str, object]]] = {"large": {"factor": 1000}}
+    secret = "only there"
+
+    async def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            if sample.data < 0:
+                misbehave(sample.data)
+            self.out.write_nowait(TimedLong(sample.tm, sample.data * self.factor))
+
+    def check_configuration(self, values: Mapping[str, Any]) -> None:
+        if values["factor"] == 13:
+            raise ValueError("13 is no factor")
+
+
+def misbehave(what: int) -> None:
+    """Fail in one of several ways."""
+    match what:
+        case -1:
+            raise ValueError("negative")
+        case -2:
+            ctypes.string_at(0)
+        case -3:
+            os._exit(3)
+        case -4:
+            while True:
+                pass
+        case -5:
+            print("word\n" * 50)
+        case -6:
+            keep = [np.ones(1 << 20) for _ in range(10_000)]
+            del keep
+        case -7:
+            subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True)
+
+
+class Ticker(Component):
+    """Says which tick it is, twenty times."""
+
+    out = OutPort(TimedLong)
+    ticks = 0
+
+    def on_execute(self) -> None:
+        self.ticks += 1
+        self.out.write_nowait(TimedLong(0, self.ticks))
+        if self.ticks == 20:
+            self.finish()
+
+
+class Echo(Component):
+    """Gives arrays back."""
+
+    inp = InPort(TimedDoubleSeq)
+    out = OutPort(TimedDoubleSeq)
+
+    async def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            self.out.write_nowait(sample)
+
+
+class Unmakeable(Component):
+    """Refuses to come in."""
+
+    def on_initialize(self) -> None:
+        raise RuntimeError("no camera there")

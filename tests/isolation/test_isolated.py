@@ -1,0 +1,258 @@
+"""A component in a process of its own: made, connected, configured, failing, killed, started anew, gone."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from anyio import fail_after, sleep
+
+from aiorts import Component, EventContext, Kernel, LifecycleState, OutPort, PeriodicContext
+from aiorts.errors import ComponentError, ConfigurationError, DeclarationError, ProcessError, StateError
+from aiorts.isolation import Limits
+from aiorts.links import Links
+from aiorts.supervision import Supervision
+from aiorts.testing import simulate
+from aiorts.types import TimedDoubleSeq, TimedLong
+from isolation.isolated_parts import Echo, Scale, Sink, Source, Ticker, Unmakeable
+
+pytestmark = pytest.mark.anyio
+fault, row = pytest.mark.fault, pytest.mark.row
+ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
+
+
+async def until(holds: Callable[[], object], seconds: float = 15.0) -> None:
+    with fail_after(seconds):
+        while not holds():
+            await sleep(0.01)
+
+
+def runs(pid: int | None) -> bool:
+    """Whether this process is there, and no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+async def chain(
+    kernel: Kernel, *, limits: Limits | None = None, deadline: float | None = None, **params: object
+) -> tuple[Source, Any, Sink, Any]:
+    """source -> scale, in a process -> sink, active."""
+    source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+    scale = await kernel.create_isolated(Scale, "scale", limits=limits, **params)
+    await kernel.connect(source.out, "scale.inp", length=10_000)
+    await kernel.connect("scale.out", sink.inp, length=10_000)
+    context = await kernel.start(EventContext(name="apart", deadline=deadline), scale, activate=True)
+    return source, scale, sink, context
+
+
+async def answer(source: Source, sink: Sink, value: int) -> int:
+    source.out.write_nowait(TimedLong(0, value))
+    return (await sink.inp.read(timeout=10)).data
+
+
+@row("51")
+async def test_it_looks_like_any_other_and_runs_in_a_process_of_its_own() -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, context = await chain(kernel, factor=3)
+        assert await answer(source, sink, 5) == 15
+        assert (scale.pid != os.getpid(), runs(scale.pid)) == (True, True)
+        assert (scale.state, dict(scale.states)) == (ACTIVE, {"apart": ACTIVE})
+        assert (context.kind, context.name, context.members) == ("event", "apart", (scale,))
+        assert (scale.profile.type, dict(scale.configuration.values)) == ("Scale", {"factor": 3})
+        assert [port.connectors for port in scale.ports.values()] == [source.out.connectors, sink.inp.connectors]
+        assert [one.profile.ports for one in kernel.connectors.values()] == [
+            ("source.out", "scale.inp"),
+            ("scale.out", "sink.inp"),
+        ]
+        ledgers = [await kernel.service(Links).ledger(one) for one in kernel.connectors.values()]
+        assert [(one.written, one.delivered, one.unexplained) for one in ledgers] == [(1, 1, 0), (1, 1, 0)]
+        with pytest.raises(AttributeError, match=r"scale.secret: Scale runs in a process of its own"):
+            _ = scale.secret
+        with pytest.raises(StateError, match=r"scale.out: its component runs in a process of its own"):
+            scale.out.write_nowait(TimedLong(0, 1))
+        pid = scale.pid
+        await context.deactivate()
+        assert scale.state is INACTIVE
+        await context.stop()
+        await kernel.remove(scale)
+        assert (dict(kernel.connectors), runs(pid)) == ({}, False)
+
+
+async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, _ = await chain(kernel)
+        await scale.configure(factor=7)
+        assert (scale.factor, await answer(source, sink, 1)) == (7, 7)
+        await scale.configuration.activate("large")
+        assert (scale.factor, await answer(source, sink, 1)) == (1000, 1000)
+        with pytest.raises(ConfigurationError, match="factor"):
+            await scale.configure(factor=-1)
+        with pytest.raises(ConfigurationError, match="13 is no factor"):
+            await scale.configure(factor=13)
+        assert (scale.factor, await answer(source, sink, 2)) == (1000, 2000)
+
+
+async def test_what_it_raises_is_its_error_here_and_a_reset_helps() -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, context = await chain(kernel)
+        pid = scale.pid
+        source.out.write_nowait(TimedLong(0, -1))
+        await until(lambda: scale.state is ERROR)
+        assert str(scale.last_error) == "scale: ValueError: negative"
+        assert isinstance(scale.last_error, ComponentError)
+        await context.reset()
+        await context.activate()
+        assert (await answer(source, sink, 4), scale.pid) == (8, pid)
+
+
+@fault("A13")
+@pytest.mark.parametrize(
+    ("value", "said"), [(-2, "killed by SIGSEGV (signal 11)"), (-3, "exit status 3")], ids=["segfault", "exit"]
+)
+async def test_the_end_of_its_process_is_its_failure_and_a_reset_starts_another(value: int, said: str) -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, context = await chain(kernel, factor=5)
+        pid = scale.pid
+        began = time.monotonic()
+        source.out.write_nowait(TimedLong(0, value))
+        await until(lambda: scale.state is ERROR)
+        assert time.monotonic() - began < 5.0
+        assert isinstance(scale.last_error, ProcessError)
+        assert f"scale: its process has ended: {said}" in str(scale.last_error)
+        await context.reset()
+        await context.activate()
+        assert await answer(source, sink, 4) == 20
+        assert (scale.pid != pid, runs(pid)) == (True, False)
+        for connector in kernel.connectors.values():
+            ledger = await kernel.service(Links).ledger(connector)
+            assert ledger.unexplained == 0, str(ledger)
+        dropped = kernel.connectors["source.out-scale.inp"].statistics.dropped
+        assert {reason: count for reason, count in dropped.items() if count} in ({"unknown_fate": 1}, {})
+
+
+@fault("A10")
+async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadline() -> None:
+    async with Kernel() as kernel:
+        source, scale, _sink, _ = await chain(kernel, deadline=0.3)
+        source.out.write_nowait(TimedLong(0, -4))
+        await until(lambda: scale.busy > 0.6)
+        late = [0.0]
+        while scale.state is not ERROR:
+            before = time.monotonic()
+            await asyncio.sleep(0.01)
+            late.append(time.monotonic() - before)
+            assert len(late) < 1_000
+        assert "killed by SIGKILL" in str(scale.last_error)
+        assert max(late) < 1.0, "this loop was held, too"
+
+
+async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill() -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, _ = await chain(kernel)
+        kernel.supervise(scale, Supervision(restart="reset", backoff=0.05))
+        for _ in range(2):
+            pid = scale.pid
+            os.kill(pid, signal.SIGKILL)
+            await until(lambda pid=pid: scale.state is ACTIVE and scale.pid != pid)
+            assert await answer(source, sink, 4) == 8
+
+
+async def test_a_periodic_context_runs_there_at_its_rate_until_the_source_has_finished() -> None:
+    async with Kernel() as kernel:
+        sink = await kernel.add(Sink("sink"))
+        ticker = await kernel.create_isolated(Ticker, "ticker")
+        connector = await kernel.connect("ticker.out", sink.inp)
+        context = await kernel.start(PeriodicContext(rate=100.0), ticker)
+        await context.activate()
+        assert (context.kind, context.rate) == ("periodic", 100.0)
+        with fail_after(10):
+            seen = [(await sink.inp.read()).data for _ in range(20)]
+        assert seen == list(range(1, 21))
+        await until(lambda: ticker.has_finished)
+        assert connector.statistics.written == 20
+
+
+async def test_arrays_go_there_and_back() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        echo = await kernel.create_isolated(Echo, "echo")
+        await kernel.connect(source.large, "echo.inp")
+        await kernel.connect("echo.out", sink.large)
+        await kernel.start(EventContext(), echo, activate=True)
+        for number in range(5):
+            source.large.write_nowait(TimedDoubleSeq(0, np.full(200_000, float(number))))
+            assert (await sink.large.read(timeout=10)).data[[0, -1]].tolist() == [number, number]
+
+
+async def test_what_it_prints_and_logs_is_in_the_log_here(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    async with Kernel() as kernel:
+        source, _scale, sink, _ = await chain(kernel)
+        assert await answer(source, sink, -5) == -10
+        await until(lambda: any(one.getMessage() == "word" for one in caplog.records))
+        assert {one.name for one in caplog.records if one.getMessage() == "word"} == {"aiorts.component"}
+
+
+async def test_a_component_that_refuses_to_come_in_leaves_no_process() -> None:
+    async with Kernel() as kernel:
+        with pytest.raises(ComponentError, match="no camera there"):
+            await kernel.create_isolated(Unmakeable, "camera")
+        assert dict(kernel.components) == {}
+
+
+async def test_members_of_one_context_run_in_one_process() -> None:
+    async with Kernel() as kernel:
+        source = await kernel.add(Source("source"))
+        scale = await kernel.create_isolated(Scale, "scale")
+        with pytest.raises(StateError, match="scale runs in a process of its own, and source in that of its kernel"):
+            await kernel.start(EventContext(), source, scale)
+        assert (dict(source.states), dict(scale.states)) == ({}, {})
+
+
+async def test_a_class_that_a_process_cannot_import_is_refused_with_what_to_do() -> None:
+    class Local(Component):
+        out = OutPort(TimedLong)
+
+    async with Kernel() as kernel:
+        with pytest.raises(DeclarationError, match="write it into a module or a file of its own"):
+            await kernel.create_isolated(Local, "local")
+        assert dict(kernel.components) == {}
+
+
+async def test_a_memory_limit_is_the_components_own_error() -> None:
+    async with Kernel() as kernel:
+        source, scale, _sink, _ = await chain(kernel, limits=Limits(memory=200 << 20))
+        source.out.write_nowait(TimedLong(0, -6))
+        await until(lambda: scale.state is ERROR)
+        assert "Unable to allocate" in str(scale.last_error)
+
+
+def test_on_a_simulated_clock_it_runs_in_this_process_which_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    async def run() -> None:
+        async with Kernel() as kernel:
+            one = await kernel.create_isolated(Scale, "one")
+            two = await kernel.create_isolated(Scale, "two")
+            assert (type(one), type(two)) == (Scale, Scale)
+
+    simulate(run())
+    assert sum("W-ISOLATION" in one.getMessage() for one in caplog.records) == 1
+
+
+async def test_the_end_of_the_kernel_leaves_no_process() -> None:
+    async with Kernel() as kernel:
+        source, scale, _sink, _ = await chain(kernel)
+        pid = scale.pid
+        source.out.write_nowait(TimedLong(0, -7))
+        below = Path(f"/proc/{pid}/task/{pid}/children")
+        await until(below.read_text)
+        children = [int(one) for one in below.read_text().split()]
+    assert [one for one in (pid, *children) if runs(one)] == []
