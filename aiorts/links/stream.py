@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 import struct
 from collections import deque
@@ -26,6 +27,9 @@ _LARGEST: Final = 80 << 20
 """Bytes of one message at the most."""
 _FULL: Final = 4 << 20
 """Bytes that wait to be sent beyond which no more is taken."""
+_DESCRIPTOR: Final = struct.Struct("i")
+_ONE: Final = 20
+"""Bytes in which the system tells of one descriptor (CMSG_LEN); in CMSG_SPACE, which is rounded up, are two."""
 _VECTORS: Final = 64
 """Buffers of one system call."""
 
@@ -60,6 +64,10 @@ class Stream:
         self._waits = 0
         """Bytes in `_waiting`."""
         self._refused = self._broken = self._reset = False
+        self._expects = False
+        """Whether a descriptor may come."""
+        self._descriptor = -1
+        """The one that has come; -1: none."""
         self.closed = False
         sock.setblocking(False)
         loop.add_reader(sock.fileno(), self._readable)
@@ -91,6 +99,21 @@ class Stream:
             self._loop.add_writer(self._socket.fileno(), self._writable)
         self._waiting.extend(vectors)
         self._waits += sum(map(len, vectors))
+        return True
+
+    def send_descriptor(self, kind: int, number: int, body: bytes, descriptor: int) -> bool:
+        """Send a short message with a descriptor; False: it was not taken, since others wait."""
+        if self.closed or self._broken or self._waiting:
+            return False
+        data = _HEAD.pack(len(body), kind, 0, 0, number) + body
+        try:
+            # All of it or nothing: so short a message is never cut.
+            self._socket.sendmsg([data], [(socket.SOL_SOCKET, socket.SCM_RIGHTS, struct.pack("i", descriptor))])
+        except (BlockingIOError, InterruptedError):
+            return False
+        except OSError:
+            self._broken = True
+            return False
         return True
 
     def _send_now(self, vectors: list[memoryview]) -> list[memoryview]:
@@ -135,7 +158,9 @@ class Stream:
 
     def _readable(self) -> None:
         try:
-            if self._large is not None:
+            if self._expects:
+                data, count = self._receive_descriptor()
+            elif self._large is not None:
                 count = self._socket.recv_into(self._large[self._filled :])
                 data = b""
             else:
@@ -151,6 +176,8 @@ class Stream:
             return self._readable()
         except OSError as error:
             return self._end(error.strerror or "broken")
+        except ValueError as error:
+            return self._end(f"it does not speak this protocol: {error}")
         if not count:
             return self._end("it has ended")
         messages: list[Message] = []
@@ -167,6 +194,42 @@ class Stream:
         if messages:
             self._arrived(messages)
         return self._readable() if self._reset and not self.closed else None
+
+    def expect_descriptor(self) -> None:
+        """Receive one descriptor, which comes with any message from now on.
+
+        Others are never received: where the system is not asked for them, it closes what a peer has sent.
+        """
+        self._expects = True
+
+    def take_descriptor(self) -> int | None:
+        """The descriptor that has come, which the caller closes; None: none has."""
+        found, self._descriptor = self._descriptor, -1
+        return found if found >= 0 else None
+
+    def _receive_descriptor(self) -> tuple[bytes, int]:
+        """What `recv` receives, and a descriptor that comes with it. ValueError: more than one."""
+        large = self._large
+        flags = getattr(socket, "MSG_CMSG_CLOEXEC", 0)
+        if large is None:
+            data, rights, found, _ = self._socket.recvmsg(_AT_ONCE, _ONE, flags)
+            count = len(data)
+        else:
+            count, rights, found, _ = self._socket.recvmsg_into([large[self._filled :]], _ONE, flags)
+            data = b""
+        came = [
+            descriptor
+            for level, kind, packed in rights
+            if (level, kind) == (socket.SOL_SOCKET, socket.SCM_RIGHTS)
+            for (descriptor,) in _DESCRIPTOR.iter_unpack(packed[: len(packed) - len(packed) % _DESCRIPTOR.size])
+        ]
+        if len(came) > 1 or found & socket.MSG_CTRUNC:
+            for descriptor in came:
+                os.close(descriptor)
+            raise ValueError("more than one descriptor with a message")
+        if came:
+            self._expects, self._descriptor = False, came[0]
+        return data, count
 
     def _cut(self, data: bytes, messages: list[Message]) -> None:
         """The messages in what has come, and what is left of the next one."""
@@ -201,6 +264,8 @@ class Stream:
                 remove(self._socket.fileno())
         self._socket.close()
         self._waiting.clear()
+        if (descriptor := self.take_descriptor()) is not None:
+            os.close(descriptor)
 
     def _end(self, why: str) -> None:
         if not self.closed:

@@ -26,8 +26,11 @@ from aiorts.links.messages import fields, packed
 from aiorts.links.stream import Message, Stream
 from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts.model.links import Buffer
+from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 
-_HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER = range(1, 7)
+_HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
+_IN_RING: Final = 4
+"""What is added to `_BY_WRITER` and `_BY_READER` where parts of the frame are in a ring."""
 _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
@@ -41,10 +44,16 @@ Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 class UnixTransport:
     """Carries links between kernels of one user on one host. See `Transport`.
 
+    Large arrays go through memory that both kernels share, where these are of one program: readers then look at what
+    the writer's kernel could still write to.
+
     Args:
         listens: whether other kernels find this one by the run-time folder; else it has the connections that it is
             given with `take`.
     """
+
+    program: bytes = b""
+    """A secret of 16 random bytes or more that all kernels of one program are given; b"": this one is of none."""
 
     def __init__(self, *, listens: bool = True) -> None:
         self._listens = listens
@@ -118,7 +127,7 @@ class UnixTransport:
                 self.loop.remove_reader(self._listener.fileno())
                 self.loop.call_later(_ACCEPT_AGAIN_SECONDS, self._accept_again)
             return
-        if _user_of(sock) != os.geteuid():
+        if _owner_of(sock)[1] != os.geteuid():
             sock.close()
             return
         self.take(sock)
@@ -266,6 +275,8 @@ class _UnixChannel:
         self._send = connection.stream.send
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
+        if parts and self.connection.rings is not None:
+            return self.connection.send_parts(self._kind, self._number, head, parts)
         return self._send(self._kind, self._number, head, parts)
 
     def close(self) -> None:
@@ -283,7 +294,12 @@ class _Connection:
         self._asked: dict[int, asyncio.Future[bytes]] = {}
         self._last = 0
         self._answering = 0
-        self._identity = f"user {_user_of(sock)}"
+        self._process, user = _owner_of(sock)
+        self._identity = f"user {user}"
+        self.rings: Rings | None = None
+        """Where the other end has shown that it is of the same program."""
+        self._greeting = b""
+        """What the other end said first, byte for byte."""
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
         self._silent = transport.loop.call_later(greets_within, self._never_greeted)
         self.stream.send(_HELLO, 0, transport.greeting)
@@ -292,6 +308,18 @@ class _Connection:
         """End it."""
         self.stream.close()
         self._over("this kernel ends")
+
+    def send_parts(self, kind: int, number: int, head: bytes, parts: Sequence[memoryview]) -> bool:
+        """Send a frame of a channel, its large parts through the ring where that has room."""
+        rings = self.rings
+        put = None if rings is None else rings.put(parts)
+        if rings is None or put is None:
+            return self.stream.send(kind, number, head, parts)
+        places, beside = put
+        sent = self.stream.send(kind + _IN_RING, number, rings.frame(places, head), beside)
+        if not sent:
+            rings.take_back(places)
+        return sent
 
     def _never_greeted(self) -> None:
         if self.peer is None:
@@ -306,9 +334,13 @@ class _Connection:
             if not future.done():
                 future.set_exception(LinkError(f"{name}: {why}"))
         self._asked.clear()
+        if self.rings is not None:
+            self.rings.close()
         self._transport.ended(self, why)
 
     def _drained(self) -> None:
+        if self.rings is not None:
+            self.rings.flush()
         self._transport.drained(self)
 
     def _arrived(self, messages: list[Message]) -> None:
@@ -318,6 +350,10 @@ class _Connection:
                 frames.setdefault((kind, number), []).append((body, parts))
                 continue
             try:
+                if kind in (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING) and self.rings is not None:
+                    frame = self.rings.frame_of(body, parts)
+                    frames.setdefault((kind - _IN_RING, number), []).append(frame)
+                    continue
                 self._control(kind, number, bytes(body))
             except LinkError as error:
                 self._transport.kernel.report(f"ended the connection with {self.peer or 'a process'}: {error}")
@@ -329,14 +365,21 @@ class _Connection:
     def _control(self, kind: int, number: int, body: bytes) -> None:
         if kind == _HELLO:
             if self.peer is None:
-                host, name, epoch = fields(body, (str, str, int))
+                host, name, epoch = fields(body, (str, str, int), longer=True)
                 self.peer = Peer(host, name, epoch)
                 self._silent.cancel()
+                self._prove(body)
                 self._transport.greeted(self, self.peer)
                 if not self.greeted.done():
                     self.greeted.set_result(None)
         elif self.peer is None:
             raise LinkError("it did not say who it is")
+        elif kind == _PROOF:
+            self._meet(body)
+        elif kind == _RING:
+            self._hear(body)
+        elif kind in (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING):
+            raise LinkError("it speaks of a ring, and is not of this program")
         elif kind == _ASK:
             what, question = fields(body, (str, bytes))
             if self._answering >= _ASKED:
@@ -353,6 +396,44 @@ class _Connection:
             else:
                 text = body[:_LONGEST].decode(errors="replace")
                 future.set_exception(LinkError(f"{self.peer.kernel}: {text}"))
+
+    # -- kernels of one program ------------------------------------------------------------------------------------
+
+    def _prove(self, greeting: bytes) -> None:
+        """Show the other end, whose greeting this is, that this kernel is of the same program if that one is.
+
+        Not in our greeting: kernels of other versions take one with these fields alone, and leave out this message.
+        """
+        self._greeting = greeting
+        transport = self._transport
+        if transport.program and Rings.available:
+            self.stream.send(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
+
+    def _meet(self, body: bytes) -> None:
+        transport = self._transport
+        if self.rings is None and proves(
+            transport.program, body, self._greeting, transport.greeting, process=self._process
+        ):
+            self.rings = Rings(
+                transport.loop,
+                self._say,
+                self.stream.expect_descriptor,
+                self.stream.take_descriptor,
+                lambda text: transport.kernel.report(f"{self._name}: {text}"),
+            )
+
+    def _say(self, body: bytes, descriptor: int | None) -> bool:
+        if descriptor is None:
+            return self.stream.send(_RING, 0, body)
+        return self.stream.send_descriptor(_RING, 0, body, descriptor)
+
+    def _hear(self, body: bytes) -> None:
+        if self.rings is not None:
+            self.rings.heard(body)
+        elif body == OFFERED:
+            self._say(REFUSAL, None)  # it has taken us for one of its program, and we have not
+        else:
+            raise LinkError("it speaks of a ring, and is not of this program")
 
     async def ask(self, what: str, body: bytes, within: float) -> bytes:
         """See `UnixTransport.ask`."""
@@ -385,13 +466,14 @@ class _Connection:
         self.stream.send(kind, number, body)
 
 
-def _user_of(sock: socket.socket) -> int:
-    """The user at the other end; ours where the system does not say: the folder lets nobody else in."""
+def _owner_of(sock: socket.socket) -> tuple[int, int]:
+    """The process at the other end, and its user; 0 and ours where the system does not say: the folder lets nobody
+    else in."""
     option: Any = getattr(socket, "SO_PEERCRED", None)
     if option is None:
-        return os.geteuid()
-    _, user, _ = struct.unpack("3i", sock.getsockopt(socket.SOL_SOCKET, option, struct.calcsize("3i")))
-    return int(user)
+        return 0, os.geteuid()
+    process, user, _ = struct.unpack("3i", sock.getsockopt(socket.SOL_SOCKET, option, struct.calcsize("3i")))
+    return int(process), int(user)
 
 
 def _hashed(name: str) -> str:

@@ -52,9 +52,26 @@ def sealed_bytes(size: int) -> memoryview:
     return memoryview(memory)
 
 
+def sealed_view(memory: memoryview) -> memoryview:
+    """A view of read-only memory that another process has filled, and that nothing writes to while this view is looked
+    through. Records take arrays on it without a copy, as on `sealed_bytes`.
+
+    Its `obj` lives as long as the last array or view that looks into this memory.
+
+    Raises:
+        ValueError: the memory can be written to.
+    """
+    import numpy as np
+
+    if not memory.readonly:
+        raise ValueError("expected memory that can only be read")
+    seen: Any = np.frombuffer(memory, np.uint8).view(_sealed_class())
+    return memoryview(seen)
+
+
 @functools.cache
 def _sealed_class() -> type:
-    """The class of the memory that `sealed_bytes` gives."""
+    """The class of the memory that `sealed_bytes` and `sealed_view` give."""
     import numpy as np
 
     class Sealed(np.ndarray):
@@ -95,7 +112,7 @@ def element_dtype(element: str) -> np.dtype[Any]:
 
 
 def _of_bytes(array: AnyArray) -> bool:
-    """Whether the memory belongs to `bytes`, which nobody can change, or is from `sealed_bytes`, which nobody does."""
+    """Whether the memory belongs to `bytes`, which nobody can change, or is sealed, which nobody does."""
     base: Any = array
     while type(base) is type(array):
         if base.flags.writeable:

@@ -29,7 +29,7 @@ aiorts/model
 aiorts/model/configuration aiorts/model/health aiorts/model/links
 aiorts/model/wanted
 aiorts/types
-aiorts/types/ros aiorts/wire
+aiorts/types/ros aiorts/wire aiorts/rings
 aiorts/kernel/loop
 aiorts/kernel/extensions
 aiorts/kernel/ports

@@ -1,0 +1,27 @@
+"""Memory that two processes of one program share, for the large arrays of links.
+
+Each direction of a connection has a ring: the sender copies an array into a free extent of it, the message says where,
+and the reader's array lies there. When the last array that looks into an extent dies, the reader gives it back.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aiorts.late import late as _late
+
+if TYPE_CHECKING:
+    from aiorts.rings.ends import Rings
+    from aiorts.rings.frames import OFFERED, REFUSAL
+    from aiorts.rings.program import proof, proves
+
+__all__ = ("OFFERED", "REFUSAL", "Rings", "proof", "proves")
+
+_late(
+    globals(),
+    {
+        "aiorts.rings.ends": "Rings",
+        "aiorts.rings.frames": "OFFERED REFUSAL",
+        "aiorts.rings.program": "proof proves",
+    },
+)

@@ -1,0 +1,50 @@
+"""What the two ends of a ring say to each other, and where the parts of a frame are. Pure: bytes and numbers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Final, TypeAlias
+
+from aiorts.errors import LinkError
+from aiorts.rings.extents import STEP
+
+OFFER, READY, RING, MAPPED, CANNOT, FREED = range(1, 7)
+"""The first byte of a message: a ring is there; send its descriptor; this is it; it is used from now on; it is not;
+these extents are free again."""
+OFFERED: Final = bytes((OFFER,))
+REFUSAL: Final = bytes((CANNOT,))
+_FREED: Final = struct.Struct("<BI")
+PLACES: Final = 255
+"""Parts of one frame at the most."""
+
+Place: TypeAlias = tuple[int, int]
+"""(start, length) of a part in the ring; the length is 0 where it travels beside the frame."""
+
+
+def places_bytes(places: Sequence[Place]) -> bytes:
+    """What stands in front of a frame: where each of its parts is."""
+    numbers = [number for start, length in places for number in (start // STEP, length)]
+    return struct.pack(f"<B{len(numbers)}I", len(places), *numbers)
+
+
+def places_of(body: memoryview) -> tuple[list[Place], memoryview]:
+    """Where each part of a frame is, and the frame itself. LinkError: it is no such frame."""
+    count = body[0] if body else 0
+    end = 1 + 8 * count
+    if not count or len(body) < end:
+        raise LinkError("a frame that does not say where its parts are")
+    numbers = struct.unpack_from(f"<{2 * count}I", body, 1)
+    return [(start * STEP, length) for start, length in zip(numbers[::2], numbers[1::2], strict=True)], body[end:]
+
+
+def freed_bytes(freed: Sequence[tuple[int, int]]) -> bytes:
+    """A message: these extents are free again, each a ring's number and its start."""
+    return bytes((FREED,)) + b"".join(_FREED.pack(number, start // STEP) for number, start in freed)
+
+
+def freed_of(body: bytes) -> list[tuple[int, int]]:
+    """The extents of such a message. LinkError: it is none."""
+    if (len(body) - 1) % _FREED.size:
+        raise LinkError("extents that are given back in part")
+    return [(number, start * STEP) for number, start in _FREED.iter_unpack(body[1:])]

@@ -1,0 +1,37 @@
+"""Whether the process at the other end of a socket is of the same program: it knows the same secret."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import struct
+from typing import Final
+
+_HEAD: Final = struct.Struct("<Q")
+
+
+def proof(program: bytes, prover: bytes, verifier: bytes) -> bytes:
+    """What shows `verifier` that this process, as `prover`, knows `program`.
+
+    The secret itself is never sent: a greeting goes to every kernel of the user, and one of another program could say
+    it after us. The number of the process is in the proof for the same reason: the system says whose socket it is.
+    """
+    head = _HEAD.pack(os.getpid())
+    return head + _code(program, head, prover, verifier)
+
+
+def proves(program: bytes, said: bytes, prover: bytes, verifier: bytes, process: int) -> bool:
+    """Whether `said` was made by `prover`, which the system says to be `process`, with the same secret.
+
+    A socket pair that this process made says this process of both ends, whoever has inherited one of them.
+    """
+    head = said[: _HEAD.size]
+    if not program or len(head) < _HEAD.size or process not in (*_HEAD.unpack(head), os.getpid()):
+        return False
+    return hmac.compare_digest(said[_HEAD.size :], _code(program, head, prover, verifier))
+
+
+def _code(program: bytes, head: bytes, prover: bytes, verifier: bytes) -> bytes:
+    text = b"".join((head, len(prover).to_bytes(4, "little"), prover, verifier))
+    return hmac.new(program, b"aiorts program" + text, hashlib.sha256).digest()

@@ -1,0 +1,116 @@
+"""The receiver's end of a ring: looks into it, and gives back what nobody looks at any more."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import mmap
+import weakref
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from aiorts.errors import LinkError
+from aiorts.rings.extents import Extents
+from aiorts.rings.frames import Place, freed_bytes
+from aiorts.rings.memory import fault_of, mapped
+from aiorts.rings.sending import RINGS
+from aiorts.types.arrays import sealed_view
+
+_AT_ONCE: Final = 4_096
+"""Extents of one message."""
+
+
+class _Ring:
+    """Memory that the other end writes to."""
+
+    def __init__(self, number: int, memory: mmap.mmap) -> None:
+        self.number, self.view, self.extents = number, memoryview(memory), Extents(len(memory))
+
+
+class Receiving:
+    """Gives out views of the other end's memory.
+
+    Args:
+        say: sends a message; False: not now, and `flush` is called when it can be said.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, say: Callable[[bytes], bool]) -> None:
+        self._loop, self._say = loop, say
+        self._ring: _Ring | None = None
+        """The newest. The arrays of an older one hold its memory."""
+        self._count = 0
+        self._dead: deque[tuple[_Ring, int]] = deque()
+        self._woken = False
+        self.closed = False
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no further ring is taken."""
+        return self._count >= RINGS
+
+    def take(self, descriptor: int) -> str:
+        """Use the memory of this descriptor from now on; why that is not possible, or "".
+
+        Raises:
+            LinkError: it is not what both ends have agreed on.
+        """
+        if fault := fault_of(descriptor):
+            raise LinkError(fault)
+        try:
+            memory = mapped(descriptor)
+        except OSError as error:
+            return str(error)
+        self._count += 1
+        self._ring = _Ring(self._count, memory)
+        return ""
+
+    def views(self, places: Sequence[Place], beside: Sequence[memoryview]) -> tuple[memoryview, ...]:
+        """The parts of a frame, of which those with a length lie in the ring.
+
+        Raises:
+            LinkError: a place is not in the ring, or an array looks into it; or parts are missing.
+        """
+        others = iter(beside)
+        try:
+            parts = tuple([self._view(start, size) if size else next(others) for start, size in places])
+        except StopIteration:
+            raise LinkError("a frame whose parts are missing") from None
+        if next(others, None) is not None:
+            raise LinkError("a frame with more parts than it says")
+        return parts
+
+    def _view(self, start: int, size: int) -> memoryview:
+        ring = self._ring
+        if ring is None or not ring.extents.claim(start, size):
+            raise LinkError(f"an array of {size} bytes at {start} of its ring, which is not free there")
+        view = sealed_view(ring.view[start : start + size])
+        weakref.finalize(view.obj, self._died, ring, start).atexit = False
+        return view
+
+    def _died(self, ring: _Ring, start: int) -> None:
+        """Nothing looks into this extent any more. Called in any thread and between any two instructions: so it only
+        appends, and wakes the loop, also where it is just about to wait."""
+        self._dead.append((ring, start))
+        if not self._woken and not self.closed:
+            self._woken = True
+            with contextlib.suppress(RuntimeError):  # the loop is closed, and so is the connection
+                self._loop.call_soon_threadsafe(self.flush)
+
+    def flush(self) -> None:
+        """Give back what has died, as far as it can be said."""
+        self._woken = False  # before anything is taken: what dies from now on wakes the loop again
+        dead = self._dead
+        while dead and not self.closed:
+            freed = [dead[place] for place in range(min(_AT_ONCE, len(dead)))]
+            if not self._say(freed_bytes([(ring.number, start) for ring, start in freed])):
+                return
+            for ring, start in freed:
+                dead.popleft()
+                ring.extents.give(start)
+
+    def close(self) -> None:
+        """Nothing comes any more, and nothing is given back."""
+        self.closed = True
+        self._ring = None
+        self._dead.clear()

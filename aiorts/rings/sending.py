@@ -1,0 +1,182 @@
+"""The sender's end of a ring: makes the memory, copies parts into it, learns what is free again."""
+
+from __future__ import annotations
+
+import asyncio
+import mmap
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from aiorts.errors import LinkError
+from aiorts.rings.extents import Extents
+from aiorts.rings.frames import CANNOT, MAPPED, OFFERED, PLACES, READY, RING, Place, freed_of
+from aiorts.rings.memory import LARGEST, Making
+
+LEAST: Final = 32_768
+"""Bytes from which on a part goes through the ring."""
+RINGS: Final = 4
+"""Rings of one connection and direction, one after the other: each is at least four times as large."""
+_SLOTS: Final = 8
+"""Parts like the first one that a ring has room for: those on their way and those that a reader looks at."""
+_SMALLEST: Final = 4 << 20
+"""Bytes of the first ring at the least."""
+
+
+class _Ring:
+    """Memory that the other end has mapped."""
+
+    def __init__(self, number: int, memory: mmap.mmap) -> None:
+        self.number, self.extents = number, Extents(len(memory))
+        self.view = memoryview(memory)
+
+
+class Sending:
+    """Copies large parts into memory that the other end reads.
+
+    The first large part has a ring made, and one that finds no room a larger one; meanwhile, and where that is not
+    possible, parts travel beside their frames. Nothing waits for a ring.
+
+    Args:
+        say: sends a message, with a descriptor or without; False: not now.
+        report: says why there is no ring.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        say: Callable[[bytes, int | None], bool],
+        report: Callable[[str], None],
+    ) -> None:
+        self._loop, self._say, self._report = loop, say, report
+        self._rings: dict[int, _Ring] = {}
+        """By number: the one in use, and older ones that arrays still look into."""
+        self._used: _Ring | None = None
+        self._next: _Ring | None = None
+        """The one whose descriptor was sent, until the other end has it."""
+        self._making: Making | None = None
+        self._memory: mmap.mmap | None = None
+        """Of `_making`, when it is complete."""
+        self._awaits = 0
+        """What the other end is to say next."""
+        self._made = 0
+        self.closed = False
+
+    def put(self, parts: Sequence[memoryview]) -> tuple[list[Place], list[memoryview]] | None:
+        """Where each part is now, and those that travel beside the frame; None: all do."""
+        ring, places, beside, wanted = self._used, list[Place](), list[memoryview](), 0
+        for part in parts:
+            size = part.nbytes
+            if size >= LEAST and len(parts) <= PLACES:
+                start = None if ring is None else ring.extents.take(size)
+                if ring is not None and start is not None:
+                    ring.view[start : start + size] = part.cast("B") if part.format != "B" or part.ndim != 1 else part
+                    places.append((start, size))
+                    continue
+                wanted = max(wanted, size)
+            places.append((0, 0))
+            beside.append(part)
+        if wanted:
+            self._grow(wanted)
+        return None if len(beside) == len(parts) else (places, beside)
+
+    def take_back(self, places: Sequence[Place]) -> None:
+        """What `put` said last was not sent."""
+        assert self._used is not None  # noqa: S101 - it has put something there
+        for start, length in places:
+            if length:
+                self._used.extents.give(start)
+
+    def _grow(self, size: int) -> None:
+        """Begin to make a ring that has room for parts of this size."""
+        if self._making is not None:
+            if self._awaits == RING:
+                self._pass_on()
+            return
+        before = 0 if self._used is None else self._used.extents.size
+        wanted = min(LARGEST, max(_SMALLEST, _SLOTS * size, 4 * before))
+        if self.closed or self._made >= RINGS or size > LARGEST or wanted <= before:
+            return
+        self._made += 1
+        try:
+            self._making = Making(wanted - wanted % mmap.PAGESIZE)
+        except OSError as error:
+            self._without(error)
+            return
+        self._loop.call_soon(self._step)
+
+    def _step(self) -> None:
+        if self._making is None:
+            return
+        try:
+            self._memory = self._making.step()
+        except (OSError, ValueError) as error:
+            self._without(error)
+            return
+        if self._memory is None:
+            self._loop.call_soon(self._step)
+        elif self._say(OFFERED, None):
+            self._awaits = READY
+        else:
+            self._made -= 1  # too much waits to be sent: again at the next part
+            self._drop()
+
+    def _without(self, error: Exception) -> None:
+        self._made = RINGS
+        self._drop()
+        self._report(f"no memory for arrays, which are sent through the socket: {error}")
+
+    def _drop(self) -> None:
+        if self._making is not None:
+            self._making.close()
+        self._making = self._memory = None
+        self._awaits = 0
+
+    def _pass_on(self) -> None:
+        """Send the descriptor, unless something else waits to be sent: then at the next part."""
+        if self._making is not None and self._say(bytes((RING,)), self._making.descriptor):
+            self._awaits = MAPPED
+
+    def heard(self, what: int, body: bytes) -> None:
+        """The other end has said something of our rings.
+
+        Raises:
+            LinkError: it was not its turn.
+        """
+        if what == READY and self._awaits == READY:
+            self._awaits = RING
+            self._pass_on()
+        elif what == MAPPED and self._awaits == MAPPED and self._memory is not None:
+            before = self._used
+            self._used = self._rings[self._made] = _Ring(self._made, self._memory)
+            self._drop()
+            if before is not None:
+                self._forget(before)
+        elif what == CANNOT and self._awaits:
+            self._made = RINGS
+            self._drop()
+        else:
+            raise LinkError("it speaks of a ring that there is not")
+
+    def freed(self, body: bytes) -> None:
+        """The other end gives extents back.
+
+        Raises:
+            LinkError: they were not taken.
+        """
+        for number, start in freed_of(body):
+            ring = self._rings.get(number)
+            if ring is None or not ring.extents.give(start):
+                raise LinkError(f"it gave back {start} of ring {number}, which was not taken")
+            self._forget(ring)
+
+    def _forget(self, ring: _Ring) -> None:
+        """The memory of an older ring, once nothing looks into it."""
+        if ring is not self._used and not ring.extents.count:
+            self._rings.pop(ring.number, None)
+
+    def close(self) -> None:
+        """Nothing is sent any more. What the other end looks at stays as it is."""
+        self.closed = True
+        self._drop()
+        self._rings.clear()
+        self._used = None
