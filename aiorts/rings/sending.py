@@ -51,8 +51,6 @@ class Sending:
         self._rings: dict[int, _Ring] = {}
         """By number: the one in use, and older ones that arrays still look into."""
         self._used: _Ring | None = None
-        self._next: _Ring | None = None
-        """The one whose descriptor was sent, until the other end has it."""
         self._making: Making | None = None
         self._memory: mmap.mmap | None = None
         """Of `_making`, when it is complete."""
@@ -63,7 +61,9 @@ class Sending:
 
     def put(self, parts: Sequence[memoryview]) -> tuple[list[Place], list[memoryview]] | None:
         """Where each part is now, and those that travel beside the frame; None: all do."""
-        ring, places, beside, wanted = self._used, list[Place](), list[memoryview](), 0
+        # Between the descriptor and its answer nobody knows which ring the other end means.
+        ring = None if self._awaits == MAPPED else self._used
+        places, beside, wanted = list[Place](), list[memoryview](), 0
         for part in parts:
             size = part.nbytes
             if size >= LEAST and len(parts) <= PLACES:
