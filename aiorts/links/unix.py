@@ -31,6 +31,7 @@ from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
 _IN_RING: Final = 4
 """What is added to `_BY_WRITER` and `_BY_READER` where parts of the frame are in a ring."""
+_RINGED: Final = (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING)
 _SUFFIX: Final = ".link"
 _GREETING_SECONDS: Final = 1.0
 _ACCEPT_AGAIN_SECONDS: Final = 0.2
@@ -44,8 +45,8 @@ Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 class UnixTransport:
     """Carries links between kernels of one user on one host. See `Transport`.
 
-    Large arrays go through memory that both kernels share, where these are of one program: readers then look at what
-    the writer's kernel could still write to.
+    Large arrays go through memory that both kernels share. Where they are of one program readers look into it, although
+    the writer's kernel could still write there; else what comes is copied.
 
     Args:
         listens: whether other kernels find this one by the run-time folder; else it has the connections that it is
@@ -297,7 +298,7 @@ class _Connection:
         self._process, user = _owner_of(sock)
         self._identity = f"user {user}"
         self.rings: Rings | None = None
-        """Where the other end has shown that it is of the same program."""
+        """From the other end's greeting on, where this system has such memory."""
         self._greeting = b""
         """What the other end said first, byte for byte."""
         self.stream = Stream(transport.loop, sock, self._arrived, self._drained, self._over)
@@ -350,7 +351,7 @@ class _Connection:
                 frames.setdefault((kind, number), []).append((body, parts))
                 continue
             try:
-                if kind in (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING) and self.rings is not None:
+                if kind in _RINGED and self.rings is not None:
                     frame = self.rings.frame_of(body, parts)
                     frames.setdefault((kind - _IN_RING, number), []).append(frame)
                     continue
@@ -378,8 +379,8 @@ class _Connection:
             self._meet(body)
         elif kind == _RING:
             self._hear(body)
-        elif kind in (_BY_WRITER + _IN_RING, _BY_READER + _IN_RING):
-            raise LinkError("it speaks of a ring, and is not of this program")
+        elif kind in _RINGED:
+            raise LinkError("it speaks of a ring that there is not")
         elif kind == _ASK:
             what, question = fields(body, (str, bytes))
             if self._answering >= _ASKED:
@@ -397,7 +398,7 @@ class _Connection:
                 text = body[:_LONGEST].decode(errors="replace")
                 future.set_exception(LinkError(f"{self.peer.kernel}: {text}"))
 
-    # -- kernels of one program ------------------------------------------------------------------------------------
+    # -- rings -------------------------------------------------------------------------------------------------------
 
     def _prove(self, greeting: bytes) -> None:
         """Show the other end, whose greeting this is, that this kernel is of the same program if that one is.
@@ -405,22 +406,24 @@ class _Connection:
         Not in our greeting: kernels of other versions take one with these fields alone, and leave out this message.
         """
         self._greeting = greeting
-        transport = self._transport
-        if transport.program and Rings.available:
-            self.stream.send(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
-
-    def _meet(self, body: bytes) -> None:
-        transport = self._transport
-        if self.rings is None and proves(
-            transport.program, body, self._greeting, transport.greeting, process=self._process
-        ):
+        transport, stream = self._transport, self.stream
+        if transport.program:
+            stream.send(_PROOF, 0, proof(transport.program, transport.greeting, greeting))
+        if Rings.available:
             self.rings = Rings(
                 transport.loop,
                 self._say,
-                self.stream.expect_descriptor,
-                self.stream.take_descriptor,
+                stream.expect_descriptor,
+                stream.take_descriptor,
                 lambda text: transport.kernel.report(f"{self._name}: {text}"),
             )
+
+    def _meet(self, said: bytes) -> None:
+        """Look into the other end's memory from now on, if it is of the same program."""
+        transport = self._transport
+        ours, theirs = transport.greeting, self._greeting
+        if self.rings is not None and proves(transport.program, said, theirs, ours, process=self._process):
+            self.rings.trust()
 
     def _say(self, body: bytes, descriptor: int | None) -> bool:
         if descriptor is None:
@@ -431,9 +434,9 @@ class _Connection:
         if self.rings is not None:
             self.rings.heard(body)
         elif body == OFFERED:
-            self._say(REFUSAL, None)  # it has taken us for one of its program, and we have not
+            self._say(REFUSAL, None)
         else:
-            raise LinkError("it speaks of a ring, and is not of this program")
+            raise LinkError("it speaks of a ring that there is not")
 
     async def ask(self, what: str, body: bytes, within: float) -> bytes:
         """See `UnixTransport.ask`."""

@@ -26,10 +26,7 @@ from aiorts.rings.sending import Sending
 
 
 class Rings:
-    """Both rings of a connection between processes of one program.
-
-    Processes of other programs get none. Their values would have to be copied out of the ring, since they could still
-    be written to, and with the second copy there is little left of what a ring saves.
+    """Both rings of a connection.
 
     Args:
         say: sends a message, with a descriptor or without; False: not now.
@@ -54,6 +51,10 @@ class Rings:
         self._expects = False
         self._unsaid: list[bytes] = []
         """Answers that could not be sent yet."""
+
+    def trust(self) -> None:
+        """The other end has shown that it is of this program: readers look into its memory, and copy nothing."""
+        self._receiving.trusts = True
 
     def put(self, parts: Sequence[memoryview]) -> tuple[list[Place], list[memoryview]] | None:
         """Where each part is now, and those that travel beside the frame; None: all do."""
