@@ -357,6 +357,8 @@ class _Connection:
                     continue
                 self._control(kind, number, bytes(body))
             except LinkError as error:
+                if self.stream.closed:
+                    return None  # what came before it has ended the connection, and the ring with it
                 self._transport.kernel.report(f"ended the connection with {self.peer or 'a process'}: {error}")
                 return self.close()
         if frames and self.peer is not None:

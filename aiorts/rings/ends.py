@@ -94,6 +94,8 @@ class Rings:
             LinkError: it does not keep to what both have agreed on.
         """
         what = body[0] if body else 0
+        if self._receiving.closed:
+            return
         if what == FREED:
             self._sending.freed(body)
         elif what == OFFER:

@@ -28,6 +28,36 @@ class _Ring:
         self.number, self.view, self.extents = number, memoryview(memory), Extents(len(memory))
 
 
+class _Deaths:
+    """Extents that nothing looks into any more, until they are given back.
+
+    An object of its own: what a finalizer holds lives as long as its array, and that must not be the connection, which
+    leads to the kernel and may lead to the array itself.
+    """
+
+    def __init__(self, wake: Callable[[], object]) -> None:
+        self.dead: deque[tuple[_Ring, int]] = deque()
+        self.woken = False
+        self.wake: Callable[[], object] | None = wake
+        """None: nothing is given back any more."""
+
+    def died(self, ring: _Ring, start: int) -> None:
+        """Called in any thread and between any two instructions: so it only appends, and wakes the loop, also where
+        that is just about to wait."""
+        wake = self.wake
+        if wake is None:
+            return
+        self.dead.append((ring, start))
+        if not self.woken:
+            self.woken = True
+            with contextlib.suppress(RuntimeError):  # the loop is closed, and so is the connection
+                wake()
+
+    def close(self) -> None:
+        self.wake = None
+        self.dead.clear()
+
+
 class Receiving:
     """Gives out what the other end has written: views of its memory, or copies where it could still write to them.
 
@@ -39,14 +69,13 @@ class Receiving:
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, say: Callable[[bytes], bool]) -> None:
-        self._loop, self._say = loop, say
+        self._say = say
         self.trusts = False
         """Whether views are given out: the other end is of this program, and does not write to what it has sent."""
         self._ring: _Ring | None = None
         """The newest. The arrays of an older one hold its memory."""
         self._count = 0
-        self._dead: deque[tuple[_Ring, int]] = deque()
-        self._woken = False
+        self._deaths = _Deaths(lambda: loop.call_soon_threadsafe(self.flush))
         self.closed = False
 
     @property
@@ -93,25 +122,16 @@ class Receiving:
             # Whatever is written from now on, everyone sees the values that were there at this moment.
             copied = sealed_bytes(size)
             copied[:] = ring.view[start : start + size]
-            self._died(ring, start)
+            self._deaths.died(ring, start)
             return copied.toreadonly()
         view = sealed_view(ring.view[start : start + size])
-        weakref.finalize(view.obj, self._died, ring, start).atexit = False
+        weakref.finalize(view.obj, self._deaths.died, ring, start).atexit = False
         return view
-
-    def _died(self, ring: _Ring, start: int) -> None:
-        """Nothing looks into this extent any more. Called in any thread and between any two instructions: so it only
-        appends, and wakes the loop, also where it is just about to wait."""
-        self._dead.append((ring, start))
-        if not self._woken and not self.closed:
-            self._woken = True
-            with contextlib.suppress(RuntimeError):  # the loop is closed, and so is the connection
-                self._loop.call_soon_threadsafe(self.flush)
 
     def flush(self) -> None:
         """Give back what has died, as far as it can be said."""
-        self._woken = False  # before anything is taken: what dies from now on wakes the loop again
-        dead = self._dead
+        self._deaths.woken = False  # before anything is taken: what dies from now on wakes the loop again
+        dead = self._deaths.dead
         while dead and not self.closed:
             freed = [dead[place] for place in range(min(_AT_ONCE, len(dead)))]
             if not self._say(freed_bytes([(ring.number, start) for ring, start in freed])):
@@ -124,4 +144,4 @@ class Receiving:
         """Nothing comes any more, and nothing is given back."""
         self.closed = True
         self._ring = None
-        self._dead.clear()
+        self._deaths.close()
