@@ -25,6 +25,7 @@ def test_who_knows_the_secret_is_believed() -> None:
         (SECRET, OURS, THEIRS),
         (b"", OURS, THEIRS),
     ],
+    ids=["another secret", "turned round", "said to another", "cut off", "the secret itself", "nothing"],
 )
 def test_another_secret_or_what_was_said_to_another_proves_nothing(said: bytes, prover: bytes, verifier: bytes) -> None:
     assert not proves(SECRET, said, prover, verifier, process=os.getpid())
