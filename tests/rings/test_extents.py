@@ -15,7 +15,7 @@ actions = st.lists(
         st.tuples(st.just("claim"), st.tuples(st.integers(-STEP, SIZE + STEP), st.integers(1, 20 * STEP))),
         st.tuples(st.just("give"), st.integers(0, 63)),
     ),
-    max_size=60,
+    max_size=40,
 )
 
 

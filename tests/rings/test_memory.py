@@ -10,6 +10,7 @@ import tempfile
 import pytest
 
 from aiorts.rings.memory import AVAILABLE, LARGEST, Making, fault_of, mapped
+from aiorts.types.arrays import sealed_view
 
 pytestmark = pytest.mark.skipif(not AVAILABLE, reason="this system has no such memory")
 SIZE = 1 << 20
@@ -68,6 +69,11 @@ def test_memory_of_a_wrong_size_or_with_holes_is_refused(size: int, commit: bool
         assert said in fault_of(descriptor)
     finally:
         os.close(descriptor)
+
+
+def test_records_lie_in_no_memory_that_this_process_can_write_to() -> None:
+    with pytest.raises(ValueError, match="can only be read"):
+        sealed_view(memoryview(bytearray(64)))
 
 
 def test_what_is_no_memory_is_refused() -> None:
