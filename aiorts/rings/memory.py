@@ -18,8 +18,8 @@ AVAILABLE: Final = hasattr(os, "memfd_create")
 _FUTURE_WRITE: Final = 0x0010
 """F_SEAL_FUTURE_WRITE, which `fcntl` does not name: nobody maps it to write from now on, or punches holes in it."""
 LARGEST: Final = 64 << 20
-"""Bytes of one ring at the most: ten pictures of 1080p. They are committed, and remain so while the connection is there;
-rings that were replaced are given back when nothing looks into them."""
+"""Bytes of one ring at the most: ten pictures of 1080p. They are committed while the connection is there; a
+ring that was replaced is given back when nothing looks into it."""
 
 
 def _seals() -> int:
