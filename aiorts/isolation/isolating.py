@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -35,6 +36,7 @@ class Isolation(KernelService):
         super().__init__(kernel)
         self._launcher: Launcher | None = None
         self._transport = UnixTransport(listens=False)
+        self._transport.program = os.urandom(32)
         self._transport.answer(REPORT, self._reported)
         self._opening: asyncio.Task[None] | None = None
         self._processes: dict[str, Process] = {}

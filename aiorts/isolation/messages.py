@@ -42,6 +42,8 @@ class First:
     log_level: int
     memory: int | None
     """Bytes above what it has once the component is made."""
+    program: str
+    """In hexadecimal: the secret by which kernels of one program know each other."""
 
     def send(self, sock: socket.socket) -> None:
         """Send it, blocking: it is small, and nothing else is in the socket."""

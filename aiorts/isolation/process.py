@@ -99,6 +99,7 @@ class Process:
                 "uvloop" if type(self._kernel.loop).__module__.startswith("uvloop") else "asyncio",
                 logging.getLogger("aiorts").getEffectiveLevel(),
                 self._limits.memory,
+                self._transport.program.hex(),
             )
             first.send(ours)
             arguments = ("-m", "aiorts", "kernel", "--fd", str(DESCRIPTOR))
@@ -110,6 +111,8 @@ class Process:
             raise
         finally:
             theirs.close()
+        for limit, why in self._child.denied.items():
+            self._line(logging.WARNING, f"limits.{limit} is not kept: {why}")
         self._links.carried(self.kernel)
         connection = self._transport.take(ours, greets_within=_COMES_UP)
         self._child.ended.add_done_callback(self._over)

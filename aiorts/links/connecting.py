@@ -344,7 +344,8 @@ class Links(KernelService):
 
     def _ended(self, link: Link) -> None:
         """The other end was disconnected."""
-        _LOG.warning("W-LINK: %s: was disconnected by %s", link.connector.name, self._far(link))
+        tell = _LOG.warning if link in self._own else _LOG.info  # whoever connected it may well disconnect it
+        tell("W-LINK: %s: was disconnected by %s", link.connector.name, self._far(link))
         self._end_when_read(link)
 
     def _end_when_read(self, link: Link) -> None:

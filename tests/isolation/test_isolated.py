@@ -191,6 +191,8 @@ async def test_arrays_go_there_and_back() -> None:
         for number in range(5):
             source.large.write_nowait(TimedDoubleSeq(0, np.full(200_000, float(number))))
             assert (await sink.large.read(timeout=10)).data[[0, -1]].tolist() == [number, number]
+        if hasattr(os, "memfd_create"):
+            await until(lambda: Path("/proc/self/maps").read_text().count("memfd:") >= 2)
 
 
 async def test_what_it_prints_and_logs_is_in_the_log_here(caplog: pytest.LogCaptureFixture) -> None:

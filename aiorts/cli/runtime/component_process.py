@@ -44,6 +44,7 @@ class _Process:
     def __init__(self, first: First, sock: socket.socket) -> None:
         self._first, self._socket = first, sock
         self._transport = UnixTransport(listens=False)
+        self._transport.program = bytes.fromhex(first.program)
         self._over = asyncio.Event()
         self._parent: Peer | None = None
         self._reports: set[asyncio.Task[None]] = set()
