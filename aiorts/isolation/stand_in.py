@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import ComponentError, DeclarationError, ProcessError, StateError
 from aiorts.isolation.placing import RemoteContext, placed
@@ -21,6 +21,7 @@ from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.parameters import Declared
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
+from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import Path
 
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
     from aiorts.isolation.process import Process
     from aiorts.processes import Ending
 
-_ASKED = (LifecycleState.ACTIVE, LifecycleState.INACTIVE)
+_LINKED: Final = 2.0
+"""Seconds that an activation waits for the links of its out-ports."""
 
 
 class RemoteKind(Kind):
@@ -146,6 +148,9 @@ class RemoteComponent(Component, kind=RemoteKind()):
             await self._running.ask("stop_context", context=self.context.name)
 
     async def on_activated(self) -> None:
+        # What a new process wrote before its links are made again would have no connector that counts it.
+        connectors = [one for port in self.ports.values() for one in port.connectors]
+        await self.kernel.service(Links).up(connectors, _LINKED)
         await self._ask("activate")
 
     async def on_deactivated(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
@@ -134,6 +134,13 @@ class Links(KernelService):
             raise LinkError(f"{connector.name}: ledger: both ports are in this kernel; look at its statistics")
         return await self._ledgers.of(link, within)
 
+    async def up(self, connectors: Iterable[Connector], within: float) -> None:
+        """Wait until the writers of these connectors are linked with them, or so many seconds have passed."""
+        until = self.kernel.loop.time() + within
+        waiting = [link for one in connectors if (link := self._readers.get(one)) is not None]
+        while any(not link.is_connected for link in waiting) and self.kernel.loop.time() < until:  # noqa: ASYNC110
+            await asyncio.sleep(0.005)
+
     # -- opening ---------------------------------------------------------------------------------------------------
 
     def configure(self, settings: LinksSettings) -> None:
@@ -213,7 +220,8 @@ class Links(KernelService):
             raise WiringError(f"{where}: one of the ports must be in this process; connect them from one of theirs")
         like = near[0]
         if is_service(like):
-            return self._calls.resolve([port if port in near else _text_of(port) for port in ports]), options
+            given = [port if port in near else str(getattr(port, "elsewhere", port)) for port in ports]
+            return self._calls.resolve(given), options
         if len({isinstance(port, OutPort) for port in near}) > 1:
             raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
         found = [port if port in near else self._far_port(like, port) for port in ports]
@@ -679,11 +687,6 @@ class _Face:
 
     def report(self, text: str) -> None:
         _report(text)
-
-
-def _text_of(port: str | Port[Any]) -> str:
-    """The path of a port that is in another kernel."""
-    return port if isinstance(port, str) else str(port.elsewhere)
 
 
 def _observed(task: asyncio.Task[None]) -> None:
