@@ -13,6 +13,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
+from itertools import chain, repeat
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
@@ -84,7 +85,8 @@ class Links(KernelService):
         self._settings = LinksSettings()
         self._codec = MsgpackCodec(LINK)
         self._transport: Transport | None = None
-        self._opening: asyncio.Task[None] | None = None
+        self._opening: asyncio.Future[None] | None = None
+        """Done when other kernels can be reached, or with why they cannot; then it is tried again."""
         self._tasks: set[asyncio.Task[Any]] = set()
         self._carriers: list[Transport] = []
         """Transports that reach certain kernels alone, such as those in processes of this program."""
@@ -106,7 +108,7 @@ class Links(KernelService):
         self._offers: dict[tuple[str, str], ReaderLink] = {}
         """Reader's ends by the writer's kernel and its name of the link."""
         self._number = int.from_bytes(os.urandom(3), "big")
-        self._accepting = False
+        self._accepting = self._closing = False
         self._calls, self._serving = Calls(self), Serving(self)
         self._ledgers = Ledgers(self, self._writers, self._offers)
         self._arrivals = Arrivals(self)
@@ -151,7 +153,7 @@ class Links(KernelService):
         """Wait until other kernels can be reached.
 
         Raises:
-            LinkError: the transport cannot be opened.
+            LinkError: the transport cannot be opened; it is tried again while the kernel runs.
         """
         await asyncio.shield(self._open_soon())
 
@@ -182,10 +184,10 @@ class Links(KernelService):
         """A kernel of this name is reached by a transport that was given to `carry`, and by no other."""
         self._carried.add(kernel)
 
-    def _open_soon(self) -> asyncio.Task[None]:
+    def _open_soon(self) -> asyncio.Future[None]:
         if self._opening is None:
-            self._opening = kernel_task(self.kernel.loop, self._open(), f"aiorts links {self.kernel.name}")
-            self._opening.add_done_callback(self._report_opening)
+            self._opening = task = kernel_task(self.kernel.loop, self._open(), f"aiorts links {self.kernel.name}")
+            task.add_done_callback(self._report_opening)
         return self._opening
 
     async def _open(self) -> None:
@@ -203,8 +205,32 @@ class Links(KernelService):
         transport.presence(partial(self._present, transport))
 
     def _report_opening(self, task: asyncio.Task[None]) -> None:
-        if not task.cancelled() and (error := task.exception()) is not None:
-            _LOG.error("links: other kernels cannot be reached: %s", format_error(error))
+        if task.cancelled() or (error := task.exception()) is None:
+            return
+        again = isinstance(error, LinkError) and not self._closing
+        also = "; it is tried again while this one runs" if again else ""
+        _LOG.error("links: other kernels cannot be reached: %s%s", format_error(error), also)
+        if again:
+            self.run(self._open_again(), f"aiorts links {self.kernel.name}")
+
+    async def _open_again(self) -> None:
+        """Try until the transport is open: who had this kernel's name may have ended."""
+        for pause in chain(_RETRY, repeat(_RETRY[-1])):
+            await asyncio.sleep(pause)
+            try:
+                await self._open()
+            except LinkError as error:
+                self._opening = self.kernel.loop.create_future()
+                self._opening.set_exception(error)
+                self._opening.exception()  # it was logged when it was refused first
+                continue
+            break
+        self._opening = self.kernel.loop.create_future()
+        self._opening.set_result(None)
+        _LOG.warning("links: other kernels can be reached now")
+        for link in self._all():
+            if link in self._own and not link.is_connected and self._peer(link) is None:
+                link.why = self.absent(self._far(link))
 
     # -- the ports of other kernels ------------------------------------------------------------------------------------
 
@@ -319,8 +345,18 @@ class Links(KernelService):
         self._try(link)
         if link not in self._asking:
             self._answer_first(link, None)
-            link.why = f"there is no kernel {self._far(link).kernel!r} yet"
-            _LOG.warning("W-LINK: %s: waits: %s", link.connector.name, link.why)
+            self._waits(link)
+
+    def _waits(self, link: Link) -> None:
+        link.why = self.absent(self._far(link))
+        _LOG.warning("W-LINK: %s: waits: %s", link.connector.name, link.why)
+
+    def absent(self, path: Path) -> str:
+        """See `Kernels.absent`."""
+        far, opening = path.kernel, self._opening
+        if far not in self._carried and opening is not None and opening.done() and (error := opening.exception()):
+            return str(error)
+        return f"there is no kernel {far!r} yet"
 
     def far_of(self, connector: Connector) -> Path:
         """See `Kernels.far_of`."""
@@ -635,6 +671,7 @@ class Links(KernelService):
             await asyncio.sleep(0.005)
 
     def stopped(self) -> None:
+        self._closing = True
         for link in self._all():
             link.close(for_good=link in self._own)
         self._calls.stopped()

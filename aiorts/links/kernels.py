@@ -25,6 +25,10 @@ class Kernels(Protocol):
         """The kernel of a path, if it is there."""
         ...
 
+    def absent(self, path: Path) -> str:
+        """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
+        ...
+
     def far_of(self, connector: Connector) -> Path:
         """The port at the end of a connector that is in another kernel."""
         ...

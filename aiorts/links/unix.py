@@ -80,10 +80,15 @@ class UnixTransport:
         self.greeting = packed([_host(), kernel.name, kernel.epoch])
         if not self._listens:
             return
+        taken = LinkError(f"a kernel named {kernel.name!r} runs already; give this one another name")
         try:
             folder = private_folder()
+            if any(_is_served(path) for path in folder.glob(f"{_hashed(kernel.name)}-*{_SUFFIX}")):
+                raise taken  # before this one is seen: it may be tried again and again
             others = sorted(folder.glob(f"*{_SUFFIX}"))
             self._listen(folder / f"{_hashed(kernel.name)}-{kernel.epoch:016x}{_SUFFIX}")
+        except LinkError:
+            raise
         except (AiortsError, OSError) as error:
             raise LinkError(f"other kernels of this host cannot be reached: {error}") from None
         found = [connection for path in others if (connection := self._connect(path)) is not None]
@@ -91,7 +96,7 @@ class UnixTransport:
             await asyncio.wait([one.greeted for one in found], timeout=_GREETING_SECONDS)
         if any(peer.kernel == kernel.name for peer in self._peers):
             await self.close()
-            raise LinkError(f"a kernel named {kernel.name!r} runs already; give this one another name")
+            raise taken
 
     def _listen(self, path: Path) -> None:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -469,6 +474,17 @@ class _Connection:
         finally:
             self._answering -= 1
         self.stream.send(kind, number, body)
+
+
+def _is_served(path: Path) -> bool:
+    """Whether a process listens at a socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(str(path))
+        except OSError as error:
+            return error.errno not in (errno.ECONNREFUSED, errno.ENOENT)
+    return True
 
 
 def _owner_of(sock: socket.socket) -> tuple[int, int]:

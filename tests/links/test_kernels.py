@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from contextlib import AsyncExitStack
 from typing import Any, ClassVar
 
 import pytest
@@ -375,6 +376,42 @@ async def test_two_kernels_of_one_name_are_refused() -> None:
             source = await other.add(Source())
             with pytest.raises(LinkError, match="a kernel named 'two' runs already"):
                 await other.connect(source.out, "one/sink0.inp")
+
+
+@pytest.mark.fault("E09")
+async def test_a_kernel_whose_name_is_taken_is_reached_when_the_other_one_has_ended(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with Kernel("one") as one, AsyncExitStack() as stack:
+        source, old, new = await one.add(Source()), reachable("two"), reachable("two")
+        with caplog.at_level(logging.WARNING):
+            async with old:
+                await old.service(Links).opened()
+                connector = await one.connect(source.out, "two/sink0.inp")
+                sink = await (await stack.enter_async_context(new)).add(Sink())
+                for _ in range(2):
+                    with pytest.raises(LinkError, match="a kernel named 'two' runs already"):
+                        await new.service(Links).opened()
+                    await sleep(0.25)
+                assert len(one.service(Links).peers) == 1
+            source.out.write_nowait(long(3))
+            with fail_after(5):
+                assert (await sink.inp.read()).data == 3
+            await new.service(Links).opened()
+        assert caplog.text.count("it is tried again while this one runs") == 1
+        assert caplog.text.count("links: other kernels can be reached now") == 1
+        assert connector.statistics.balanced
+
+
+async def test_a_kernel_that_ends_tries_no_more(caplog: pytest.LogCaptureFixture) -> None:
+    async with reachable("two") as old:
+        await old.service(Links).opened()
+        async with reachable("two") as new:
+            with pytest.raises(LinkError, match="runs already"):
+                await new.service(Links).opened()
+    await sleep(0.02)
+    assert not any("links" in task.get_name() for task in asyncio.all_tasks())
+    assert "can be reached now" not in caplog.text
 
 
 async def test_a_sample_of_another_shape_than_the_reader_takes_is_dropped_and_said_once(
