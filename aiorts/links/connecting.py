@@ -25,6 +25,7 @@ from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.ports.port_types import port_type
+from aiorts.kernel.registry import known
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
@@ -356,7 +357,8 @@ class Links(KernelService):
         far, opening = path.kernel, self._opening
         if far not in self._carried and opening is not None and opening.done() and (error := opening.exception()):
             return str(error)
-        return f"there is no kernel {far!r} yet"
+        there = [peer.kernel for peer in self._peers]
+        return f"there is no kernel {far!r} yet{f'; {known(far, there)}' if there else ''}"
 
     def far_of(self, connector: Connector) -> Path:
         """See `Kernels.far_of`."""
@@ -468,8 +470,10 @@ class Links(KernelService):
             if self._far(link).kernel not in self._carried:
                 await self.opened()
             peer = self._peer(link)
-            if peer is None or self._link(link.connector) is not link:
+            if self._link(link.connector) is not link:
                 return
+            if peer is None:
+                return self._waits(link) if link in self._own else None
             if isinstance(link, WriterLink):
                 await self._offer(link, peer)
             else:

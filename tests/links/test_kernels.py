@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from typing import Any, ClassVar
@@ -249,6 +250,23 @@ async def test_on_link_lost_needs_a_link() -> None:
         source, sink = await one.add(Source()), await one.add(Sink())
         with pytest.raises(WiringError, match="both ports are in this kernel"):
             await one.connect(source.out, sink.inp, on_link_lost="error")
+
+
+async def test_a_kernel_of_another_spelling_is_proposed(caplog: pytest.LogCaptureFixture) -> None:
+    async with reachable("station"), reachable("one") as one:
+        source = await one.add(Source())
+        with caplog.at_level(logging.WARNING):
+            connector = await one.connect(source.out, "statoin/sink0.inp")
+        assert caplog.text.count("waits: there is no kernel 'statoin' yet; did you mean 'station'?") == 1
+        one.connections.end(connector)
+        caplog.clear()
+        async with Kernel("other") as other:
+            writer, links = await other.add(Source()), other.service(Links)
+            with caplog.at_level(logging.WARNING):
+                (made,) = other.connections.make((writer.out, "lab/sink0.inp"), {})  # while the transport opens
+                await until(lambda: "there are" in caplog.text)
+            assert re.search("waits: there is no kernel 'lab' yet; there are (station, one|one, station)", caplog.text)
+            assert "'lab' yet; there are" in links.report()[made.name]
 
 
 async def test_what_is_not_there_yet_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
