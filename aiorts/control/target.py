@@ -44,6 +44,8 @@ class Running:
     client: Client
     names: Mapping[str, Any]
     """What the operation `names` said: components, contexts, connectors."""
+    alias: str = ""
+    """The name by which links reach it, where a word may begin with that: no kernel has it as its own."""
 
     @property
     def name(self) -> str:
@@ -52,7 +54,15 @@ class Running:
 
     def fits(self, kernel: str) -> bool:
         """Whether a word means this kernel: its name or "host/name", in which * ? [] stand for any characters."""
-        return _matches(self.client.entry, kernel)
+        host = self.client.entry.address.rpartition("/")[0]
+        return _matches(self.client.entry, kernel) or (
+            self.alias != "" and kernel in (self.alias, f"{host}/{self.alias}")
+        )
+
+    @property
+    def links(self) -> str:
+        """The name by which links of other kernels reach it; "" where they cannot."""
+        return str(self.names.get("links") or "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +111,10 @@ class Kernels:
     """
 
     def __init__(self, running: Sequence[Running], silent: Sequence[Silent], *, changing: bool = False) -> None:
-        self.running = tuple(running)
+        own = {one.name for one in running} | {one.entry.name for one in silent}
+        self.running = tuple(
+            one if one.links in own else Running(one.client, one.names, alias=one.links) for one in running
+        )
         self.silent = tuple(silent)
         self.changing = changing
 
@@ -202,7 +215,7 @@ class Kernels:
         found = []
         for one in self.running:
             own = [name for name in one.names["components"] if name not in _STREAMS]
-            if one.name == kernel and len(own) == 1:
+            if one.fits(kernel) and len(own) == 1:
                 found.append(Found(one, own[0], port))
         return found
 

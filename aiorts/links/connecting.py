@@ -164,6 +164,13 @@ class Links(KernelService):
         return self._settings.name or self.kernel.address.rpartition("/")[2] or self.kernel.name
 
     @property
+    def open_as(self) -> str:
+        """See `FarPorts.open_as`."""
+        opening = self._opening
+        open_ = opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
+        return self.reached_as if open_ else ""
+
+    @property
     def peers(self) -> tuple[Peer, ...]:
         """The other kernels that are there."""
         return tuple(self._peers)

@@ -164,10 +164,13 @@ async def test_wrong_words_are_told(
         assert (found, text in text_) == (status, True), text_
 
 
-async def test_no_connector_between_two_kernels(capsys: pytest.CaptureFixture[str]) -> None:
+async def test_no_connector_between_two_kernels_without_links(capsys: pytest.CaptureFixture[str]) -> None:
     async with controlled("one"), Kernel(services={"control": {"name": "two"}}) as kernel:
         await kernel.create(Reader, "other0")
         status, text = await commanded(capsys, "con", "counter0.out", "other0.in")
+        assert (status, "two/other0.in: links of other kernels cannot reach two" in text) == (2, True)
+        assert "give it a [links] table" in text
+        status, text = await commanded(capsys, "dis", "counter0.out", "other0.in")
         assert (status, "are of several kernels" in text) == (2, True)
 
 

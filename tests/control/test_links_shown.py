@@ -1,11 +1,14 @@
-"""`aiorts con --both-ends`: the ledger of a link from the writer to the reader."""
+"""Links as commands show and make them: `aiorts con --both-ends`, names of kernels as links know them."""
 
 from __future__ import annotations
+
+import json
 
 import pytest
 from anyio import fail_after, sleep
 
 from aiorts import Component, InPort, Kernel, OutPort
+from aiorts.links import Links
 from aiorts.types import TimedLong
 from control_parts import commanded
 
@@ -49,3 +52,35 @@ async def test_where_the_other_kernel_is_gone_it_says_so(capsys: pytest.CaptureF
         )
         status, text = await commanded(capsys, "con", "source.out", "source.out", "--both-ends")
         assert (status, "--both-ends is for listing" in text) == (2, True), text
+
+
+@pytest.mark.parametrize("words", [("robot-1/source.out", "station-2/sink.inp"), ("sink.inp", "source.out")])
+async def test_con_makes_a_link_between_ports_of_two_kernels(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    station = Kernel("b", services={"links": {"name": "station"}, "control": {"name": "station-2", "mode": "on"}})
+    robot = Kernel("a", services={"control": {"name": "robot-1", "mode": "on"}})
+    async with station, robot:
+        sink, source = await station.add(Sink("sink")), await robot.add(Source("source"))
+        await station.service(Links).opened()
+        status, text = await commanded(capsys, "con", *words, "length=7")
+        assert (status, "station/sink.inp" in text and "length 7" in text) == (0, True), text
+        source.out.write_nowait(TimedLong(0, 5))
+        with fail_after(5):
+            assert (await sink.inp.read()).data == 5
+        status, text = await commanded(capsys, "con", *words, "lenght=7", "allow_duplicate=1")
+        assert (status, "did you mean 'length'" in text) == (2, True), text
+
+
+async def test_the_name_that_links_use_is_shown_and_understood(capsys: pytest.CaptureFixture[str]) -> None:
+    station = Kernel("b", services={"links": {"name": "station"}, "control": {"name": "station-2", "mode": "on"}})
+    async with station:
+        await station.add(Sink("sink"))
+        await station.service(Links).opened()
+        assert "station-2/  links: station\n  sink" in (await commanded(capsys, "ls"))[1]
+        assert (await commanded(capsys, "ls", "station/sink")) == (0, "station-2/sink\n  in  inp  TimedLong\n")
+        status, text = await commanded(capsys, "ls", "--json")
+        assert (status, json.loads(text)["kernels"][0]["links"]) == (0, "station")
+        async with Kernel("c", services={"control": {"name": "station", "mode": "on"}}):  # its own name comes first
+            status, text = await commanded(capsys, "ls", "station/sink")
+            assert (status, "nothing that runs has this name" in text) == (6, True), text

@@ -23,6 +23,7 @@ def _names(session: Session, _: Nothing) -> Names:
     }
     wires = {name: (one.out.path, one.in_.path) for name, one in kernel.connectors.items()}
     calls = {name: tuple(port.path for port in one.ports) for name, one in kernel.service_connectors.items()}
+    far = kernel.connections.far
     return Names(
         address=kernel.address,
         state=kernel.state,
@@ -30,6 +31,7 @@ def _names(session: Session, _: Nothing) -> Names:
         contexts=MappingProxyType({name: one.profile.members for name, one in kernel.contexts.items()}),
         connectors=MappingProxyType({**wires, **calls}),
         in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
+        links="" if far is None else far.open_as,
     )
 
 

@@ -24,7 +24,7 @@ class Wiring:
     """Ports to be connected."""
 
     ports: tuple[str, ...]
-    """Paths."""
+    """Paths; one that begins with the name of another kernel, as links reach it, is of a port there."""
     options: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
     """As `Kernel.connect` takes them."""
 
@@ -61,7 +61,8 @@ class Wire:
 async def _connect(session: Session, given: Wiring) -> tuple[Wire, ...]:
     kernel = session.kernel
     for path in given.ports:
-        _check_port(session, path)
+        if not kernel.registry.is_elsewhere(path):
+            _check_port(session, path)
     if len(given.ports) < 2:
         raise WiringError(f"{', '.join(given.ports) or 'nothing'}: connect takes two ports at least")
     one, two, *more = given.ports
@@ -104,10 +105,9 @@ async def _both_ends(session: Session, connector: Any) -> str:
     profile = connector.profile
     if not isinstance(profile, ConnectorProfile) or not profile.far_end:
         return ""
-    from aiorts.links import Links  # late: few systems have links
-
+    far = session.kernel.connections.far
     try:
-        return str(await session.kernel.service(Links).ledger(connector))
+        return "" if far is None else str(await far.ledger(connector))
     except LinkError as error:
         return f"not known: {error}"
 

@@ -105,6 +105,15 @@ class FarPorts(Protocol):
         """Whether this is the path of a port in another kernel."""
         ...
 
+    @property
+    def open_as(self) -> str:
+        """The name by which other kernels reach this one; "" while they cannot."""
+        ...
+
+    async def ledger(self, connector: Connector) -> object:
+        """What is counted of a connector at both ends; its text says it. LinkError: the other kernel says nothing."""
+        ...
+
     def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
         """The ports, of data or of services, with a far one for each path of another kernel, and the options with
         what is usual there.

@@ -41,8 +41,10 @@ def connect(
 
     It prints the options in force at both ends. With --adapt, where types, units or lengths differ, a FlexiFilter is
     put between, which runs before the reader, and it is printed, too; where there are several ways, all are named and
-    nothing is done. Without ports, or with one, a component or a kernel, it lists the connectors that are there, with
-    their ledger. Of a link this kernel knows its own end alone; --both-ends asks the other kernel, too.
+    nothing is done. Between ports of two kernels it makes a link; the kernel of the reader needs a [links] table.
+
+    Without ports, or with one, a component or a kernel, it lists the connectors that are there, with their ledger. Of a
+    link this kernel knows its own end alone; --both-ends asks the other kernel, too.
     """
     paths, options = _split(words)
     if adapt:
@@ -62,8 +64,8 @@ def connect(
         if len(paths) < 2:
             return _list(found, paths, wait, both_ends=both_ends, as_json=as_json)
         ports = [port_of(found, path) for path in paths]
-        running = _one_kernel(ports)
-        made = running.client.call("connect", wait, ports=[one.path for one in ports], options=options)
+        running = _maker(ports)
+        made = running.client.call("connect", wait, ports=[_seen(one, running) for one in ports], options=options)
         if as_json:
             say_json(made)
         else:
@@ -96,6 +98,33 @@ def port_of(found: Kernels, word: str, *, whole: bool = False) -> Found:
     one = found.find(word)
     one.check("port", *(("component",) if whole else ()))
     return one
+
+
+def _maker(ports: list[Found]) -> Running:
+    """The kernel that connects them: that of all, or that of the writer, which makes a link."""
+    if len({one.running.name for one in ports}) == 1:
+        return ports[0].running
+    directions = [_direction(one) for one in ports]
+    for wanted in ("out", "service"):
+        for one, direction in zip(ports, directions, strict=True):
+            if direction == wanted:
+                return one.running
+    return ports[0].running
+
+
+def _direction(port: Found) -> str:
+    outline = port.client.call("outline", components=[port.component])[port.component]
+    return str(outline["ports"].get(port.port, {}).get("direction", ""))
+
+
+def _seen(port: Found, running: Running) -> str:
+    """The path of a port for the kernel that connects it."""
+    if port.running is running:
+        return port.path
+    if not port.running.links:
+        name = port.running.name
+        raise ControlError(f"{port.full}: links of other kernels cannot reach {name}; give it a [links] table")
+    return f"{port.running.links}/{port.path}"
 
 
 def _one_kernel(ports: list[Found]) -> Running:

@@ -65,6 +65,7 @@ def _document(running: Running, shown: list[Named], *, ports: bool) -> dict[str,
         "name": running.name,
         "pid": running.client.entry.pid,
         "state": names["state"],
+        "links": running.links or None,
         "components": [_component(names, name, inside.get(name)) for name in components],
         "contexts": [
             {"name": name, "members": members}
@@ -103,7 +104,9 @@ def _text(one: Named, *, long: bool, ports: bool) -> str:
 
 def _kernel(one: Named, *, long: bool, ports: bool) -> str:
     names, client = one.running.names, one.running.client
-    lines = [one.full if not long else f"{one.full}  process {client.entry.pid}, {names['state']}"]
+    links = one.running.links
+    head = one.full if not long else f"{one.full}  process {client.entry.pid}, {names['state']}"
+    lines = [head if links in ("", one.running.name) else f"{head}  links: {links}"]
     rows = table([_row(names, component, long=long) for component in names["components"]])
     if not ports:
         return "\n".join(filter(None, (*lines, rows)))
