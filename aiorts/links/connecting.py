@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -41,7 +42,7 @@ from aiorts.links.serving import Serving
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.transports import find_transport
 from aiorts.links.writer_link import WINDOW, WriterLink
-from aiorts.model.names import Path
+from aiorts.model.names import Path, check_name
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import Dataflow, OnLinkLost
 from aiorts.services import is_service
@@ -63,6 +64,10 @@ _RETRY: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
 """Seconds until an offer without an answer is made again."""
 _READ_SECONDS: Final = 0.05
 """How often it is looked whether a connector without a writer was read empty."""
+_BY_ONE: Final = 1_000
+"""Connectors of this kernel that another one may have made."""
+_BY_ALL: Final = 10_000
+"""Connectors of this kernel that others may have made, all together."""
 _LAST_SECONDS: Final = 1.0
 """How long a kernel that ends waits for acknowledgements."""
 
@@ -99,6 +104,8 @@ class Links(KernelService):
         self._readers: dict[Connector, ReaderLink] = {}
         self._own: set[Link] = set()
         """Those that this kernel has connected, and not the other one."""
+        self._made: Counter[str] = Counter()
+        """How many each of the others has connected, by its name."""
         self._asking: set[Link] = set()
         self._tried: dict[Link, int] = {}
         """How often a link was offered in vain since it was up last."""
@@ -147,6 +154,8 @@ class Links(KernelService):
     # -- opening ---------------------------------------------------------------------------------------------------
 
     def configure(self, settings: LinksSettings) -> None:
+        if settings.name:
+            check_name(settings.name, "[links]: kernel")  # no other kernel would take it
         self._settings = settings
         self._open_soon()
 
@@ -417,7 +426,10 @@ class Links(KernelService):
             link = self._writers.pop(connector, None) or self._readers.pop(connector)
             # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
             link.close(for_good=link in self._own or not self.kernel.closed)
-            self._own.discard(link)
+            if link in self._own:
+                self._own.remove(link)
+            else:
+                self._made -= Counter((self._far(link).kernel,))
             self._answer_first(link, None)
             self._tried.pop(link, None)
             for table in (self._expected, self._offers):
@@ -441,12 +453,26 @@ class Links(KernelService):
             self._calls.present(peer, False)
             self._serving.gone(peer)
             self._arrivals.gone(peer)
+            self._end_unanswered(peer)
             return
         self._peers[peer] = transport
         self._calls.present(peer, True)
         for link in self._all():
             if self._peer(link) == peer:
                 self._try(link)
+
+    def _end_unanswered(self, peer: Peer) -> None:
+        """End what a kernel that has gone connected, and never had a channel for."""
+        for link in self._all():
+            if link not in self._own and not link.end.peer_epoch and self._far(link).kernel == peer.kernel:
+                self.kernel.connections.end(link.connector)
+
+    def _check_made(self, path: Path) -> None:
+        """WiringError: another kernel has connected too many of its ports here to connect this one, too."""
+        if self._made[path.kernel] >= _BY_ONE or self._made.total() >= _BY_ALL:
+            raise WiringError(
+                f"{path}: other kernels have made {self._made.total():,} connectors, and may make no more"
+            )
 
     def _peer(self, link: Link) -> Peer | None:
         return self.peer_of(self._far(link))
@@ -585,6 +611,7 @@ class Links(KernelService):
         return sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
+        _check_theirs(offer.writer, caller)
         found = self.there(offer.reader, caller)
         if isinstance(found, Answer):
             return found, None
@@ -597,7 +624,12 @@ class Links(KernelService):
         key = (offer.writer.kernel, offer.link)
         link = self._offers.get(key) or self._expected.get((str(offer.writer), str(offer.reader)))
         if link is None or link.connector.in_ is not found:
+            self._check_made(offer.writer)
             link = self._new_reader(offer, found)
+            self._made[offer.writer.kernel] += 1
+        if key not in self._offers:
+            for other in [other for other, one in self._offers.items() if one is link]:
+                del self._offers[other]  # the link has another name there now
         self._offers[key] = link
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=link.end.epoch), link
@@ -631,6 +663,11 @@ class Links(KernelService):
             return refusal("a request", caller, error)
 
     def _connected(self, request: LinkRequest, caller: Caller) -> Answer:
+        try:
+            reader = Path.parse(request.reader)
+        except AiortsError as error:
+            raise WiringError(str(error)) from None
+        _check_theirs(reader, caller)
         found = self.there(Path.parse(request.writer), caller)
         if isinstance(found, Answer):
             return found
@@ -642,7 +679,9 @@ class Links(KernelService):
                 return Answer()
         self._accepting = True
         try:
+            self._check_made(reader)
             self.kernel.connections.make((found, request.reader), request.options)
+            self._made[reader.kernel] += 1
         except AiortsError as error:
             raise WiringError(str(error)) from None
         finally:
@@ -735,6 +774,12 @@ class _Face:
 
     def report(self, text: str) -> None:
         _report(text)
+
+
+def _check_theirs(path: Path, caller: Caller) -> None:
+    """WiringError: the port is not one of the kernel that asks."""
+    if caller.peer is None or path.kernel != caller.peer.kernel:
+        raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
 
 
 def _observed(task: asyncio.Task[None]) -> None:

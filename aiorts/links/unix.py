@@ -21,11 +21,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from aiorts.control import private_folder
-from aiorts.errors import AiortsError, LinkError, LinkTimeout
+from aiorts.errors import AiortsError, InvalidNameError, LinkError, LinkTimeout
 from aiorts.links.messages import fields, packed
 from aiorts.links.stream import Message, Stream
 from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts.model.links import Buffer
+from aiorts.model.names import MAX_HOST_LENGTH, check_name
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
@@ -373,8 +374,7 @@ class _Connection:
     def _control(self, kind: int, number: int, body: bytes) -> None:
         if kind == _HELLO:
             if self.peer is None:
-                host, name, epoch = fields(body, (str, str, int), longer=True)
-                self.peer = Peer(host, name, epoch)
+                self.peer = _peer_of(body)
                 self._silent.cancel()
                 self._prove(body)
                 self._transport.greeted(self, self.peer)
@@ -474,6 +474,18 @@ class _Connection:
         finally:
             self._answering -= 1
         self.stream.send(kind, number, body)
+
+
+def _peer_of(greeting: bytes) -> Peer:
+    """Who a greeting is of. LinkError: it is none, or its names are none."""
+    host, name, epoch = fields(greeting, (str, str, int))
+    try:
+        check_name(name, "kernel")
+    except InvalidNameError as error:
+        raise LinkError(str(error)) from None
+    if len(host) > MAX_HOST_LENGTH or "/" in host:
+        raise LinkError(f"host name {host[:60]!r}: is none")
+    return Peer(host, name, epoch)
 
 
 def _is_served(path: Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.links import Links
@@ -38,3 +39,16 @@ async def until(holds: Callable[[], object], seconds: float = 30.0) -> None:
     async with asyncio.timeout(seconds):
         while not holds():
             await asyncio.sleep(0.002)
+
+
+class Face:
+    """A kernel, as far as a transport sees it."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.epoch = name, 5
+
+    def run_in_background(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
+        return asyncio.get_running_loop().create_task(coroutine, name=name)
+
+    def report(self, text: str) -> None:
+        raise AssertionError(text)

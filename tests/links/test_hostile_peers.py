@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
 
+from aiorts import Kernel
 from aiorts.errors import InterfaceMismatch, LinkError
+from aiorts.links import Caller, LinkOffer, Peer, connecting, versions
 from aiorts.links.call_values import restored
 from aiorts.links.layout import difference, layout_of
-from aiorts.links.messages import fields
+from aiorts.links.messages import Answer, LinkRequest, fields
 from aiorts.model.links import ReaderEnd, WriterEnd
 from aiorts.model.links.frames import BATCH, BATCH_BYTES, acknowledgement, data, hello
-from aiorts.types import TimedString
+from aiorts.model.names import Path
+from aiorts.model.profile import ConnectorProfile
+from aiorts.testing import MemoryNetwork, simulate
+from aiorts.types import TimedLong, TimedString
+from links.memory_kernels import Face, Sink, Source, kernel_of
 
 LARGEST = 1_048_576
 """Bytes of a message at the most."""
@@ -61,6 +68,79 @@ def test_an_acknowledgement_says_what_became_of_no_more_samples_than_may_be_on_t
     assert (end.ledger.bad_frames, end.ledger.in_flight) == (3, 256)
     end.receive(0, acknowledgement(7, 256, 256, dict.fromkeys(range(1, 257), "rejected")))
     assert (end.ledger.bad_frames, end.ledger.dropped) == (3, 256)
+
+
+def test_reasons_that_no_reader_has_count_as_one() -> None:
+    end = WriterEnd(7, 1_000, window=256)
+    end.channel_up(0, 2_000)
+    end.receive(0, hello(7, 2_000, 0))
+    for _ in range(5):
+        end.offer(0, b"x")
+    end.poll(0, lambda _head, _parts: True)
+    reasons = {1: "mine", 2: "acknowledged", 3: "rejected", 4: "undecodable", 5: "unknown_fate"}
+    end.receive(0, acknowledgement(7, 5, 5, reasons))
+    assert end.fates() == [(1, 2, "refused"), (3, 3, "rejected"), (4, 4, "undecodable"), (5, 5, "refused")]
+
+
+async def _asked(kernel: Kernel, network: MemoryNetwork, name: str, what: str, bodies: list[bytes]) -> list[Answer]:
+    """What a kernel answers to such questions of another one, which then ends."""
+    transport = network.transport(name)
+    await transport.open(Face(name))
+    transport.answer("offer", _never)
+    found: list[Peer] = []
+    transport.presence(lambda peer, up: found.append(peer))
+    while not found:
+        await asyncio.sleep(0.01)
+    answers = [Answer.from_bytes(await transport.ask(found[0], what, body, within=2.0)) for body in bodies]
+    await asyncio.sleep(0.1)
+    await transport.close()
+    await asyncio.sleep(0.1)
+    return answers
+
+
+async def _never(_body: bytes, _caller: Caller) -> bytes:
+    return Answer(absent="not yet", protocol=versions.SPOKEN).to_bytes()
+
+
+def _request(reader: str) -> bytes:
+    return LinkRequest("two/source0.out", reader, {}, versions.SPOKEN).to_bytes()
+
+
+def _offer(link: str, writer: str) -> bytes:
+    schema, text = layout_of(TimedLong)
+    profile = ConnectorProfile(name=link, ports=(writer, "two/sink0.inp"))
+    ends = (Path.parse(writer), Path.parse("two/sink0.inp"), 7, 0, 0)
+    return LinkOffer(versions.SPOKEN, link, *ends, schema, text, None, None, profile, 256, 8 << 20).to_bytes()
+
+
+@pytest.mark.fault("E13")
+@pytest.mark.parametrize("what", ["request", "offer"])
+def test_another_kernel_makes_a_bounded_number_of_connectors_and_of_its_own_ports_alone(
+    what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connecting, "_BY_ONE", 3)
+    monkeypatch.setattr(connecting, "_BY_ALL", 5)
+
+    def bodies(kernel: str, count: int) -> list[bytes]:
+        if what == "request":
+            return [_request(f"{kernel}/sink{number}.inp") for number in range(count)]
+        return [_offer(f"link{number}", f"{kernel}/source{number}.out") for number in range(count)]
+
+    async def run() -> None:
+        network = MemoryNetwork()
+        async with kernel_of(network, "two") as two:
+            await two.add(Source())
+            await two.add(Sink())
+            answers = await _asked(two, network, "one", what, bodies("one", 5))
+            assert [bool(answer.refused) for answer in answers] == [False, False, False, True, True]
+            assert "other kernels have made 3 connectors, and may make no more" in answers[4].refused
+            (answer,) = await _asked(two, network, "three", what, bodies("one", 1))
+            assert "is no port of three, which asks" in answer.refused
+            if what == "request":
+                assert not two.connectors  # it was never answered what was to be offered
+                assert not (await _asked(two, network, "one", what, bodies("one", 1)))[0].refused
+
+    simulate(run())
 
 
 def test_samples_of_one_frame_are_together_as_large_as_a_writer_sends_them() -> None:

@@ -13,7 +13,7 @@ import pytest
 from anyio import WouldBlock, fail_after, sleep
 
 from aiorts import Component, EventContext, InPort, Kernel, LifecycleState, OutPort
-from aiorts.errors import LinkError, StateError, WiringError, WriteTimeout
+from aiorts.errors import InvalidNameError, LinkError, StateError, WiringError, WriteTimeout
 from aiorts.links import Links
 from aiorts.types import TimedDouble, TimedDoubleSeq, TimedLong, record
 
@@ -419,6 +419,12 @@ async def test_a_kernel_whose_name_is_taken_is_reached_when_the_other_one_has_en
         assert caplog.text.count("it is tried again while this one runs") == 1
         assert caplog.text.count("links: other kernels can be reached now") == 1
         assert connector.statistics.balanced
+
+
+async def test_a_name_that_no_other_kernel_would_take_is_refused() -> None:
+    with pytest.raises(InvalidNameError, match=r"\[links\]: kernel name 'a/b': '/' not allowed"):
+        async with Kernel("one", services={"links": {"name": "a/b"}}):
+            pass
 
 
 async def test_a_kernel_that_ends_tries_no_more(caplog: pytest.LogCaptureFixture) -> None:

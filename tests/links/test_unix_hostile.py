@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
+import struct
 import subprocess
 import sys
 from collections.abc import AsyncIterator
@@ -16,6 +18,7 @@ from anyio import fail_after, sleep
 from aiorts import Component, InPort, Kernel, OutPort
 from aiorts.control import private_folder
 from aiorts.links import Links
+from aiorts.links.messages import packed
 from aiorts.types import TimedLong, TimedOctetSeq
 from campaign import CAMPAIGN
 
@@ -114,6 +117,29 @@ async def test_many_that_never_say_who_they_are_keep_nobody_out_and_are_closed()
         async with flooded(station, 900, "idle"):
             await link_works(station, sink, "robot")
             await has_descriptors(before + 10)
+
+
+@fault("E12")
+@pytest.mark.parametrize(
+    "greeting", [["host", "a/b", 1], ["host", "x" * 101, 1], ["host", "", 1], ["h" * 254, "a", 1], ["a/b", "a", 1]]
+)
+async def test_who_has_no_name_is_not_let_in(greeting: list[object], caplog: pytest.LogCaptureFixture) -> None:
+    async with reachable("station") as station:
+        links = station.service(Links)
+        await links.opened()
+        (path,) = private_folder().glob("*.link")
+        with socket.socket(socket.AF_UNIX) as caller:
+            caller.setblocking(False)
+            caller.connect(str(path))
+            body = packed(greeting)
+            caller.send(struct.pack("<IBBHI", len(body), 1, 0, 0, 0) + body)
+            loop = asyncio.get_running_loop()
+            with fail_after(0.8):  # before it is closed as one that says nothing
+                while await loop.sock_recv(caller, 4_096):
+                    pass
+        assert not links.peers
+        assert "ended the connection with a process: " in caplog.text
+        assert "name '" in caplog.text
 
 
 @fault("E10")

@@ -25,23 +25,10 @@ from aiorts.links import Caller, LinkOffer, Links, Peer, versions
 from aiorts.links.messages import Answer, LinkRequest
 from aiorts.model.links import LinkState, ReaderEnd, WriterEnd
 from aiorts.testing import MemoryNetwork, simulate
-from links.memory_kernels import Sink, Source, kernel_of
+from links.memory_kernels import Face, Sink, Source, kernel_of
 
 VERSIONS = json.loads((Path(__file__).parent / "versions.json").read_text())
 each = pytest.mark.parametrize("peer", VERSIONS, ids=[str(one["speaks"]) for one in VERSIONS])
-
-
-class Face:
-    """A kernel, as far as a transport sees it."""
-
-    def __init__(self, name: str) -> None:
-        self.name, self.epoch = name, 5
-
-    def run_in_background(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
-        return asyncio.get_running_loop().create_task(coroutine, name=name)
-
-    def report(self, text: str) -> None:
-        raise AssertionError(text)
 
 
 async def another(network: MemoryNetwork, name: str) -> Any:

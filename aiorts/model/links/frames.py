@@ -30,6 +30,10 @@ BATCH: Final = 512
 """Samples of one frame at the most."""
 BATCH_BYTES: Final = 32_768
 """Bytes of the samples of one frame at the most, if it is more than one sample."""
+FATES: Final = ("rejected", "undecodable")
+"""Why samples are not in the reader's buffer."""
+REFUSED: Final = "refused"
+"""What counts for any other reason that an acknowledgement gives: whoever sends it could name a new one each time."""
 
 _WIDEST: Final = 0xFFFF
 _HEAD: Final = struct.Struct("<BBHI")

@@ -218,7 +218,8 @@ class WriterEnd:
             return
         for number in sorted(number for number in fates if first <= number <= done):
             self._settle(self._oldest, number - 1, "acknowledged")
-            self._settle(number, number, fates[number])
+            fate = fates[number]
+            self._settle(number, number, fate if fate in frames.FATES else frames.REFUSED)
         self._settle(self._oldest, done, "acknowledged")
 
     def _settle(self, first: int, last: int, fate: str) -> None:
