@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from aiorts.types.kinds import Kind, wrong_type
 from aiorts.types.registry import full_name
 from aiorts.types.rows import RowsKind
+from aiorts.types.samples import frozen_class, snapshot
 from aiorts.types.structure import NUMBERS, Structure
 
 if TYPE_CHECKING:
@@ -28,8 +29,6 @@ class RecordKind(Kind):
     def check(self, value: Any, where: str) -> Any:
         if type(value) is self.cls and self.structure.checked:
             return value
-        from aiorts.types.samples import frozen_class, snapshot
-
         if type(value) is self.cls or type(value) is frozen_class(self.cls):
             return snapshot(value)
         raise wrong_type(where, f"a {self.spelling}", value)

@@ -25,6 +25,8 @@ ELEMENTS = ("bool", "i8", "i16", "i32", "i64", "u8", "u16", "u32", "u64", "f16",
 _CODES = {name: code for code, name in enumerate(ELEMENTS, start=1)}
 _HEADS = tuple(struct.Struct(f"<BB6x{dimensions}Q") for dimensions in range(MAX_DIMENSIONS + 1))
 _LONGEST = 2**62
+_empty: dict[bytes, npt.NDArray[Any]] = {}
+"""Arrays of one dimension without elements, by their bytes: one of each element type serves for all."""
 
 
 def pack_array(array: npt.NDArray[np.generic]) -> bytes:
@@ -68,6 +70,8 @@ def array_of_part(head: Any, part: bytes | bytearray | memoryview, where: str) -
 def _array(data: Any, part: bytes | bytearray | memoryview | None, where: str) -> npt.NDArray[Any]:
     if type(data) is not bytes:
         raise WireError(f"{where}: expected an array as binary, got {shown(data)}")
+    if part is None and len(data) == 16 and (empty := _empty.get(data)) is not None:
+        return empty
     if len(data) < 8:
         raise WireError(f"{where}: expected the head of an array, 8 bytes or more, got {len(data)}")
     code, dimensions = data[0], data[1]
@@ -86,7 +90,11 @@ def _array(data: Any, part: bytes | bytearray | memoryview | None, where: str) -
     size = math.prod(shape) * int(dtype[1:])
     if size != len(elements) - offset or any(length > _LONGEST for length in shape):
         raise WireError(f"{where}: expected {size} bytes for {element} of shape {shape}, got {len(elements) - offset}")
-    return _view(elements, dtype, offset, shape, where)
+    array = _view(elements, dtype, offset, shape, where)
+    if part is None and shape == (0,):
+        array.setflags(write=False)
+        _empty[data] = array
+    return array
 
 
 def _view(

@@ -91,7 +91,7 @@ class MsgpackCodec:
     def __init__(self, limits: Limits = DATA) -> None:
         self.limits = limits
         # A frame of no more bytes than this cannot break any limit.
-        self._unchecked = min(limits.string, limits.length, limits.values, limits.frame)
+        self._unchecked = min(limits.string, limits.length, limits.values, limits.frame, limits.head)
         self._uncounted = min(_SHORT, limits.values)
         self._options: dict[str, Any] = {
             "raw": False,
@@ -183,7 +183,7 @@ class MsgpackCodec:
                 return pack(*read(record)), ()
 
             return encode_packed
-        packer, unchecked, most = _new_packer(), self._unchecked, self.limits.parts
+        packer, unchecked, most, longest = _new_packer(), self._unchecked, self.limits.parts, self.limits.head
 
         def encode(record: Any) -> tuple[bytes, Sequence[memoryview]]:
             nonlocal packer
@@ -194,6 +194,8 @@ class MsgpackCodec:
             if len(head) > unchecked:
                 if len(head) > _KEPT:
                     packer = _new_packer()
+                if len(head) > longest:
+                    raise _too_long(head, longest, name)
                 self._check_size(head, name)
             if parts:
                 if len(parts) > most:
@@ -231,15 +233,17 @@ class MsgpackCodec:
         What it gives raises as `decode`.
         """
 
+        longest = min(self.limits.head, self.limits.frame)
+
         def decode(head: Buffer, parts: Sequence[Buffer]) -> Any:
             try:
                 if not parts:
-                    return take(self._parse(head), name, iter(()))
+                    return take(self._parse(head, longest, name), name, iter(()))
                 if len(parts) > self.limits.parts:
                     raise LimitError(f"{name}: {len(parts)} parts; at most {self.limits.parts} are allowed")
                 self._check_total(head, parts, name)
                 left = iter(flat(parts))
-                record = take(self._parse(head), name, left)
+                record = take(self._parse(head, longest, name), name, left)
                 if next(left, None) is not None:
                     raise WireError(f"{name}: expected fewer than {len(parts)} parts")
                 return record
@@ -262,7 +266,7 @@ class MsgpackCodec:
         try:
             if type(data) is not bytes:
                 (data,) = flat((data,))
-            content = self._parse(data)
+            content = self._parse(data, self.limits.frame)
             if type(content) is not list or len(content) != 3 or content[0] != FORMAT or type(content[1]) is not str:
                 raise _wrong_head(content)
             name, form = self._form(content[1], expected)
@@ -270,9 +274,11 @@ class MsgpackCodec:
         except RecordError as error:
             raise WireError(str(error)) from error
 
-    def _parse(self, data: Buffer) -> Any:
+    def _parse(self, data: Buffer, most: int, head_of: str = "") -> Any:
         limits, size = self.limits, len(data)
-        if size > limits.frame:
+        if size > most:
+            if head_of and most == limits.head:
+                raise _too_long(data, most, head_of)
             raise LimitError(f"a frame of {size} bytes; at most {limits.frame} are allowed")
         if size > self._uncounted:
             count_values(data, limits)
@@ -338,6 +344,13 @@ def _unique(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
     if len(fields) != len(pairs):
         raise WireError("a map has the same key twice")
     return fields
+
+
+def _too_long(head: Buffer, longest: int, name: str) -> LimitError:
+    return LimitError(
+        f"{name}: {len(head)} bytes of texts and other values that do not travel beside the frame; at most {longest} "
+        "are allowed"
+    )
 
 
 def _another_class(record: Any, name: str) -> RecordTypeError:

@@ -14,12 +14,12 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from aiorts.errors import WireError
-from aiorts.types.arrays import ArrayKind, NDArrayKind, element_dtype
+from aiorts.types.arrays import MAX_DIMENSIONS, ArrayKind, NDArrayKind, element_dtype
 from aiorts.types.kinds import BytesKind, Kind, OptionalKind, shown
 from aiorts.types.nested import RecordKind
 from aiorts.types.plain import build
 from aiorts.types.rows import FixedTupleKind, RowsKind, TupleKind
-from aiorts.types.samples import PLAIN_TYPES, snapshot
+from aiorts.types.samples import PLAIN_TYPES, settling
 from aiorts.types.structure import describe, kind_of
 from aiorts.wire.arrays import array_of_part, array_part, pack_array, unpack_array
 from aiorts.wire.forms import list_of, pair_of
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 BESIDE: Final = 16_384
 """Bytes from which on an array travels beside the head."""
+_LARGEST_ARRAY: Final = BESIDE + 8 + 8 * MAX_DIMENSIONS
+"""Bytes that no array in a head has, with what stands in front of its elements."""
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Put: TypeAlias = Callable[[Any, list[memoryview]], Any]
 Take: TypeAlias = Callable[[Any, str, Iterator[Buffer]], Any]
@@ -112,20 +114,33 @@ def positions_of(kind: Kind) -> Positions:
     put, take = pair_of(kind)
     return Positions(
         (lambda value, _parts: value) if put is None else (lambda value, _parts: put(value)),
-        (lambda value, _where, _parts: value) if take is None else (lambda value, where, _parts: take(value, where)),
+        _as_it_is if take is None else (lambda value, where, _parts: take(value, where)),
     )
 
 
-def record_positions(structure: Structure) -> Positions:
-    """How a record lies in a frame: a list of its fields, in order."""
+def _as_it_is(value: Any, _where: str, _parts: Iterator[Buffer]) -> Any:
+    return value
+
+
+def record_positions(structure: Structure, *, nested: bool = False) -> Positions:
+    """How a record lies in a frame: a list of its fields, in order. `nested`: it is taken as it may travel."""
     cls, fields = structure.cls, structure.fields
     ways = [positions_of(field.kind) for field in fields]
     wheres = [f"{cls.__qualname__}.{field.name}" for field in fields]
     checks = [None if structure.checked else field.kind.check for field in fields]
     putting = list(zip([field.name for field in fields], [way.put for way in ways], wheres, checks, strict=True))
     taking = [(way.take, where) for way, where in zip(ways, wheres, strict=True)]
-    exact = [(field.kind.exact, field.kind.check, where) for field, where in zip(fields, wheres, strict=True)]
+    looking = [
+        (
+            None if way.take is _as_it_is else way.take,
+            where,
+            field.kind.exact,
+            None if _settled(field.kind) else field.kind.check,
+        )
+        for field, way, where in zip(fields, ways, wheres, strict=True)
+    ]
     names = [field.name for field in fields]
+    settle = settling(cls) if nested and not structure.checked else None
 
     def put(record: Any, parts: list[memoryview]) -> Any:
         values = []
@@ -140,14 +155,24 @@ def record_positions(structure: Structure) -> Positions:
 
     def take_unchecked(values: Any, where: str, parts: Iterator[Buffer]) -> Any:
         list_of(values, where, len(fields))
-        found = [take_one(value, place, parts) for (take_one, place), value in zip(taking, values, strict=True)]
-        kept = [
-            value if type(value) is kept_as_is else check(value, place)
-            for value, (kept_as_is, check, place) in zip(found, exact, strict=True)
-        ]
-        return build(cls, dict(zip(names, kept, strict=True)))
+        kept = []
+        for (take_one, place, kept_as_is, check), value in zip(looking, values, strict=True):
+            if take_one is not None:
+                value = take_one(value, place, parts)
+            kept.append(value if check is None or type(value) is kept_as_is else check(value, place))
+        made = build(cls, dict(zip(names, kept, strict=True)))
+        return made if settle is None else settle(made, kept)
 
     return Positions(put, take_checked if structure.checked else take_unchecked)
+
+
+def _settled(kind: Kind) -> bool:
+    """Whether what is taken of a kind is as it may travel: nothing around it needs to look into it again."""
+    if isinstance(kind, OptionalKind):
+        return _settled(kind.inner)
+    if isinstance(kind, FixedTupleKind):
+        return all(map(_settled, kind.items))
+    return isinstance(kind, RecordKind) or (isinstance(kind, TupleKind) and _settled(kind.item))
 
 
 def _next(parts: Iterator[Buffer], where: str) -> Buffer:
@@ -186,10 +211,16 @@ def _put_array(array: Any, parts: list[memoryview]) -> Any:
 def take_array(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
     """The array that stands in a frame, or beside it; of any element type and shape."""
     if not _beside(value):
+        if type(value) is bytes and len(value) >= _LARGEST_ARRAY:
+            raise _belongs_beside(value, where)
         return unpack_array(value, where)
     if len(value) != 1:
         raise WireError(f"{where}: expected the head of an array, got {shown(value)}")
     return array_of_part(value[0], _next(parts, where), where)
+
+
+def _belongs_beside(value: bytes, where: str) -> WireError:
+    return WireError(f"{where}: {len(value)} bytes in the head of a frame; from {BESIDE} on they are beside it")
 
 
 def _rows_positions(kind: RowsKind) -> Positions:
@@ -222,29 +253,28 @@ def _bytes_positions(_kind: BytesKind) -> Positions:
 def take_bytes(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
     """The bytes that stand in a frame, or beside it."""
     if not _beside(value):
+        if type(value) is bytes and len(value) >= BESIDE:
+            raise _belongs_beside(value, where)
         return value
     list_of(value, where, 0)
     return bytes(_next(parts, where))
 
 
 def _nested_positions(kind: RecordKind) -> Positions:
-    way = record_positions(kind.structure)
-    if kind.structure.checked:
-        return way
-    take = way.take
-    # Made unchangeable here: each record around it then takes it as it is, and does not look into it again.
-    return Positions(way.put, lambda values, where, parts: snapshot(take(values, where, parts)))
+    return record_positions(kind.structure, nested=True)
 
 
 def _tuple_positions(kind: TupleKind) -> Positions:
-    way = positions_of(kind.item)
+    way, settled = positions_of(kind.item), _settled(kind.item)
+    take_one = way.take
 
     def put(items: Any, parts: list[memoryview]) -> Any:
         return [way.put(item, parts) for item in items]
 
     def take(value: Any, where: str, parts: Iterator[Buffer]) -> Any:
         list_of(value, where)
-        return [way.take(item, f"{where}[{index}]", parts) for index, item in enumerate(value)]
+        found = [take_one(item, f"{where}[{index}]", parts) for index, item in enumerate(value)]
+        return tuple(found) if settled else found
 
     return Positions(put, take)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 import struct
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import FrozenInstanceError, dataclass, field
+from typing import Any, ClassVar
 
 import msgpack
 import numpy as np
@@ -29,7 +30,9 @@ from aiorts.types import (
     record,
     snapshot,
 )
+from aiorts.types.nested import RecordKind
 from aiorts.wire import LINK, Limits, MsgpackCodec, sealed_bytes, with_parts
+from aiorts.wire.arrays import pack_array
 from campaign import cases
 from each import each
 
@@ -282,3 +285,156 @@ def test_a_field_that_is_not_what_it_says_is_named() -> None:
     head = msgpack.packb(["label", b"", "no list"])
     with pytest.raises((WireError, RecordError), match=r"Reading\.values"):
         CODEC.decode_parts(head, (), Reading)
+
+
+@record
+class Texts:
+    texts: tuple[str, ...]
+
+
+@record
+class Several:
+    flags: np.ndarray
+    raw: bytes
+    items: tuple[TimedNDArray, ...]
+
+
+@dataclass(frozen=True)
+class Leaf:
+    value: int
+    names: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Branch:
+    leaves: tuple[Leaf, ...]
+    table: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Bough:
+    """Sorts what it is given, and counts it."""
+
+    branches: list[Branch]
+    first: Leaf | None = None
+    count: int = 0
+
+    def __post_init__(self) -> None:
+        self.branches = sorted(self.branches, key=lambda branch: len(branch.leaves))
+        self.count = len(self.branches)
+
+
+@dataclass(frozen=True)
+class Tree:
+    boughs: tuple[Bough, ...]
+    pair: tuple[Bough, Leaf]
+
+
+def tree() -> Tree:
+    def branch(count: int) -> Branch:
+        return Branch(tuple(Leaf(number, ["a", "b"]) for number in range(count)), {"weight": 1.5})
+
+    def bough() -> Bough:
+        return Bough([branch(3), branch(2)], Leaf(7))
+
+    return Tree((bough(), bough()), (bough(), Leaf(8)))
+
+
+def _seconds(read: Callable[[], object]) -> float:
+    def once() -> float:
+        began = time.thread_time()
+        with suppress(WireError):
+            read()
+        return time.thread_time() - began
+
+    return min(once() for _ in range(3))
+
+
+@pytest.mark.fault("E13")
+@pytest.mark.parametrize("letter", ["a", "\N{CJK UNIFIED IDEOGRAPH-4E2D}", "\N{GRINNING FACE}"])
+def test_texts_of_a_frame_are_2_mib_together_over_links(letter: str) -> None:
+    text = letter * (1_048_576 // len(letter.encode()))
+    decode = CODEC.parts_decoder(Texts)
+    head = msgpack.packb([[text] * 4])
+    assert _seconds(lambda: decode(head, ())) < 0.010
+    with pytest.raises(LimitError, match=r"Texts: 4194... bytes of texts and other values .* at most 2097152"):
+        decode(head, ())
+    with pytest.raises(LimitError, match=r"Texts: 3145... bytes of texts and other values .* at most 2097152"):
+        CODEC.encode_parts(Texts((text,) * 3))
+    assert there_and_back(Texts((text,))) == Texts((text,))
+    files = MsgpackCodec()
+    assert files.decode_parts(*files.encode_parts(Texts((text,) * 3)), Texts) == Texts((text,) * 3)
+
+
+@pytest.mark.fault("E13")
+@pytest.mark.parametrize("size", [LARGE + 100, 3 << 20])
+def test_what_is_large_is_beside_the_head_or_refused(size: int) -> None:
+    empty = pack_array(np.zeros(0))
+    decode = CODEC.parts_decoder(Several)
+    for flags, raw, items in (
+        (pack_array(np.zeros(size, "?")), b"", []),
+        (empty, bytes(size), []),
+        (empty, b"", [[0, pack_array(np.zeros(size, "u1"))]]),
+    ):
+        head = msgpack.packb([flags, raw, items])
+        assert _seconds(lambda head=head: decode(head, ())) < 0.010  # type: ignore[misc]
+        with pytest.raises(WireError, match=r"bytes in the head of a frame|do not travel beside the frame"):
+            decode(head, ())
+
+
+def test_a_dataclass_deep_in_others_is_looked_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = tree()
+    head, parts = CODEC.encode_parts(sample)
+    decode, looked = CODEC.parts_decoder(Tree), []
+    check = RecordKind.check
+    monkeypatch.setattr(RecordKind, "check", lambda *given: (looked.append(given), check(*given))[1])
+    found = decode(head, parts)
+    assert looked == []
+    monkeypatch.undo()
+    assert found == snapshot(sample)
+    assert found.boughs[0].count == 2
+    assert [len(branch.leaves) for branch in found.boughs[0].branches] == [2, 3]
+
+
+def test_what_is_decoded_of_dataclasses_cannot_change() -> None:
+    found = there_and_back(tree())
+    bough = found.boughs[0]
+    assert type(bough.branches) is tuple
+    assert type(bough.branches[0].leaves[0].names) is tuple
+    with pytest.raises(FrozenInstanceError):
+        bough.count = 3
+    with pytest.raises(TypeError):
+        bough.branches[0].table["weight"] = 2.0
+    assert MsgpackCodec().encode(found) == MsgpackCodec().encode(snapshot(tree()))
+
+
+def test_what_a_class_makes_of_its_values_is_checked() -> None:
+    head, parts = CODEC.encode_parts(Wrapped(Wrong(1)))
+    Wrong.wrong = True
+    try:
+        with pytest.raises(WireError, match=r"Wrong\.value: expected an integer"):
+            CODEC.decode_parts(head, parts, Wrapped)
+    finally:
+        Wrong.wrong = False
+
+
+@dataclass
+class Wrong:
+    value: int
+    wrong: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if self.wrong:
+            self.value = "text"  # type: ignore[assignment]
+
+
+@dataclass
+class Wrapped:
+    inner: Wrong
+
+
+def test_arrays_without_elements_are_of_their_type_and_nobody_writes_to_them() -> None:
+    for element in ("f8", "u1", "?"):
+        for shape in ((0,), (0, 3)):
+            array = there_and_back(TimedNDArray(0, np.zeros(shape, element))).data
+            assert (array.dtype, array.shape, array.flags.writeable) == (np.dtype(element), shape, False)
