@@ -9,6 +9,7 @@ from aiorts.late import late as _late
 if TYPE_CHECKING:
     from aiorts.links.connecting import Links, LinksSettings
     from aiorts.links.ledgers import LinkLedger
+    from aiorts.links.reaching import find_transport
     from aiorts.links.transport import (
         Caller,
         Channel,
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
         Transport,
         answer_of,
     )
-    from aiorts.links.transports import find_transport
     from aiorts.links.unix import UnixTransport
 
 __all__ = (
@@ -44,7 +44,7 @@ _late(
         "aiorts.links.connecting": "Links LinksSettings",
         "aiorts.links.ledgers": "LinkLedger",
         "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of",
-        "aiorts.links.transports": "find_transport",
+        "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",
     },
 )

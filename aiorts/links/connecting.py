@@ -13,8 +13,6 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
-from functools import partial
-from itertools import chain, repeat
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
@@ -26,7 +24,6 @@ from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.connector import unread_of
 from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
 from aiorts.kernel.ports.port_types import port_type
-from aiorts.kernel.registry import known
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
@@ -37,10 +34,10 @@ from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
 from aiorts.links.messages import Answer, LinkRequest, versions_of
 from aiorts.links.pulling import PulledWriterLink, PullingReaderLink
+from aiorts.links.reaching import Reach
 from aiorts.links.reader_link import ReaderLink, of_shape, reader_options
 from aiorts.links.serving import Serving
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
-from aiorts.links.transports import find_transport
 from aiorts.links.writer_link import WINDOW, WriterLink
 from aiorts.model.names import Path, check_name
 from aiorts.model.options import chosen_options, link_options
@@ -90,16 +87,7 @@ class Links(KernelService):
         super().__init__(kernel)
         self._settings = LinksSettings()
         self._codec = MsgpackCodec(LINK)
-        self._transport: Transport | None = None
-        self._opening: asyncio.Future[None] | None = None
-        """Done when other kernels can be reached, or with why they cannot; then it is tried again."""
         self._tasks: set[asyncio.Task[Any]] = set()
-        self._carriers: list[Transport] = []
-        """Transports that reach certain kernels alone, such as those in processes of this program."""
-        self._carried: set[str] = set()
-        """The names of those kernels."""
-        self._peers: dict[Peer, Transport] = {}
-        """The other kernels that are there, and what carries links to them."""
         self._writers: dict[Connector, WriterLink] = {}
         self._readers: dict[Connector, ReaderLink] = {}
         self._own: set[Link] = set()
@@ -116,10 +104,11 @@ class Links(KernelService):
         self._offers: dict[tuple[str, str], ReaderLink] = {}
         """Reader's ends by the writer's kernel and its name of the link."""
         self._number = int.from_bytes(os.urandom(3), "big")
-        self._accepting = self._closing = False
+        self._accepting = False
         self._calls, self._serving = Calls(self), Serving(self)
         self._ledgers = Ledgers(self, self._writers, self._offers)
         self._arrivals = Arrivals(self)
+        self._reach = Reach(self, self._handlers, self._present, self._waits_again)
         kernel.connections.far = self
         kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
 
@@ -157,15 +146,7 @@ class Links(KernelService):
         if settings.name:
             check_name(settings.name, "[links]: kernel")  # no other kernel would take it
         self._settings = settings
-        self._open_soon()
-
-    async def opened(self) -> None:
-        """Wait until other kernels can be reached.
-
-        Raises:
-            LinkError: the transport cannot be opened; it is tried again while the kernel runs.
-        """
-        await asyncio.shield(self._open_soon())
+        self._reach.open_soon(settings.transport)
 
     @property
     def reached_as(self) -> str:
@@ -175,18 +156,24 @@ class Links(KernelService):
     @property
     def open_as(self) -> str:
         """See `FarPorts.open_as`."""
-        opening = self._opening
-        open_ = opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
-        return self.reached_as if open_ else ""
+        return self.reached_as if self._reach.is_open else ""
 
     @property
     def peers(self) -> tuple[Peer, ...]:
         """The other kernels that are there."""
-        return tuple(self._peers)
+        return tuple(self._reach.peers)
+
+    async def opened(self) -> None:
+        """Wait until other kernels can be reached.
+
+        Raises:
+            LinkError: the transport cannot be opened; it is tried again while the kernel runs.
+        """
+        await self._reach.opened()
 
     def use(self, transport: Transport) -> None:
         """Carry links with this transport, which is not open yet; before anything else is done."""
-        self._transport = transport
+        self._reach.use(transport)
 
     async def carry(self, transport: Transport) -> None:
         """Carry links with this transport, too: to the kernels that `carried` names. It is opened.
@@ -194,57 +181,19 @@ class Links(KernelService):
         Raises:
             LinkError: it cannot be opened.
         """
-        self._carriers.append(transport)
-        await self._use(transport)
+        await self._reach.carry(transport)
 
     def carried(self, kernel: str) -> None:
         """A kernel of this name is reached by a transport that was given to `carry`, and by no other."""
-        self._carried.add(kernel)
+        self._reach.carried.add(kernel)
 
-    def _open_soon(self) -> asyncio.Future[None]:
-        if self._opening is None:
-            self._opening = task = kernel_task(self.kernel.loop, self._open(), f"aiorts links {self.kernel.name}")
-            task.add_done_callback(self._report_opening)
-        return self._opening
+    def _handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
+        """What other kernels may ask."""
+        own = {"offer": self._offered, "request": self._requested, "come": self._come}
+        return {**own, **self._calls.handlers(), **self._serving.handlers(), **self._ledgers.handlers()}
 
-    async def _open(self) -> None:
-        self._transport = self._transport or find_transport(self._settings.transport, self.kernel.plugins)
-        await self._use(self._transport)
-
-    async def _use(self, transport: Transport) -> None:
-        transport.answer("offer", self._offered)
-        transport.answer("request", self._requested)
-        transport.answer("come", self._come)
-        for questions in (self._calls, self._serving, self._ledgers):
-            for what, handler in questions.handlers().items():
-                transport.answer(what, handler)
-        await transport.open(_Face(self))
-        transport.presence(partial(self._present, transport))
-
-    def _report_opening(self, task: asyncio.Task[None]) -> None:
-        if task.cancelled() or (error := task.exception()) is None:
-            return
-        again = isinstance(error, LinkError) and not self._closing
-        also = "; it is tried again while this one runs" if again else ""
-        _LOG.error("links: other kernels cannot be reached: %s%s", format_error(error), also)
-        if again:
-            self.run(self._open_again(), f"aiorts links {self.kernel.name}")
-
-    async def _open_again(self) -> None:
-        """Try until the transport is open: who had this kernel's name may have ended."""
-        for pause in chain(_RETRY, repeat(_RETRY[-1])):
-            await asyncio.sleep(pause)
-            try:
-                await self._open()
-            except LinkError as error:
-                self._opening = self.kernel.loop.create_future()
-                self._opening.set_exception(error)
-                self._opening.exception()  # it was logged when it was refused first
-                continue
-            break
-        self._opening = self.kernel.loop.create_future()
-        self._opening.set_result(None)
-        _LOG.warning("links: other kernels can be reached now")
+    def _waits_again(self) -> None:
+        """Other kernels can be reached at last: what waits for one that is not there says so now."""
         for link in self._all():
             if link in self._own and not link.is_connected and self._peer(link) is None:
                 link.why = self.absent(self._far(link))
@@ -324,9 +273,7 @@ class Links(KernelService):
 
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """See `Kernels.ask`."""
-        if (carrier := self._peers.get(peer)) is None:
-            raise LinkError(f"{peer.kernel}: is gone")
-        return await carrier.ask(peer, what, body, within=within)
+        return await self._reach.carrier(peer).ask(peer, what, body, within=within)
 
     def _all(self) -> list[Link]:
         return [*self._writers.values(), *self._readers.values()]
@@ -357,8 +304,7 @@ class Links(KernelService):
 
     def _start(self, link: Link) -> None:
         self._first[link] = self.kernel.loop.create_future()
-        if self._far(link).kernel not in self._carried:
-            self._open_soon()
+        self._reach.open_for(self._far(link))
         self._try(link)
         if link not in self._asking:
             self._answer_first(link, None)
@@ -370,11 +316,7 @@ class Links(KernelService):
 
     def absent(self, path: Path) -> str:
         """See `Kernels.absent`."""
-        far, opening = path.kernel, self._opening
-        if far not in self._carried and opening is not None and opening.done() and (error := opening.exception()):
-            return str(error)
-        there = [peer.kernel for peer in self._peers]
-        return f"there is no kernel {far!r} yet{f'; {known(far, there)}' if there else ''}"
+        return self._reach.absent(path)
 
     def far_of(self, connector: Connector) -> Path:
         """See `Kernels.far_of`."""
@@ -447,15 +389,13 @@ class Links(KernelService):
 
     # -- offering ------------------------------------------------------------------------------------------------------
 
-    def _present(self, transport: Transport, peer: Peer, up: bool) -> None:
+    def _present(self, peer: Peer, up: bool) -> None:
         if not up:
-            self._peers.pop(peer, None)
             self._calls.present(peer, False)
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             self._end_unanswered(peer)
             return
-        self._peers[peer] = transport
         self._calls.present(peer, True)
         for link in self._all():
             if self._peer(link) == peer:
@@ -479,20 +419,14 @@ class Links(KernelService):
 
     def peer_of(self, path: Path) -> Peer | None:
         """See `Kernels.peer_of`."""
-        found = [
-            peer
-            for peer in self._peers
-            if peer.kernel == path.kernel and path.host.lower() in ("", "localhost", peer.host.lower())
-        ]
-        return found[-1] if found else None
+        return self._reach.peer_of(path)
 
     def _try(self, link: Link) -> None:
         """Offer it, or ask the writer's kernel to, unless that is under way, or the other kernel is not there."""
         if link.is_connected or link in self._asking or (isinstance(link, ReaderLink) and link not in self._own):
             return
         peer = self._peer(link)
-        opening = self._opening is not None and not self._opening.done()
-        if peer is None and not opening:
+        if peer is None and not self._reach.is_opening:
             return
         self._asking.add(link)
         self.run(self._ask(link), f"aiorts link {link.connector.name}")
@@ -500,8 +434,7 @@ class Links(KernelService):
     async def _ask(self, link: Link) -> None:
         will_be_offered = False
         try:
-            if self._far(link).kernel not in self._carried:
-                await self.opened()
+            await self._reach.opened_for(self._far(link))
             peer = self._peer(link)
             if self._link(link.connector) is not link:
                 return
@@ -552,7 +485,7 @@ class Links(KernelService):
             return self._not_now(link, answer)
         version = versions.agreed(peer.kernel, answer.protocol)
         agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
-        channel = await self._carrier(peer).channel(agreed, link)
+        channel = await self._reach.carrier(peer).channel(agreed, link)
         if self._writers.get(connector) is not link:
             channel.close()
             return None
@@ -645,7 +578,7 @@ class Links(KernelService):
 
     async def _join(self, link: ReaderLink, offer: LinkOffer, peer: Peer | None) -> None:
         try:
-            channel = await self._carrier(peer).channel(offer, link)
+            channel = await self._reach.carrier(peer).channel(offer, link)
         except LinkError as error:
             link.why = str(error)
             return
@@ -721,18 +654,13 @@ class Links(KernelService):
             await asyncio.sleep(0.005)
 
     def stopped(self) -> None:
-        self._closing = True
         for link in self._all():
             link.close(for_good=link in self._own)
         self._calls.stopped()
         self._serving.stopped()
         for task in self._tasks:
             task.cancel()
-        if self._opening is not None:
-            self._opening.cancel()
-        for transport in (*self._carriers, *(() if self._transport is None else (self._transport,))):
-            closing = kernel_task(self.kernel.loop, transport.close(), "aiorts links close")
-            closing.add_done_callback(_observed)
+        self._reach.close()
 
     # -- helpers -------------------------------------------------------------------------------------------------------
 
@@ -754,37 +682,11 @@ class Links(KernelService):
     def _here(self, port: Port[Any]) -> str:
         return str(port.far) if isinstance(port, FarInPort | FarOutPort) else str(self.path_of(port))
 
-    def _carrier(self, peer: Peer | None) -> Transport:
-        carrier = None if peer is None else self._peers.get(peer)
-        if carrier is None:
-            raise LinkError(f"{'the other kernel' if peer is None else peer.kernel}: is gone")
-        return carrier
-
-
-class _Face:
-    """What a transport sees of the kernel."""
-
-    def __init__(self, links: Links) -> None:
-        self._links = links
-        self.name = links.reached_as
-        self.epoch = links.kernel.epoch or _epoch()
-
-    def run_in_background(self, coroutine: Any, name: str) -> asyncio.Task[Any]:
-        return self._links.run(coroutine, name)
-
-    def report(self, text: str) -> None:
-        _report(text)
-
 
 def _check_theirs(path: Path, caller: Caller) -> None:
     """WiringError: the port is not one of the kernel that asks."""
     if caller.peer is None or path.kernel != caller.peer.kernel:
         raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
-
-
-def _observed(task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and (error := task.exception()) is not None:
-        _LOG.error("links: the transport did not close: %s", format_error(error))
 
 
 def _report(text: str) -> None:

@@ -21,6 +21,11 @@ class Kernels(Protocol):
 
     kernel: Microkernel
 
+    @property
+    def reached_as(self) -> str: ...
+
+    """The name by which other kernels reach this one."""
+
     def peer_of(self, path: Path) -> Peer | None:
         """The kernel of a path, if it is there."""
         ...

@@ -46,7 +46,7 @@ BROAD_EXCEPT = {
     # Round what a kernel asks of the process of a component: whatever it fails with is the answer.
     "aiorts/cli/runtime/component_process.py:_operate",
     # Round a plugin's transport while it is made.
-    "aiorts/links/transports.py:find_transport",
+    "aiorts/links/reaching.py:find_transport",
     # Round a sample of another kernel: its class may check values in its own way, and the next ones still come.
     "aiorts/links/call_values.py:restored",
     "aiorts/links/reader_link.py:_deliver",

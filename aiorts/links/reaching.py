@@ -1,0 +1,223 @@
+"""Which other kernels there are, and what carries questions and links to them: transports, opened and tried again."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from functools import partial
+from itertools import chain, repeat
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.errors import LinkError, PluginError, format_error
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.registry import known
+
+if TYPE_CHECKING:
+    from aiorts.kernel.extensions.catalogue import Catalogue
+    from aiorts.links.kernels import Kernels
+    from aiorts.links.transport import Caller, Peer, Transport
+    from aiorts.model.names import Path
+
+_LOG: Final = KernelLog()
+_AGAIN: Final = (0.2, 0.4, 0.8, 1.6, 2.0)
+"""Seconds until a transport that could not be opened is tried again."""
+_NEEDED: Final = ("open", "close", "presence", "channel", "ask", "answer")
+
+
+class Reach:
+    """The transports of one kernel, and the other kernels that they have found.
+
+    One transport reaches kernels in general, and is opened when it is needed first; others reach certain kernels alone.
+
+    Args:
+        handlers: gives what other kernels may ask.
+        present: called when another kernel has come or gone.
+        late: called when the transport is open that could not be opened at first.
+    """
+
+    def __init__(
+        self,
+        links: Kernels,
+        handlers: Callable[[], Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]],
+        present: Callable[[Peer, bool], None],
+        late: Callable[[], None],
+    ) -> None:
+        self._links, self._handlers, self._tell, self._late = links, handlers, present, late
+        self._name = "unix"
+        self._transport: Transport | None = None
+        self._opening: asyncio.Future[None] | None = None
+        """Done when kernels can be reached in general, or with why they cannot; then it is tried again."""
+        self._carriers: list[Transport] = []
+        """Those that reach certain kernels alone, such as those in processes of this program."""
+        self.carried: set[str] = set()
+        """The names of those kernels."""
+        self.peers: dict[Peer, Transport] = {}
+        """The other kernels that are there, and what carries links to them."""
+        self._closing = False
+
+    # -- transports ------------------------------------------------------------------------------------------------
+
+    def use(self, transport: Transport) -> None:
+        """Reach kernels in general with this transport, which is not open yet."""
+        self._transport = transport
+
+    async def carry(self, transport: Transport) -> None:
+        """Open a transport that reaches the kernels named in `carried` alone. LinkError: it cannot be opened."""
+        self._carriers.append(transport)
+        await self._use(transport)
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether it is not known yet who is there."""
+        return self._opening is not None and not self._opening.done()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether kernels can be reached in general."""
+        opening = self._opening
+        return opening is not None and opening.done() and not opening.cancelled() and opening.exception() is None
+
+    def open_soon(self, name: str | None = None) -> asyncio.Future[None]:
+        """Open the transport that reaches kernels in general, the one of that name, if nothing has opened it yet."""
+        self._name = name or self._name
+        if self._opening is None:
+            loop = self._links.kernel.loop
+            self._opening = task = kernel_task(loop, self._open(), f"aiorts links {self._links.kernel.name}")
+            task.add_done_callback(self._report_opening)
+        return self._opening
+
+    def open_for(self, path: Path) -> None:
+        """Open what reaches the kernel of a path, if nothing has yet."""
+        if path.kernel not in self.carried:
+            self.open_soon()
+
+    async def opened(self) -> None:
+        """Wait until kernels can be reached in general. LinkError: they cannot; it is tried again."""
+        await asyncio.shield(self.open_soon())
+
+    async def opened_for(self, path: Path) -> None:
+        """Wait until it is known whether the kernel of a path is there. LinkError: it cannot be."""
+        if path.kernel not in self.carried:
+            await self.opened()
+
+    async def _open(self) -> None:
+        self._transport = self._transport or find_transport(self._name, self._links.kernel.plugins)
+        await self._use(self._transport)
+
+    async def _use(self, transport: Transport) -> None:
+        for what, handler in self._handlers().items():
+            transport.answer(what, handler)
+        await transport.open(_Face(self._links))
+        transport.presence(partial(self._present, transport))
+
+    def _report_opening(self, task: asyncio.Task[None]) -> None:
+        if task.cancelled() or (error := task.exception()) is None:
+            return
+        again = isinstance(error, LinkError) and not self._closing
+        also = "; it is tried again while this one runs" if again else ""
+        _LOG.error("links: other kernels cannot be reached: %s%s", format_error(error), also)
+        if again:
+            self._links.run(self._open_again(), f"aiorts links {self._links.kernel.name}")
+
+    async def _open_again(self) -> None:
+        """Try until the transport is open: who had this kernel's name may have ended."""
+        loop = self._links.kernel.loop
+        for pause in chain(_AGAIN, repeat(_AGAIN[-1])):
+            await asyncio.sleep(pause)
+            try:
+                await self._open()
+            except LinkError as error:
+                self._opening = loop.create_future()
+                self._opening.set_exception(error)
+                self._opening.exception()  # it was logged when it was refused first
+                continue
+            break
+        self._opening = loop.create_future()
+        self._opening.set_result(None)
+        _LOG.warning("links: other kernels can be reached now")
+        self._late()
+
+    def close(self) -> None:
+        """Give everything up."""
+        self._closing = True
+        if self._opening is not None:
+            self._opening.cancel()
+        for transport in (*self._carriers, *(() if self._transport is None else (self._transport,))):
+            closing = kernel_task(self._links.kernel.loop, transport.close(), "aiorts links close")
+            closing.add_done_callback(_observed)
+
+    # -- other kernels ---------------------------------------------------------------------------------------------
+
+    def _present(self, transport: Transport, peer: Peer, up: bool) -> None:
+        if up:
+            self.peers[peer] = transport
+        else:
+            self.peers.pop(peer, None)
+        self._tell(peer, up)
+
+    def peer_of(self, path: Path) -> Peer | None:
+        """The kernel of a path, if it is there."""
+        found = [
+            peer
+            for peer in self.peers
+            if peer.kernel == path.kernel and path.host.lower() in ("", "localhost", peer.host.lower())
+        ]
+        return found[-1] if found else None
+
+    def absent(self, path: Path) -> str:
+        """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
+        far, opening = path.kernel, self._opening
+        if far not in self.carried and opening is not None and opening.done() and (error := opening.exception()):
+            return str(error)
+        there = [peer.kernel for peer in self.peers]
+        return f"there is no kernel {far!r} yet{f'; {known(far, there)}' if there else ''}"
+
+    def carrier(self, peer: Peer | None) -> Transport:
+        """What carries links to a kernel. LinkError: it is gone."""
+        carrier = None if peer is None else self.peers.get(peer)
+        if carrier is None:
+            raise LinkError(f"{'the other kernel' if peer is None else peer.kernel}: is gone")
+        return carrier
+
+
+class _Face:
+    """What a transport sees of the kernel."""
+
+    def __init__(self, links: Kernels) -> None:
+        self._links = links
+        self.name = links.reached_as
+        self.epoch = links.kernel.epoch or int.from_bytes(os.urandom(8), "big")
+
+    def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
+        return self._links.run(coroutine, name)
+
+    def report(self, text: str) -> None:
+        _LOG.warning("W-LINK: %s", text)
+
+
+def _observed(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _LOG.error("links: the transport did not close: %s", format_error(error))
+
+
+def find_transport(name: str, plugins: Catalogue) -> Transport:
+    """A new transport of that name: "unix", or one that a plugin offers, which is imported now.
+
+    Raises:
+        PluginError: no plugin offers it, it cannot be loaded or made, or it is no transport.
+    """
+    if name == "unix":
+        from aiorts.links.unix import UnixTransport  # late: it is chosen by its name
+
+        return UnixTransport()
+    offered = plugins.find("transports", name)
+    kind = offered.load()
+    try:
+        made: Transport = kind()
+    except Exception as error:  # a plugin's border: what its constructor does is reported as the plugin's
+        raise PluginError(f"transport {name!r}: cannot be made: {type(error).__name__}: {error}") from error
+    if missing := [method for method in _NEEDED if not callable(getattr(made, method, None))]:
+        raise PluginError(f"transport {name!r}: {type(made).__name__} has no method {missing[0]}")
+    return made
