@@ -68,13 +68,13 @@ _COMMANDS: Final = {
     "watch": ("aiorts.cli.commands.live.watch:watch", "Print what happens in a kernel: states, connections, errors."),
     "stop": ("aiorts.cli.commands.live.lifecycle:stop", "End a run in order."),
     "filter": ("aiorts.cli.filtering:filter_", "Run a component as a filter, whatever its name."),
-    "kernel": ("aiorts.cli.runtime.process_kernel:kernel", "The process of one component; started by aiorts alone."),
     "doctor": ("aiorts.cli.commands.doctor:doctor", "Look at this machine, and say what to do."),
     "completion": ("aiorts.cli.console.completion:completion", "Print the script that completes words in your shell."),
     "help": ("aiorts.cli.commands.helping:help_", "The guide; help for a command or an error code."),
 }
 
-
+_HIDDEN: Final = {"kernel": ("aiorts.cli.runtime.process_kernel:kernel", "")}
+"""Commands that aiorts itself calls; no help names them."""
 _FULL: Final = (errno.ENOSPC, errno.EIO, errno.EFBIG)
 _SHOWN: Final = 60
 """Components that the help names."""
@@ -108,9 +108,10 @@ class _LazyGroup(HelpfulGroup):
         return None if found is None else strict(found)
 
     def _found(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in _COMMANDS:
+        own = _COMMANDS.get(cmd_name) or _HIDDEN.get(cmd_name)
+        if own is None:
             return _of_plugin(ctx, cmd_name)
-        module, _, attribute = _COMMANDS[cmd_name][0].partition(":")
+        module, _, attribute = own[0].partition(":")
         try:
             command: Any = getattr(importlib.import_module(module), attribute)
         except ImportError as error:
@@ -122,7 +123,7 @@ class _LazyGroup(HelpfulGroup):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         is_type = ":" in name or name.endswith(".py")  # FILE.py:Class is a filter
-        known = name in _COMMANDS or name.startswith("-") or is_type
+        known = name in _COMMANDS or name in _HIDDEN or name.startswith("-") or is_type
         if not known and name not in (names := self.list_commands(ctx)):
             from difflib import get_close_matches
 

@@ -87,8 +87,13 @@ class RemoteComponent(Component, kind=RemoteKind()):
     async def on_initialize(self) -> None:
         from aiorts.isolation.isolating import Isolation  # late: that knows this class
 
-        self._process = process = self.kernel.service(Isolation).process_of(self)
-        await self._begin()
+        isolation = self.kernel.service(Isolation)
+        self._process = process = isolation.process_of(self)
+        try:
+            await self._begin()
+        except BaseException:
+            await isolation.end(self)
+            raise
         for port in self.ports.values():
             if isinstance(port, RemoteInPort | RemoteOutPort):
                 port.elsewhere = replace(Path.parse(port.path), kernel=process.kernel)

@@ -211,6 +211,32 @@ async def test_a_component_that_refuses_to_come_in_leaves_no_process() -> None:
         assert dict(kernel.components) == {}
 
 
+def processes_below(pid: int) -> list[int]:
+    """All processes that descend from one, but zombies."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in map(int, (task / "children").read_text().split()):
+            found += [*([child] if runs(child) else []), *processes_below(child)]
+    return found
+
+
+@fault("G05")
+@pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2, 0.5])
+async def test_a_creation_that_is_cancelled_leaves_no_process(seconds: float) -> None:
+    before = processes_below(os.getpid())
+    async with Kernel() as kernel:
+        task = asyncio.ensure_future(kernel.create_isolated(Scale, "scale"))
+        await sleep(seconds)
+        task.cancel()
+        await asyncio.wait([task], timeout=10)
+        assert task.done()
+        assert set(kernel.components) == (set() if task.cancelled() else {"scale"})
+        if task.cancelled():
+            await until(lambda: set(processes_below(os.getpid())) <= set(before))
+            scale = await kernel.create_isolated(Scale, "scale")
+            assert runs(scale.pid)
+
+
 async def test_members_of_one_context_run_in_one_process() -> None:
     async with Kernel() as kernel:
         source = await kernel.add(Source("source"))

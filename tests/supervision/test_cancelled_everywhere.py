@@ -160,6 +160,7 @@ ELSEWHERE = {
     "SimulatedClock.advance": "the clock of the tests: what it moves is what is cancelled here",
     "SimulatedClock.advance_to": "the same",
     "RealtimeContext.add": "Context.add, after a check that waits for nothing",
+    "Kernel.create_isolated": "isolation/test_isolated.py",
     "Kernel.apply": "planning/test_apply_cancelled.py",
     "Kernel.reload": "reload/test_cancelled.py",
     "Kernel.save": "planning/test_save.py",

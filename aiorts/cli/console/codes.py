@@ -299,6 +299,11 @@ CODES: Final[dict[str, Code]] = {
         "It is stopped, or its event loop is busy.",
         "Look at the kernel that the line names; the link is offered again by itself.",
     ),
+    "W-ISOLATION": Code(
+        "Components that were to have processes of their own run in this one.",
+        "The clock is simulated: virtual time passes in one process.",
+        "Leave --simulate out where the processes matter.",
+    ),
     "W-LINK": Code(
         "A link to another kernel waits, was lost, or was ended by the other end.",
         "The other kernel or component is not there, or its user has disconnected it.",

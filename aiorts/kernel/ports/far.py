@@ -50,6 +50,7 @@ class RemoteInPort(InPort[Any]):
     def bind(self, host: PortHost, name: str) -> RemoteInPort:
         limits: dict[str, Any] = {"max_connectors": self.max_connectors, "length": self.length}
         port = RemoteInPort(self.type, unit=self.unit, shape=self.shape, doc=self.doc, **limits)
+        port.elsewhere = None  # until its component has a process
         port._attach(host, name)
         return port
 
@@ -74,6 +75,7 @@ class RemoteOutPort(OutPort[Any]):
         port = RemoteOutPort(
             self.type, unit=self.unit, shape=self.shape, doc=self.doc, max_connectors=self.max_connectors
         )
+        port.elsewhere = None  # until its component has a process
         port._attach(host, name)
         return port
 
