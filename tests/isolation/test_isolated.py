@@ -155,15 +155,22 @@ async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadli
         assert max(late) < 1.0, "this loop was held, too"
 
 
-async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill() -> None:
+@pytest.mark.parametrize("restart", ["reset", "restart"])
+async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(restart: str) -> None:
     async with Kernel() as kernel:
-        source, scale, sink, _ = await chain(kernel)
-        kernel.supervise(scale, Supervision(restart="reset", backoff=0.05))
+        source, scale, sink, _ = await chain(kernel, factor=3)
+        kernel.supervise(scale, Supervision(restart=restart, backoff=0.05))
         for _ in range(2):
             pid = scale.pid
             os.kill(pid, signal.SIGKILL)
-            await until(lambda pid=pid: scale.state is ACTIVE and scale.pid != pid)
-            assert await answer(source, sink, 4) == 8
+
+            def is_back(pid: int = pid) -> bool:
+                there: Any = kernel.components.get("scale")
+                return there is not None and there.state is ACTIVE and there.pid not in (pid, None)
+
+            await until(is_back)
+            scale = kernel.components["scale"]
+            assert await answer(source, sink, 4) == 12
 
 
 async def test_a_periodic_context_runs_there_at_its_rate_until_the_source_has_finished() -> None:
