@@ -19,6 +19,7 @@ from aiorts.errors import ComponentError, ConfigurationError, DeclarationError, 
 from aiorts.isolation import Limits
 from aiorts.links import Links
 from aiorts.supervision import Supervision
+from aiorts.system import build, check, load
 from aiorts.testing import simulate
 from aiorts.types import TimedDoubleSeq, TimedLong
 from isolation.isolated_parts import Echo, Scale, Sink, Source, Ticker, Unmakeable
@@ -56,7 +57,7 @@ async def chain(
 
 async def answer(source: Source, sink: Sink, value: int) -> int:
     source.out.write_nowait(TimedLong(0, value))
-    return (await sink.inp.read(timeout=10)).data
+    return int((await sink.inp.read(timeout=10)).data)
 
 
 @row("51")
@@ -240,8 +241,8 @@ async def test_a_creation_that_is_cancelled_leaves_no_process(seconds: float) ->
         assert set(kernel.components) == (set() if task.cancelled() else {"scale"})
         if task.cancelled():
             await until(lambda: set(processes_below(os.getpid())) <= set(before))
-            scale = await kernel.create_isolated(Scale, "scale")
-            assert runs(scale.pid)
+            again: Any = await kernel.create_isolated(Scale, "scale")
+            assert runs(again.pid)
 
 
 async def test_members_of_one_context_run_in_one_process() -> None:
@@ -291,3 +292,69 @@ async def test_the_end_of_the_kernel_leaves_no_process() -> None:
         await until(below.read_text)
         children = [int(one) for one in below.read_text().split()]
     assert [one for one in (pid, *children) if runs(one)] == []
+
+
+FILE = """
+schema = 1
+
+[components.source]
+type = "isolated_parts.py:Source"
+
+[components.scale]
+type = "isolated_parts.py:Scale"
+isolation = "process"
+limits = {memory = 300_000_000}
+params.factor = 4
+supervision = {restart = "reset"}
+
+[[connections]]
+from = "source.out"
+to = "scale.inp"
+
+[contexts.a]
+kind = "event"
+members = ["source"]
+
+[contexts.b]
+kind = "event"
+members = ["scale"]
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    (tmp_path / "system.toml").write_text(FILE)
+    return tmp_path / "system.toml"
+
+
+async def test_a_system_file_gives_a_component_a_process_and_is_saved_with_it(file: Path) -> None:
+    system = load(file)
+    assert [one for one in check(file) if one.severity != "note"] == []
+    async with Kernel() as kernel:
+        await build(kernel, system)
+        scale: Any = kernel.components["scale"]
+        assert (scale.state, runs(scale.pid), scale.factor) == (ACTIVE, True, 4)
+        await kernel.save(file.with_name("saved.toml"))
+        text = file.with_name("saved.toml").read_text()
+        assert 'isolation = "process"' in text
+        assert "limits = { memory = 300000000 }" in text
+        assert 'kind = "event"' in text.partition("[contexts.b]")[2]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"process"', '"thread"', "expected 'process', or no such line, got 'thread'"),
+        ('isolation = "process"\n', "", "limits are those of a process"),
+        ("memory = 300_000_000", "memory = -1", "-1: expected a whole number from 1"),
+        ("memory = 300_000_000", "cores = 1", "unknown key 'cores'"),
+        ('members = ["scale"]', 'members = ["scale", "other"]', "scale has a process of its own, and other has none"),
+    ],
+)
+def test_what_a_file_says_wrongly_of_isolation_is_found_before_anything_runs(
+    file: Path, old: str, new: str, said: str
+) -> None:
+    other = '[components.other]\ntype = "isolated_parts.py:Source"\n\n[[connections]]'
+    file.write_text(FILE.replace(old, new).replace("[[connections]]", other))
+    assert any(said in f"{one.cause}; {one.remedy}" for one in check(file) if one.severity == "error"), check(file)

@@ -85,7 +85,11 @@ def misplaced(
 
 
 def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
-    """Rules of starting that no run can carry out, since somebody is in no context: the key, and what is wrong."""
+    """What no run can start: the key, and what is wrong.
+
+    Rules of starting for who is in no context; contexts whose members run in different processes.
+    """
+    yield from _apart(system)
     run = {
         part
         for context in system.contexts.values()
@@ -103,6 +107,21 @@ def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
             if condition.state != ADDED and not run.intersection(inside):
                 what = f"waits for {str(condition)!r} forever: {condition.component} is in no context"
                 yield (*key, "after", number), f"{what}; name it among the members of one"
+
+
+def _apart(system: SystemFile) -> Iterator[tuple[Key, str]]:
+    """Contexts and composites that have one with a process of its own among other members."""
+    isolated = {name for name, entry in system.components.items() if entry.isolation}
+    for kind, entries in (("contexts", system.contexts), ("composites", system.composites)):
+        for name, entry in entries.items() if isolated else ():
+            alone = next((member for member in entry.members if member in isolated), None)
+            other = next((member for member in entry.members if member != alone), None)
+            if alone is not None and kind == "composites":
+                yield (kind, name, "members"), f"{alone} has a process of its own and cannot be part of a composite"
+            elif alone is not None and other is not None:
+                where = "one, too" if other in isolated else "none"
+                what = f"{alone} has a process of its own, and {other} has {where}"
+                yield (kind, name, "members"), f"{what}: a context runs where its members are; give each one of its own"
 
 
 def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> list[str]:
