@@ -64,6 +64,7 @@ FEATURES = {
     47: "Listeners of connectors: all 17 kinds fire, and cost nothing where nobody listens",
     48: "Time stamps at write, send, receive or read",
     50: "In-process transport without copies that anyone could change",
+    51: "Transport between processes of one host; large arrays through shared memory",
     54: "Codecs and transports by name: ours, and those of plugins",
     56: "A connector goes on by itself after a loss of the link or a restart of either end, with the loss counted",
     55: "Types are compared when ports are connected",

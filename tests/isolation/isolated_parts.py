@@ -13,6 +13,11 @@ import numpy as np
 
 from aiorts import Component, InPort, OutPort, Param
 from aiorts.types import TimedDoubleSeq, TimedLong
+from campaign import CAMPAIGN
+
+LINES = 15_625 if CAMPAIGN else 500
+"""Thousands of lines of 66 bytes that the flood writes: about 1 GB."""
+BOMB = "import os\nwhile True:\n    try:\n        os.fork()\n    except OSError:\n        pass"
 
 
 class Source(Component):
@@ -64,6 +69,43 @@ def misbehave(what: int) -> None:
             del keep
         case -7:
             subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True)
+        case -8:
+            for _ in range(LINES):
+                sys.stdout.write(f"{'word ' * 13}\n" * 1_000)
+            sys.stdout.flush()
+        case -9:
+            subprocess.run([sys.executable, "-c", BOMB], check=False, timeout=60)
+
+
+class SlowStart(Scale):
+    """Takes a while to become active, for whoever wants to kill it meanwhile."""
+
+    async def on_activated(self) -> None:
+        await self.sleep(0.15)
+
+
+class Beat(Component):
+    """Writes a number in each cycle."""
+
+    out = OutPort(TimedLong)
+    beats = 0
+
+    def on_execute(self) -> None:
+        self.out.write_nowait(TimedLong(0, self.beats))
+        self.beats += 1
+
+
+class Counted(Component):
+    """Reads numbers and sees whether each follows the one before."""
+
+    inp = InPort(TimedLong, length=1_000)
+    seen = 0
+    wrong = 0
+
+    def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            self.wrong += sample.data != self.seen
+            self.seen += 1
 
 
 class Ticker(Component):

@@ -25,7 +25,6 @@ from aiorts.types import TimedDoubleSeq, TimedLong
 from isolation.isolated_parts import Echo, Scale, Sink, Source, Ticker, Unmakeable
 
 pytestmark = pytest.mark.anyio
-fault, row = pytest.mark.fault, pytest.mark.row
 ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
 
 
@@ -60,7 +59,7 @@ async def answer(source: Source, sink: Sink, value: int) -> int:
     return int((await sink.inp.read(timeout=10)).data)
 
 
-@row("51")
+@pytest.mark.row(51)
 async def test_it_looks_like_any_other_and_runs_in_a_process_of_its_own() -> None:
     async with Kernel() as kernel:
         source, scale, sink, context = await chain(kernel, factor=3)
@@ -115,7 +114,7 @@ async def test_what_it_raises_is_its_error_here_and_a_reset_helps() -> None:
         assert (await answer(source, sink, 4), scale.pid) == (8, pid)
 
 
-@fault("A13")
+@pytest.mark.fault("A13")
 @pytest.mark.parametrize(
     ("value", "said"), [(-2, "killed by SIGSEGV (signal 11)"), (-3, "exit status 3")], ids=["segfault", "exit"]
 )
@@ -140,7 +139,7 @@ async def test_the_end_of_its_process_is_its_failure_and_a_reset_starts_another(
         assert {reason: count for reason, count in dropped.items() if count} in ({"unknown_fate": 1}, {})
 
 
-@fault("A10")
+@pytest.mark.fault("A10")
 async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadline() -> None:
     async with Kernel() as kernel:
         source, scale, _sink, _ = await chain(kernel, deadline=0.3)
