@@ -31,7 +31,7 @@ EXPECTED = {
     "A07": "A hook that waits forever while it is cancelled is abandoned in the same way.",
     "A08": "A hook that waits forever is noticed by its deadline, and the others run on.",
     "A09": "A hook that blocks the loop is named, with file and line, while it blocks; the process can be made to end.",
-    "A10": "A hook that never gives its own process back is seen as busy, and killed beyond its deadline; others run on.",
+    "A10": "A hook that holds its process for ever is seen as busy, and killed beyond its deadline; others run on.",
     "A11": "Writes in an endless loop, with no other await, leave everybody else their turns.",
     "A13": "A component's process crashes, exits or is killed: that is its failure; a reset starts another process.",
     "A14": "A task that a component started fails: that is its component's error and never gets lost.",
