@@ -21,6 +21,10 @@ OWN: Final = {
         "aiorts_bench.interprocess.links",
         "Connectors into another process, beside a socket pair and bare Zenoh.",
     ),
+    "isolation": (
+        "aiorts_bench.interprocess.isolation",
+        "Components in processes of their own, beside bare processes, a socket pair and bare Zenoh.",
+    ),
     "scale": ("aiorts_bench.cases.scale", "One to ten thousand components and connectors."),
     "startup": ("aiorts_bench.cases.startup", "Importing aiorts, starting its command, a first system."),
 }

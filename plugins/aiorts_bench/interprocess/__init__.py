@@ -1,1 +1,1 @@
-"""`aiorts bench links`: connectors into another process, beside a bare socket pair and bare Zenoh."""
+"""`aiorts bench links` and `isolation`: other processes, beside a bare socket pair and bare Zenoh."""

@@ -113,10 +113,10 @@ async def socket_pair(descriptor: str) -> AsyncIterator[None]:
 @asynccontextmanager
 async def zenoh(endpoint: str) -> AsyncIterator[None]:
     """A session that sends back what comes: decoded on the loop and encoded there, as a link's ends do."""
-    from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer
+    from aiorts_bench.interprocess.zenoh import ARRAYS, LARGE, MANY, SMALL, Peer
 
     peer = Peer("listen", endpoint)
-    seen = 0
+    seen = arrays = 0
 
     def count(sample: TimedDouble) -> None:
         nonlocal seen
@@ -125,9 +125,17 @@ async def zenoh(endpoint: str) -> AsyncIterator[None]:
             peer.put("back/many", TimedDouble(0, float(seen)))
             seen = 0
 
+    def take(array: TimedOctetSeq) -> None:
+        nonlocal arrays
+        arrays += 1
+        if not len(array.data):
+            peer.put("back/arrays", TimedDouble(arrays - 1, time.process_time()))
+            arrays = 0
+
     peer.on(SMALL, TimedDouble, lambda sample: peer.put("back/small", sample))
     peer.on(LARGE, TimedOctetSeq, lambda sample: peer.put("back/large", sample))
     peer.on(MANY, TimedDouble, count)
+    peer.on(ARRAYS, TimedOctetSeq, take)
     try:
         yield
     finally:

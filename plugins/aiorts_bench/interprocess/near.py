@@ -198,7 +198,12 @@ class Ends:
         await self._start(stack, "zenoh", endpoint)
         peer = self._peer = Peer("connect", endpoint)
         stack.callback(peer.close)
-        for key, cls in (("small", TimedDouble), ("large", TimedOctetSeq), ("many", TimedDouble)):
+        for key, cls in (
+            ("small", TimedDouble),
+            ("large", TimedOctetSeq),
+            ("many", TimedDouble),
+            ("arrays", TimedDouble),
+        ):
             peer.on(f"back/{key}", cls, self._came)
         self._answer = asyncio.get_running_loop().create_future()
         async with asyncio.timeout(PATIENCE):
@@ -284,7 +289,7 @@ class Ends:
             began = perf_counter_ns()
             await write(TimedDouble(0, 1.0))
             pools.append(perf_counter_ns() - began)
-        return Reading(messages=count, pools={_POOL: pools}, ledger=_since(self._confirmed, before))
+        return Reading(messages=count, pools={_POOL: pools}, ledger=since(self._confirmed, before))
 
     async def link_many(self, count: int) -> Reading:
         """Write small samples as fast as they are taken, until all were read."""
@@ -299,7 +304,7 @@ class Ends:
             elapsed = perf_counter_ns() - began
             while connector.statistics.in_flight:  # noqa: ASYNC110 - the last acknowledgement comes by itself
                 await asyncio.sleep(0.01)
-        ledger = replace(_since(connector, before), received=int(answer.data))
+        ledger = replace(since(connector, before), received=int(answer.data))
         return Reading.timed(count, elapsed, ledger)
 
     async def idle(self, count: int) -> Reading:
@@ -316,7 +321,8 @@ def _patience(count: int) -> asyncio.Timeout:
     return asyncio.timeout(PATIENCE + count / 10)
 
 
-def _since(connector: Connector, before: Any) -> Ledger:
+def since(connector: Connector, before: Any) -> Ledger:
+    """The ledger of what was written to a link since its statistics were these."""
     now = connector.statistics
     acknowledged = now.acknowledged - before.acknowledged
     dropped = {reason: count - before.dropped.get(reason, 0) for reason, count in now.dropped.items()}

@@ -14,6 +14,7 @@ from aiorts_bench.push.peers import zenoh_config
 SMALL: Final = "small"
 LARGE: Final = "large"
 MANY: Final = "many"
+ARRAYS: Final = "arrays"
 _LENGTH: Final = struct.Struct("<I")
 
 
