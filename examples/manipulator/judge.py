@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import exp, pi, sqrt
@@ -94,13 +95,16 @@ class Judge(Component):
 
     def on_activated(self) -> None:
         self.columns: list[list[Any]] = [[], [], [], [], [], []]
+        self.stamps: list[list[int]] = [[], [], [], [], [], []]
         self.heard_ns = self.clock.monotonic_ns()
 
     def on_execute(self) -> None:
         ports: list[InPort[Any]] = [self.push, self.force, self.command, self.speed, self.button, self.touch]
         before, now_ns = self.count, self.clock.monotonic_ns()
-        for column, port in zip(self.columns, ports, strict=True):
-            column += [sample.data for sample in port.drain()]
+        for column, stamps, port in zip(self.columns, self.stamps, ports, strict=True):
+            for sample in port.drain():
+                column.append(sample.data)
+                stamps.append(sample.tm)
         if self.count > before:
             self.heard_ns = now_ns
         if self.count >= self.ticks or now_ns - self.heard_ns > self.patience * 1e9:
@@ -113,8 +117,10 @@ class Judge(Component):
 
     def on_deactivated(self) -> None:
         *columns, touch = self.columns
-        early = max(0, len(touch) - min(map(len, columns)))  # the world turns before the first tick, too
-        rows = [*map(Row._make, zip(*columns, touch[early:], strict=False))][: self.ticks]
+        if touch:  # the world has turned before the first tick, too, and may turn by a clock of its own
+            touched, ticked = self.stamps[5], self.stamps[0]
+            touch = [touch[max(0, bisect_right(touched, stamp) - 1)] for stamp in ticked]
+        rows = [*map(Row._make, zip(*columns, touch, strict=False))][: self.ticks]
         faults = [*self.faults(rows)] if len(rows) == self.ticks else [f"{len(rows)} of {self.ticks} ticks came"]
         for fault in faults:
             print(f"not as promised: {fault}")
