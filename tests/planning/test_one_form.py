@@ -13,7 +13,11 @@ from aiorts.system import build, load, parse, prepare, wanted
 from aiorts.testing import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-FILES = sorted(path for path in EXAMPLES.rglob("*.toml") if path.name not in ("pyproject.toml", "replay.toml"))
+APART = (EXAMPLES / "manipulator/plant.toml", EXAMPLES / "roomba/isolated.toml")
+"""With processes of components, which there are none of in virtual time."""
+FILES = sorted(
+    {path for path in EXAMPLES.rglob("*.toml") if path.name not in ("pyproject.toml", "replay.toml")} - {*APART}
+)
 
 
 @pytest.mark.row(110)
@@ -28,6 +32,19 @@ def test_a_file_and_what_was_built_from_it_are_one_system(file: Path) -> None:
             assert plan(wanted_of(kernel), of_file).empty
 
     simulate(both())
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("file", APART, ids=lambda path: path.stem)
+async def test_a_file_with_processes_and_what_was_built_from_it_are_one_system(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    prepared = prepare(load(file))
+    async with Kernel() as kernel:
+        await build(kernel, prepared)
+        assert plan(wanted_of(kernel), of_file := wanted(prepared)).empty
+        assert wanted_of(kernel) == of_file
 
 
 @pytest.mark.anyio

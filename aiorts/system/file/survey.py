@@ -20,7 +20,6 @@ from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.extensions.finders import offer_from
 from aiorts.kernel.service import ServicePlan, load_service
 from aiorts.late import dataclass
-from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
 from aiorts.model.profile import ConnectorProfile
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry, ContextEntry
@@ -150,7 +149,7 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
     if wrong:
         return
     try:
-        if any(map(names_kernel, entry.ports)):
+        if any(map(found.system.is_elsewhere, entry.ports)):
             options = link_options("", options)
         elif options.get("on_link_lost") is not None:
             raise WiringError("on_link_lost: both ports are in this kernel; there is no link that could be lost")

@@ -6,6 +6,7 @@ from dataclasses import field
 from pathlib import Path
 
 from aiorts.late import dataclass
+from aiorts.model.names import names_kernel, split_path
 from aiorts.model.wanted.entries import Wanted
 from aiorts.system.text.origins import Origins, Source
 from aiorts.system.text.places import Key
@@ -46,6 +47,13 @@ class SystemFile(Wanted):
 
     notes: tuple[Mistake, ...] = field(default=(), repr=False, compare=False)
     """What is not wrong in it, but good to know."""
+
+    def is_elsewhere(self, port: str) -> bool:
+        """Whether a port, given by its path, is in another process than this one when the system runs."""
+        if names_kernel(port):
+            return True
+        component = self.components.get(split_path(port)[2])
+        return component is not None and bool(component.isolation) and self.clock.kind != "simulated"
 
     @property
     def files(self) -> tuple[Path, ...]:

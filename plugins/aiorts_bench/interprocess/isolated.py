@@ -177,6 +177,7 @@ async def _bare(stack: AsyncExitStack) -> Process:
         stdout=PIPE,
         stderr=DEVNULL,
         env=child.environment(),
+        start_new_session=True,  # as the processes of components: the system may share processors out by sessions
     )
 
     async def end() -> None:
