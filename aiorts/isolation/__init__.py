@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from aiorts.isolation.isolating import Isolation
     from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
     from aiorts.isolation.placing import given_of
+    from aiorts.isolation.ports import described
     from aiorts.isolation.stand_in import RemoteComponent
     from aiorts.processes import Limits
 
@@ -28,6 +29,7 @@ __all__ = (
     "RemoteComponent",
     "Report",
     "asked",
+    "described",
     "done",
     "given_of",
     "refused",
@@ -39,6 +41,7 @@ _late(
         "aiorts.isolation.isolating": "Isolation",
         "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
         "aiorts.isolation.placing": "given_of",
+        "aiorts.isolation.ports": "described",
         "aiorts.isolation.stand_in": "RemoteComponent",
         "aiorts.processes": "Limits",
     },

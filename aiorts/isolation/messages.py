@@ -77,6 +77,8 @@ class Report:
     """Whether it was a source that has nothing more."""
     error: str
     """What it failed with, where it is in error."""
+    ports: list[Any] | None = None
+    """Its ports, where they have changed."""
 
     def to_bytes(self) -> bytes:
         """The report as a body."""

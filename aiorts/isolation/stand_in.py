@@ -8,12 +8,12 @@ are here.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from aiorts.errors import ComponentError, DeclarationError, ProcessError, StateError
 from aiorts.isolation.placing import RemoteContext, placed
+from aiorts.isolation.ports import follow
 from aiorts.isolation.process import text_of
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import Kind, declarations
@@ -23,7 +23,6 @@ from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
-from aiorts.model.names import Path
 
 if TYPE_CHECKING:
     from aiorts.isolation.messages import Report
@@ -47,6 +46,7 @@ class RemoteKind(Kind):
         process = component._process
         if process is not None and process.runs and not component.kernel.registry.is_arriving(component):
             await process.ask("configure", component=component.name, values={"": dict(values)})
+            await component._follow()
 
 
 class RemoteComponent(Component, kind=RemoteKind()):
@@ -88,15 +88,12 @@ class RemoteComponent(Component, kind=RemoteKind()):
         from aiorts.isolation.isolating import Isolation  # late: that knows this class
 
         isolation = self.kernel.service(Isolation)
-        self._process = process = isolation.process_of(self)
+        self._process = isolation.process_of(self)
         try:
             await self._begin()
         except BaseException:
             await isolation.end(self)
             raise
-        for port in self.ports.values():
-            if isinstance(port, RemoteInPort | RemoteOutPort):
-                port.elsewhere = replace(Path.parse(port.path), kernel=process.kernel)
 
     async def on_finalize(self) -> None:
         from aiorts.isolation.isolating import Isolation  # late: that knows this class
@@ -108,6 +105,11 @@ class RemoteComponent(Component, kind=RemoteKind()):
         params = {name: value for name, value in state.values.items() if value != declared.values.get(name)}
         self._there = LifecycleState.INACTIVE
         await self._running.start(self.type_text, params)
+        await self._follow()
+
+    async def _follow(self) -> None:
+        """Have the ports that it has in the process."""
+        follow(self, await self._running.ask("ports"), self._running.kernel)
 
     @property
     def _running(self) -> Process:
@@ -123,6 +125,9 @@ class RemoteComponent(Component, kind=RemoteKind()):
 
     def reported(self, report: Report) -> None:
         """The process says what has become of the component."""
+        if report.ports is not None:
+            follow(self, report.ports, self._running.kernel)
+            return
         self._there = LifecycleState(report.state)
         if self._there is LifecycleState.ERROR:
             self._fail(ComponentError(f"{self.name}: {report.error}"))

@@ -11,7 +11,7 @@ from aiorts.errors import StateError, WiringError
 from aiorts.kernel.execution.apart import check_connection
 from aiorts.kernel.loop.bus import Connected, ConnectorChanged, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog, guarded
-from aiorts.kernel.ports import PortDeclaration, wiring
+from aiorts.kernel.ports import Port, PortDeclaration, wiring
 from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.features import offer
 from aiorts.kernel.ports.losses import Losses, Unconverted
@@ -107,7 +107,12 @@ class Connections:
             for one, beyond in zip(ports, is_far, strict=True)
         ]
         if far is not None and (any(is_far) or any(getattr(one, "elsewhere", None) for one in found)):
-            return far.resolve(found, options)
+            ends, options = far.resolve(found, options)
+            for port in found:
+                if isinstance(port, Port) and port.elsewhere is not None:
+                    # Its kernel knows no limit: there, taps are connectors like others.
+                    wiring.check_limit(port, sum(end.direction != port.direction for end in ends), {})
+            return ends, options
         if options.get("on_link_lost") is not None:
             raise WiringError("on_link_lost: both ports are in this kernel; there is no link that could be lost")
         return found, options
@@ -194,7 +199,7 @@ class Connections:
         `take` is called with an in-port that has something to read: in the write itself, or soon on the loop where a
         thread writes; also while it reads, where that lets a waiting writer in. What it leaves is there at the next
         call. The system stays what it is: no profile, no supervision and no end of a run sees the connector, whose
-        ledger counts like any other's.
+        ledger counts like any other's. Of an out-port in another process it counts what has come from there.
 
         Args:
             length: samples that it may leave unread. full: what a write does then: "overwrite", "reject", "block".
@@ -209,7 +214,7 @@ class Connections:
             except Exception as error:  # noqa: BLE001 - the border round a plugin's service
                 report_fault(service, f"{out.path}: its tap", error)
 
-        return make_tap(self._kernel, service.name, out, profile, contained)
+        return self._linked(make_tap(self._kernel, service.name, out, profile, contained))
 
     def inject(self, service: KernelService, in_: InPort[Any], options: Mapping[str, Any]) -> Connector:
         """Let a service write to an in-port, until the returned connector is closed; it writes to `connector.out`.
@@ -224,7 +229,13 @@ class Connections:
         """
         profile, _ = connector_profile(in_.path, options, f"{service.name}-{in_.path}", (in_.path,))
         wiring.check_features(Injector(in_.type), in_, profile)
-        return make_injector(self._kernel, service.name, in_, profile)
+        return self._linked(make_injector(self._kernel, service.name, in_, profile))
+
+    def _linked(self, connector: Connector) -> Connector:
+        """A service's own connector, with the link that it has where a port runs in another process."""
+        if self.far is not None and connector.profile.far_end:
+            self.far.connector_made(connector)
+        return connector
 
     def resize_tap(self, connector: Connector, length: int) -> None:
         """Let a tap leave so many samples unread from now on; those that are there stay."""
@@ -327,6 +338,8 @@ class Connections:
         if isinstance(connector, Connector):
             wiring.unwire(connector)
             if connector.in_.is_tap or connector.out.is_tap or connector.parked:
+                if self.far is not None and connector.profile.far_end:
+                    self.far.connector_ended()
                 return
             self.losses.end(connector)
             self.gaps.end(connector)

@@ -22,24 +22,24 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.ports import InPort, OutPort, Port
 from aiorts.kernel.ports.connector import unread_of
-from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_port
+from aiorts.kernel.ports.far import FarInPort, FarOutPort, far_ends, far_port
 from aiorts.kernel.ports.port_types import port_type
 from aiorts.kernel.service import KernelService, setting
 from aiorts.late import dataclass
 from aiorts.links import versions
-from aiorts.links.answering import name_of, refusal, sent
+from aiorts.links.answering import check_theirs, is_end, name_of, refusal, sent
 from aiorts.links.arrivals import Arrivals
 from aiorts.links.calls import Calls
 from aiorts.links.layout import difference, layout_of
 from aiorts.links.ledgers import Ledgers, LinkLedger
 from aiorts.links.messages import Answer, LinkRequest, versions_of
 from aiorts.links.pulling import PulledWriterLink, PullingReaderLink
-from aiorts.links.reaching import Reach
+from aiorts.links.reaching import Reach, new_epoch
 from aiorts.links.reader_link import ReaderLink, of_shape, reader_options
 from aiorts.links.serving import Serving
 from aiorts.links.transport import Caller, LinkOffer, Peer, Transport
 from aiorts.links.writer_link import WINDOW, WriterLink
-from aiorts.model.names import Path, check_name
+from aiorts.model.names import MAX_NAME_LENGTH, Path, check_name
 from aiorts.model.options import chosen_options, link_options
 from aiorts.model.policy import Dataflow, OnLinkLost
 from aiorts.services import is_service
@@ -114,13 +114,17 @@ class Links(KernelService):
 
     def owns(self, connector: Connector) -> bool:
         """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
-        link = self._link(connector)
-        return link is not None and link not in self._own
+        return any(link not in self._own for link in self._links_of(connector))
 
     def report(self) -> Mapping[str, Any]:
         """The state of each link, by the name of its connector."""
         now = self.kernel.clock.monotonic_ns()
-        data = {one.connector.name: f"{one.end.state(now)}{f': {one.why}' if one.why else ''}" for one in self._all()}
+        data: dict[str, str] = {}
+        for one in self._all():
+            connector, said = one.connector, f"{one.end.state(now)}{f': {one.why}' if one.why else ''}"
+            if not (connector.in_.is_tap or connector.out.is_tap):
+                before = data.get(connector.name, said)
+                data[connector.name] = said if said == before else f"{before}; {said}"
         return data | self._calls.report()
 
     async def ledger(self, connector: Connector, within: float = _ASK_SECONDS) -> LinkLedger:
@@ -129,9 +133,12 @@ class Links(KernelService):
         Raises:
             LinkError: it does not answer, or the connector is none of a link.
         """
-        if (link := self._link(connector)) is None:
+        if not (links := self._links_of(connector)):
             raise LinkError(f"{connector.name}: ledger: both ports are in this kernel; look at its statistics")
-        return await self._ledgers.of(link, within)
+        writer, reader = self._writers.get(connector), self._readers.get(connector)
+        if writer is not None and reader is not None:
+            return await self._ledgers.through(reader, writer, within)
+        return await self._ledgers.of(links[0], within)
 
     async def up(self, connectors: Iterable[Connector], within: float) -> None:
         """Wait until the writers of these connectors are linked with them, or so many seconds have passed."""
@@ -185,7 +192,6 @@ class Links(KernelService):
 
     def carried(self, kernel: str) -> None:
         """A kernel of this name is reached by a transport that was given to `carry`, and by no other."""
-        self._reach.carried.add(kernel)
 
     def _handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
         """What other kernels may ask."""
@@ -196,7 +202,7 @@ class Links(KernelService):
         """Other kernels can be reached at last: what waits for one that is not there says so now."""
         for link in self._all():
             if link in self._own and not link.is_connected and self._peer(link) is None:
-                link.why = self.absent(self._far(link))
+                link.why = self.absent(self.far_of(link))
 
     # -- the ports of other kernels ------------------------------------------------------------------------------------
 
@@ -207,43 +213,31 @@ class Links(KernelService):
     def resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:
         """See `FarPorts.resolve`."""
         near = [port for port in ports if not (isinstance(port, str) or port.elsewhere)]
-        where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
-        if not near:
-            raise WiringError(f"{where}: one of the ports must be in this process; connect them from one of theirs")
-        like = near[0]
-        if is_service(like):
+        if near and is_service(near[0]):
             given = [port if port in near else str(getattr(port, "elsewhere", port)) for port in ports]
             return self._calls.resolve(given), options
-        if len({isinstance(port, OutPort) for port in near}) > 1:
-            raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
-        found = [port if port in near else self._far_port(like, port) for port in ports]
-        return found, link_options(where, options, from_reader=isinstance(like, InPort))
-
-    def _far_port(self, like: InPort[Any] | OutPort[Any], given: str | Port[Any]) -> Port[Any]:
-        """What stands for a port of another kernel; the same that is connected already with this one, if one is."""
-        elsewhere = None if isinstance(given, str) else given.elsewhere
-        path = elsewhere or Path.parse(str(given))
-        if not path.port:
-            raise WiringError(f"{given}: is a component; give one of its ports")
-        others = [one.in_ if isinstance(like, OutPort) else one.out for one in like.connectors]
-        known = next((port for port in others if isinstance(port, FarInPort | FarOutPort) and port.far == path), None)
-        if known is not None or isinstance(given, str):
-            return known or far_port(self.kernel, like, path, like.unit, like.shape)
-        return far_port(self.kernel, like, path, given.unit, given.shape, given.path.rpartition(".")[0])
+        where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
+        ends = far_ends(self.kernel, where, ports)
+        from_reader = any(isinstance(port, FarOutPort) for port in ends)
+        return ends, link_options(where, options, from_reader=from_reader, through=not near)
 
     def connector_made(self, connector: Connector) -> None:
-        if self._link(connector) is not None:
+        if self._links_of(connector):
             return  # it is in force again
         if isinstance(connector.in_, FarInPort):
-            link: Link = self._write_end(connector)
-            if not self._accepting:
-                self._own.add(link)
-            self._start(link)
-        elif isinstance(connector.out, FarOutPort) and not self._accepting:
-            link = self._read_end(connector)
-            self._own.add(link)
-            self._expected[self._here(connector.out), self._here(connector.in_)] = link
-            self._start(link)
+            writer = self._write_end(connector)
+            if not self._accepting or self._is_carried(writer):
+                self._own.add(writer)
+            self._start(writer)
+        out = connector.out
+        if isinstance(out, FarOutPort) and (not self._accepting or out.far.kernel in self._reach.carried):
+            reader = self._read_end(connector)
+            self._own.add(reader)
+            self._expected[str(out.far), self._as_reader(connector.in_)] = reader
+            self._start(reader)
+
+    def connector_ended(self) -> None:
+        self._end_closed()
 
     async def connect(
         self, connect: Callable[..., Awaitable[Any]], ports: Sequence[Any], options: Mapping[str, Any]
@@ -258,7 +252,7 @@ class Links(KernelService):
             await self.opened()
         made = await connect(*ports, **options)
         connectors = made.connectors if isinstance(made, Connection) else (made,)
-        waits = [self._first[link] for one in connectors if (link := self._link(one)) in self._first]
+        waits = [self._first[link] for one in connectors for link in self._links_of(one) if link in self._first]
         waits += self._calls.first_answers(connectors)
         try:
             for wait in waits:
@@ -278,8 +272,10 @@ class Links(KernelService):
     def _all(self) -> list[Link]:
         return [*self._writers.values(), *self._readers.values()]
 
-    def _link(self, connector: Connector) -> Any:
-        return self._writers.get(connector) or self._readers.get(connector)
+    def _links_of(self, connector: Connector) -> list[Link]:
+        """Two where both ends are in other kernels."""
+        found = self._writers.get(connector), self._readers.get(connector)
+        return [link for link in found if link is not None]
 
     # -- one end of a link ---------------------------------------------------------------------------------------------
 
@@ -287,7 +283,7 @@ class Links(KernelService):
         encode = self._codec.parts_encoder(connector.out.type)
         kind = PulledWriterLink if connector.profile.dataflow is Dataflow.PULL else WriterLink
         link = self._writers[connector] = kind(
-            self.kernel, connector, _epoch(), encode, lost=self._lost, ended=self._ended, report=_report
+            self.kernel, connector, new_epoch(), encode, lost=self._lost, ended=self._ended, report=_report
         )
         return link
 
@@ -298,34 +294,34 @@ class Links(KernelService):
             decode = of_shape(decode, port_type(kind).check_shape, shape)
         pulls = connector.profile.dataflow is Dataflow.PULL
         link = self._readers[connector] = (PullingReaderLink if pulls else ReaderLink)(
-            self.kernel, connector, _epoch(), decode, lost=self._lost, ended=self._ended, report=_report
+            self.kernel, connector, new_epoch(), decode, lost=self._lost, ended=self._ended, report=_report
         )
         return link
 
     def _start(self, link: Link) -> None:
         self._first[link] = self.kernel.loop.create_future()
-        self._reach.open_for(self._far(link))
+        self._reach.open_for(self.far_of(link))
         self._try(link)
         if link not in self._asking:
             self._answer_first(link, None)
             self._waits(link)
 
     def _waits(self, link: Link) -> None:
-        link.why = self.absent(self._far(link))
+        link.why = self.absent(self.far_of(link))
         _LOG.warning("W-LINK: %s: waits: %s", link.connector.name, link.why)
 
     def absent(self, path: Path) -> str:
         """See `Kernels.absent`."""
         return self._reach.absent(path)
 
-    def far_of(self, connector: Connector) -> Path:
+    def far_of(self, link: Link) -> Path:
         """See `Kernels.far_of`."""
-        port = connector.in_ if connector.in_.is_far else connector.out
+        port = link.connector.in_ if isinstance(link, WriterLink) else link.connector.out
         assert isinstance(port, FarInPort | FarOutPort)  # noqa: S101 - it is one of a link
         return port.far
 
-    def _far(self, link: Link) -> Path:
-        return self.far_of(link.connector)
+    def _is_carried(self, link: Link) -> bool:
+        return self.far_of(link).kernel in self._reach.carried
 
     def _lost(self, link: Link, why: str) -> None:
         connector = link.connector
@@ -334,13 +330,14 @@ class Links(KernelService):
         if policy is OnLinkLost.DISCONNECT:
             self.kernel.connections.end(connector)
         elif policy is OnLinkLost.ERROR:
-            self._fail(connector, why)
+            self._fail(link, why)
         if isinstance(link, WriterLink):
             self._retry(link)
 
-    def _fail(self, connector: Connector, why: str) -> None:
+    def _fail(self, link: Link, why: str) -> None:
         """Move the component at this end to error."""
-        port = connector.out if connector.in_.is_far else connector.in_
+        connector = link.connector
+        port = connector.out if isinstance(link, WriterLink) else connector.in_
         component = self.kernel.components.get(port.path.partition(".")[0])
         if component is not None:
             error = LinkError(f"{connector.name}: lost the link: {why}")
@@ -349,7 +346,7 @@ class Links(KernelService):
     def _ended(self, link: Link) -> None:
         """The other end was disconnected."""
         tell = _LOG.warning if link in self._own else _LOG.info  # whoever connected it may well disconnect it
-        tell("W-LINK: %s: was disconnected by %s", link.connector.name, self._far(link))
+        tell("W-LINK: %s: was disconnected by %s", link.connector.name, self.far_of(link))
         self._end_when_read(link)
 
     def _end_when_read(self, link: Link) -> None:
@@ -364,14 +361,14 @@ class Links(KernelService):
 
     def _end_closed(self) -> None:
         self._calls.end_closed()
-        for connector in [one for one in (*self._writers, *self._readers) if one.closed]:
-            link = self._writers.pop(connector, None) or self._readers.pop(connector)
+        for link in [one for one in self._all() if one.connector.closed]:
+            (self._writers if isinstance(link, WriterLink) else self._readers).pop(link.connector)
             # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
             link.close(for_good=link in self._own or not self.kernel.closed)
             if link in self._own:
                 self._own.remove(link)
             else:
-                self._made -= Counter((self._far(link).kernel,))
+                self._made -= Counter((self.far_of(link).kernel,))
             self._answer_first(link, None)
             self._tried.pop(link, None)
             for table in (self._expected, self._offers):
@@ -404,7 +401,7 @@ class Links(KernelService):
     def _end_unanswered(self, peer: Peer) -> None:
         """End what a kernel that has gone connected, and never had a channel for."""
         for link in self._all():
-            if link not in self._own and not link.end.peer_epoch and self._far(link).kernel == peer.kernel:
+            if link not in self._own and not link.end.peer_epoch and self.far_of(link).kernel == peer.kernel:
                 self.kernel.connections.end(link.connector)
 
     def _check_made(self, path: Path) -> None:
@@ -415,7 +412,7 @@ class Links(KernelService):
             )
 
     def _peer(self, link: Link) -> Peer | None:
-        return self.peer_of(self._far(link))
+        return self.peer_of(self.far_of(link))
 
     def peer_of(self, path: Path) -> Peer | None:
         """See `Kernels.peer_of`."""
@@ -434,9 +431,9 @@ class Links(KernelService):
     async def _ask(self, link: Link) -> None:
         will_be_offered = False
         try:
-            await self._reach.opened_for(self._far(link))
+            await self._reach.opened_for(self.far_of(link))
             peer = self._peer(link)
-            if self._link(link.connector) is not link:
+            if link not in self._links_of(link.connector):
                 return
             if peer is None:
                 return self._waits(link) if link in self._own else None
@@ -457,7 +454,7 @@ class Links(KernelService):
         self.kernel.call_later(_RETRY[min(tried, len(_RETRY)) - 1], lambda: self._try_again(link))
 
     def _try_again(self, link: Link) -> None:
-        if self._link(link.connector) is link:
+        if link in self._links_of(link.connector):
             self._try(link)
 
     async def _offer(self, link: WriterLink, peer: Peer) -> None:
@@ -468,7 +465,7 @@ class Links(KernelService):
             protocol=versions.SPOKEN,
             link=connector.name,
             writer=self.path_of(out),
-            reader=self._far(link),
+            reader=self.far_of(link),
             writer_epoch=link.end.epoch,
             reader_epoch=0,
             number=0,
@@ -497,7 +494,7 @@ class Links(KernelService):
         """Ask the writer's kernel for an offer; returns whether it will make one."""
         connector = link.connector
         options = chosen_options(connector.profile)
-        request = LinkRequest(self._here(connector.out), self._here(connector.in_), options, versions.SPOKEN)
+        request = LinkRequest(str(self.far_of(link)), self._as_reader(connector.in_), options, versions.SPOKEN)
         answer = await self._question(peer, "request", request.to_bytes())
         if answer.absent or answer.refused:
             self._not_now(link, answer)
@@ -520,7 +517,7 @@ class Links(KernelService):
             _LOG.warning("W-LINK: %s: waits: %s", connector.name, answer.absent)
             return
         self._answer_first(link, WiringError(f"{connector.out.path} -> {connector.in_.path}: {answer.refused}"))
-        _LOG.error("%s: refused by %s: %s", connector.name, self._far(link).kernel, answer.refused)
+        _LOG.error("%s: refused by %s: %s", connector.name, self.far_of(link).kernel, answer.refused)
         self.kernel.connections.end(connector)
 
     # -- answering -------------------------------------------------------------------------------------------------
@@ -544,8 +541,11 @@ class Links(KernelService):
         return sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
-        _check_theirs(offer.writer, caller)
-        found = self.there(offer.reader, caller)
+        check_theirs(offer.writer, caller)
+        key = (offer.writer.kernel, offer.link)
+        link = self._offers.get(key) or self._expected.get((str(offer.writer), str(offer.reader)))
+        found: Any = None if link is None else self._awaits(link, caller)
+        found = found or self.there(offer.reader, caller)
         if isinstance(found, Answer):
             return found, None
         if not isinstance(found, InPort):
@@ -554,9 +554,7 @@ class Links(KernelService):
         if offer.schema != schema:
             said = difference(offer.type_text, text) or "their hashes differ"
             raise WiringError(f"types differ: {said}")
-        key = (offer.writer.kernel, offer.link)
-        link = self._offers.get(key) or self._expected.get((str(offer.writer), str(offer.reader)))
-        if link is None or link.connector.in_ is not found:
+        if link is None or not is_end(link.connector.in_, found):
             self._check_made(offer.writer)
             link = self._new_reader(offer, found)
             self._made[offer.writer.kernel] += 1
@@ -566,6 +564,11 @@ class Links(KernelService):
         self._offers[key] = link
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=link.end.epoch), link
+
+    def _awaits(self, link: ReaderLink, caller: Caller) -> InPort[Any] | None:
+        """The reader of a link that this kernel has asked this caller for, where no component has it."""
+        in_ = link.connector.in_
+        return in_ if (in_.is_tap or in_.is_far) and link in self._own and self._peer(link) == caller.peer else None
 
     def _new_reader(self, offer: LinkOffer, in_: InPort[Any]) -> ReaderLink:
         out = far_port(self.kernel, in_, offer.writer, offer.unit, offer.shape)
@@ -600,14 +603,14 @@ class Links(KernelService):
             reader = Path.parse(request.reader)
         except AiortsError as error:
             raise WiringError(str(error)) from None
-        _check_theirs(reader, caller)
+        check_theirs(reader, caller)
         found = self.there(Path.parse(request.writer), caller)
         if isinstance(found, Answer):
             return found
         if not isinstance(found, OutPort):
             raise WiringError(f"{request.writer}: is no out-port")
         for connector, link in self._writers.items():
-            if connector.out is found and str(self.far_of(connector)) == request.reader:
+            if is_end(connector.out, found) and str(self.far_of(link)) == request.reader:
                 self._try(link)
                 return Answer()
         self._accepting = True
@@ -638,7 +641,9 @@ class Links(KernelService):
         """A component has come that links of this kernel waited for."""
         component = body.decode(errors="replace")
         for link in self._all():
-            if self._far(link).component == component and self._peer(link) == caller.peer:
+            if self.far_of(link).component == component and self._peer(link) == caller.peer:
+                if link in self._asking:
+                    self._retry(link)  # the answer that it was not there has come, and was not looked at yet
                 self._try(link)
         self._calls.come(component, caller.peer)
         return b""
@@ -679,19 +684,13 @@ class Links(KernelService):
         """Of a port of this kernel, as others know it."""
         return replace(Path.parse(port.path), kernel=self.reached_as)
 
-    def _here(self, port: Port[Any]) -> str:
-        return str(port.far) if isinstance(port, FarInPort | FarOutPort) else str(self.path_of(port))
-
-
-def _check_theirs(path: Path, caller: Caller) -> None:
-    """WiringError: the port is not one of the kernel that asks."""
-    if caller.peer is None or path.kernel != caller.peer.kernel:
-        raise WiringError(f"{path}: is no port of {name_of(caller)}, which asks")
+    def _as_reader(self, port: InPort[Any]) -> str:
+        """What the kernel of the writer is told that this in-port is, which may stand for one of a third kernel."""
+        if isinstance(port, FarInPort) and "/" in port.path:
+            name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
+            return str(replace(port.far, host="", kernel=self.reached_as, component=name))
+        return str(self.path_of(port))
 
 
 def _report(text: str) -> None:
     _LOG.warning("W-LINK: %s", text)
-
-
-def _epoch() -> int:
-    return int.from_bytes(os.urandom(8), "big")

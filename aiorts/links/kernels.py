@@ -11,8 +11,9 @@ from aiorts.links.messages import Answer
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports import Port
-    from aiorts.kernel.ports.connector import Connector
+    from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller, Peer
+    from aiorts.links.writer_link import WriterLink
     from aiorts.model.names import Path
 
 
@@ -22,9 +23,9 @@ class Kernels(Protocol):
     kernel: Microkernel
 
     @property
-    def reached_as(self) -> str: ...
-
-    """The name by which other kernels reach this one."""
+    def reached_as(self) -> str:
+        """The name by which other kernels reach this one."""
+        ...
 
     def peer_of(self, path: Path) -> Peer | None:
         """The kernel of a path, if it is there."""
@@ -34,8 +35,8 @@ class Kernels(Protocol):
         """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""
         ...
 
-    def far_of(self, connector: Connector) -> Path:
-        """The port at the end of a connector that is in another kernel."""
+    def far_of(self, link: WriterLink | ReaderLink) -> Path:
+        """The port at the other end of a link."""
         ...
 
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:

@@ -110,7 +110,7 @@ class Ledgers:
             LinkError: the other kernel is not there or does not answer, or either end is another one now.
         """
         connector = link.connector
-        far = self._links.far_of(connector)
+        far = self._links.far_of(link)
         peer = self._links.peer_of(far)
         if peer is None:
             raise LinkError(f"{connector.name}: ledger: there is no kernel {far.kernel!r}")
@@ -123,6 +123,24 @@ class Ledgers:
         # The writer's kernel asks this one in turn.
         return _read(await self._links.ask(peer, "joined", packed([name]), 2 * within))
 
+    async def through(self, reader: ReaderLink, writer: WriterLink, within: float) -> LinkLedger:
+        """The ledger of a connector whose both ends are in other kernels; errors as those of `of`.
+
+        The ledgers of its two links both have the part of this kernel, which is taken out of one.
+        """
+        one = await self.of(reader, within)
+        here = reader.reported
+        two = await self.of(writer, within)
+        dropped = added(added(one.dropped, two.dropped), {reason: -count for reason, count in here.dropped.items()})
+        return LinkLedger(
+            one.written + two.written - here.written,
+            two.delivered,
+            MappingProxyType({reason: count for reason, count in dropped.items() if count}),
+            one.buffered + two.buffered - here.buffered - here.in_flight,
+            one.in_flight + two.in_flight,
+            one.acknowledged_before + two.acknowledged_before,
+        )
+
     async def _reported(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
         link = None if caller.peer is None else self._readers.get((caller.peer.kernel, name))
@@ -133,7 +151,7 @@ class Ledgers:
     async def _joined(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
         for connector, link in self._writers.items():
-            if connector.name == name and self._links.peer_of(self._links.far_of(connector)) == caller.peer:
+            if connector.name == name and self._links.peer_of(self._links.far_of(link)) == caller.peer:
                 ledger = await self.of(link, _WITHIN)
                 counts = [ledger.written, ledger.delivered, ledger.buffered, ledger.in_flight]
                 return packed([*counts, ledger.acknowledged_before, dict(ledger.dropped)])
@@ -141,14 +159,15 @@ class Ledgers:
 
 
 def _report(link: ReaderLink) -> _Report:
-    end, found = link.end, link.connector.statistics
+    end = link.end
+    found = link.reported = link.connector.statistics
     counted = end.ledger
     return _Report(
         end.peer_epoch,
         end.epoch,
         end.received,
         found.arrived,
-        found.buffered + link.held,
+        found.buffered + found.in_flight + link.held,
         counted.received - end.received + transport_of(link.connector).offered,
         added(found.dropped, {"undecodable": link.undecodable} if link.undecodable else {}),
     )

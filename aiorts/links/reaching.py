@@ -188,13 +188,18 @@ class _Face:
     def __init__(self, links: Kernels) -> None:
         self._links = links
         self.name = links.reached_as
-        self.epoch = links.kernel.epoch or int.from_bytes(os.urandom(8), "big")
+        self.epoch = links.kernel.epoch or new_epoch()
 
     def run_in_background(self, coroutine: Coroutine[Any, Any, Any], name: str) -> asyncio.Task[Any]:
         return self._links.run(coroutine, name)
 
     def report(self, text: str) -> None:
         _LOG.warning("W-LINK: %s", text)
+
+
+def new_epoch() -> int:
+    """The number of a kernel, or of an end of a link, that no other has."""
+    return int.from_bytes(os.urandom(8), "big")
 
 
 def _observed(task: asyncio.Task[None]) -> None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from aiorts.kernel.ports.transport import Waiting
     from aiorts.links.transport import Channel
     from aiorts.model.links import Buffer
-    from aiorts.model.profile import ConnectorProfile
+    from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 
 class ReaderLink:
@@ -61,6 +61,8 @@ class ReaderLink:
         """The number of the sample that waits for room in the reader's buffer; 0: none does."""
         self.undecodable = 0
         """Samples that could not be decoded."""
+        self.reported: ConnectorStatistics = connector.statistics
+        """What its connector had counted when the writer's kernel last asked."""
         self._waiting: Waiting | None = None
         self._ended = False
         self._ages = connector.profile.lifespan is not None

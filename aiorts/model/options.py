@@ -207,15 +207,23 @@ _AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
     ("stamp", Stamp, Stamp.SEND),
 )
 """What the writer's end does alone."""
+_END_TO_END: Final[tuple[tuple[str, type[Any], Any], ...]] = (
+    ("subscription", Subscription, Subscription.FLUSH),
+    ("dataflow", Dataflow, Dataflow.PULL),
+)
+"""What asks the reader at each sample."""
 
 
-def link_options(where: str, options: Mapping[str, Any], *, from_reader: bool = False) -> dict[str, Any]:
+def link_options(
+    where: str, options: Mapping[str, Any], *, from_reader: bool = False, through: bool = False
+) -> dict[str, Any]:
     """The options of a connector to another kernel, with what is usual there where they do not say it.
 
     Without a subscription it is new/all: a flush waits for a round trip at each write, which a hook does not expect.
 
     Args:
         from_reader: the kernel of the reader connects it: what both ends would do, each for itself, is refused.
+        through: both ends are in other kernels, and the samples go through this one: what asks the reader is refused.
 
     Raises:
         WiringError: an option that a link does not have, or as `connector_profile`.
@@ -233,6 +241,10 @@ def link_options(where: str, options: Mapping[str, Any], *, from_reader: bool = 
     for key, kind, value in _AT_THE_WRITER if from_reader else ():
         if get.choice(key, kind, None) is value:
             raise WiringError(f"{where}: {key} = {value}: the writer is in another kernel; connect them there")
+    for key, kind, value in _END_TO_END if through else ():
+        if get.choice(key, kind, None) is value:
+            why = "both ends are in other processes, and samples go through this one, which would answer for the reader"
+            raise WiringError(f"{where}: {key} = {value}: {why}")
     usual: dict[str, Any] = {}
     if "subscription" not in own and not pulls:
         usual["subscription"] = Subscription.NEW

@@ -137,3 +137,27 @@ class Unmakeable(Component):
 
     def on_initialize(self) -> None:
         raise RuntimeError("no camera there")
+
+
+class Single(Component):
+    """Takes one connector."""
+
+    inp = InPort(TimedLong, max_connectors=1)
+
+
+class Growing(Component):
+    """Has a port that its class does not declare, and another after every other sample."""
+
+    inp = InPort(TimedLong)
+
+    def on_initialize(self) -> None:
+        self.add_port("first", OutPort(TimedDoubleSeq, unit="m", shape=(3,), doc="the first"))
+
+    async def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            if "more" in self.ports:
+                self.remove_port("more")
+            else:
+                self.add_port("more", OutPort(TimedLong))
+            if sample.data:
+                self.ports["first"].write_nowait(TimedDoubleSeq(0, np.zeros(3)))  # type: ignore[attr-defined]

@@ -227,7 +227,7 @@ def processes_below(pid: int) -> list[int]:
     return found
 
 
-@fault("G05")
+@pytest.mark.fault("G05")
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.2, 0.5])
 async def test_a_creation_that_is_cancelled_leaves_no_process(seconds: float) -> None:
     before = processes_below(os.getpid())

@@ -17,9 +17,9 @@ from aiorts.assembly import Kernel
 from aiorts.control import Right, Session
 from aiorts.control.operations import OPERATIONS
 from aiorts.errors import AiortsError, ComponentError, LinkError, format_error
-from aiorts.isolation import MARK, OPERATE, REPORT, First, Report, asked, done, refused
+from aiorts.isolation import MARK, OPERATE, REPORT, First, Report, asked, described, done, refused
 from aiorts.kernel.extensions.catalogue import Catalogue
-from aiorts.kernel.loop.bus import StateChanged
+from aiorts.kernel.loop.bus import PortAdded, PortRemoved, StateChanged
 from aiorts.links import Caller, Links, Peer, UnixTransport
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.reading import from_plain
@@ -47,6 +47,8 @@ class _Process:
         self._transport.program = bytes.fromhex(first.program)
         self._over = asyncio.Event()
         self._parent: Peer | None = None
+        self._told = False
+        """Whether the kernel that started this process knows the ports: then it hears of changes."""
         self._reports: set[asyncio.Task[None]] = set()
 
     async def serve(self) -> None:
@@ -61,6 +63,8 @@ class _Process:
             await self._links.opened()
             self._transport.presence(self._present)
             kernel.bus.subscribe(StateChanged, self._changed)
+            kernel.bus.subscribe(PortAdded, self._ports_changed)
+            kernel.bus.subscribe(PortRemoved, self._ports_changed)
             self._transport.take(self._socket)
             await self._over.wait()
             self._session.end()
@@ -78,6 +82,9 @@ class _Process:
                 return done(None)
             if name == "ping":
                 return done([one.ticks for one in self._kernel.contexts.values()])
+            if name == "ports":
+                self._told = True
+                return done(described(self._kernel.components[self._first.component]))
             return done(await self._run(name, given))
         except AiortsError as error:
             return refused(error)
@@ -99,6 +106,14 @@ class _Process:
             return
         error = component.last_error if event.new is LifecycleState.ERROR else None
         report = Report(event.new.value, component.has_finished, "" if error is None else format_error(error))
+        self._send(report)
+
+    def _ports_changed(self, event: PortAdded | PortRemoved) -> None:
+        if self._told and event.component == self._first.component:
+            component = self._kernel.components[event.component]
+            self._send(Report("", finished=False, error="", ports=described(component)))
+
+    def _send(self, report: Report) -> None:
         task = self._links.run(self._report(report), "aiorts report")
         self._reports.add(task)
         task.add_done_callback(self._reports.discard)

@@ -6,6 +6,7 @@ and no end of a run waits for it. Its losses are its own, and counted.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 _LINES: Final = 1_000
 """Lines that one call may inject."""
+_LOOK: Final = 0.005
+_LOOKS: Final = 200
+"""How often it is looked whether injected samples have come to another process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +206,17 @@ async def _inject(session: Session, given: Injected) -> Written:
                 return Written(written, len(samples) - written)
         else:
             written += connector.out.write_nowait(sample)
+    await _arrived(connector)
     return Written(written, len(samples) - written)
+
+
+async def _arrived(connector: Connector) -> None:
+    """Wait, for a short time, until the process of the in-port has what was written: the client may end now."""
+    for _ in range(_LOOKS if connector.profile.far_end else 0):
+        found = connector.statistics
+        if connector.closed or not (found.buffered or found.in_flight):
+            return
+        await asyncio.sleep(_LOOK)
 
 
 def _read(in_: InPort[Any], given: Injected, now_ns: int) -> list[Any]:

@@ -10,16 +10,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from aiorts.errors import StateError
+from aiorts.errors import StateError, WiringError
 from aiorts.kernel.ports.host import PortHost
 from aiorts.kernel.ports.in_port import InPort
 from aiorts.kernel.ports.out_port import OutPort
 from aiorts.kernel.ports.port import Port, Turns
+from aiorts.model.names import Path
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
-    from aiorts.model.names import Path
 
 
 class FarInPort(InPort[Any]):
@@ -46,11 +46,12 @@ class RemoteInPort(InPort[Any]):
     """The in-port of a component that runs in another kernel: connecting it makes a far in-port and a link."""
 
     __slots__ = ("elsewhere",)
+    elsewhere: Path | None
 
     def bind(self, host: PortHost, name: str) -> RemoteInPort:
         limits: dict[str, Any] = {"max_connectors": self.max_connectors, "length": self.length}
         port = RemoteInPort(self.type, unit=self.unit, shape=self.shape, doc=self.doc, **limits)
-        port.elsewhere = None  # until its component has a process
+        port.elsewhere = getattr(self, "elsewhere", None)
         port._attach(host, name)
         return port
 
@@ -70,12 +71,13 @@ class RemoteOutPort(OutPort[Any]):
     """The out-port of a component that runs in another kernel: connecting it makes a far out-port and a link."""
 
     __slots__ = ("elsewhere",)
+    elsewhere: Path | None
 
     def bind(self, host: PortHost, name: str) -> RemoteOutPort:
         port = RemoteOutPort(
             self.type, unit=self.unit, shape=self.shape, doc=self.doc, max_connectors=self.max_connectors
         )
-        port.elsewhere = None  # until its component has a process
+        port.elsewhere = getattr(self, "elsewhere", None)
         port._attach(host, name)
         return port
 
@@ -125,6 +127,66 @@ class FarPorts(Protocol):
         """
         ...
 
+    def connector_made(self, connector: Connector) -> None:
+        """Make the link of a connector with a far port."""
+        ...
+
+    def connector_ended(self) -> None:
+        """End the links of connectors that are closed."""
+        ...
+
+
+def far_ends(kernel: KernelSide, where: str, ports: Sequence[Any]) -> list[Any]:
+    """These ports, with what stands for each that is in another kernel.
+
+    Args:
+        ports: ports, and paths of ports in other kernels; one that is connected with another of them already gets the
+            same far port.
+
+    Raises:
+        WiringError: they do not go together.
+    """
+    known = [port for port in ports if not isinstance(port, str)]
+    near = [port for port in known if port.elsewhere is None]
+    if not known:
+        raise WiringError(f"{where}: one of the ports must be in this process; connect them from one of theirs")
+    directions = {port.direction for port in near or known}
+    if near and (len(directions) > 1 or any(port.direction in directions for port in known if port.elsewhere)):
+        raise WiringError(f"{where}: connect ports of this kernel and those of other kernels one after the other")
+    if near:
+        return [port if port in near else _far_end(kernel, near[0], port) for port in ports]
+    if len(ports) != 2 or len(directions) != len(known):
+        raise WiringError(f"{where}: expected one out-port and one in-port, since both are in other kernels")
+    one, two = ports if ports[0] in known else ports[::-1]
+    path = _path(two)
+    for connector in one.connectors:
+        here, there = (connector.out, connector.in_) if one.direction == "out" else (connector.in_, connector.out)
+        if getattr(there, "far", None) == path:
+            return [here if port is one else there for port in ports]
+    return [stand_in(kernel, port) if port in known else _far_end(kernel, one, port) for port in ports]
+
+
+def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | Port[Any]) -> Port[Any]:
+    """What stands for a port of another kernel; the same that is connected already with this one, if one is."""
+    path = _path(given)
+    if not path.port:
+        raise WiringError(f"{given}: is a component; give one of its ports")
+    others = [one.in_ if isinstance(like, OutPort) else one.out for one in like.connectors]
+    for port in others:
+        if isinstance(port, FarInPort | FarOutPort) and port.far == path:
+            return port
+    if isinstance(given, str):
+        return far_port(kernel, like, path, like.unit, like.shape)
+    return far_port(kernel, like, path, given.unit, given.shape, given.path.rpartition(".")[0])
+
+
+def _path(port: str | Port[Any]) -> Path:
+    """Of a port in another kernel, as others find it."""
+    if isinstance(port, str):
+        return Path.parse(port)
+    assert port.elsewhere is not None  # noqa: S101 - else it is in this kernel
+    return port.elsewhere
+
 
 def far_port(
     kernel: KernelSide,
@@ -139,10 +201,20 @@ def far_port(
     Args:
         owner: the component of this kernel whose port it looks like; "" where it is that of another kernel.
     """
-    host = PortHost(owner or str(replace(path, port="")), Turns())
-    host.kernel = kernel
     kind = FarInPort if isinstance(like, OutPort) else FarOutPort
-    port = kind(like.type, unit=unit, shape=shape)
+    return _made(kernel, kind(like.type, unit=unit, shape=shape), path, owner or str(replace(path, port="")))
+
+
+def stand_in(kernel: KernelSide, port: Port[Any]) -> FarInPort | FarOutPort:
+    """What stands for a port of a component that runs in another kernel, where its other end is there, too."""
+    kind = FarInPort if isinstance(port, InPort) else FarOutPort
+    made = kind(port.type, unit=port.unit, shape=port.shape)
+    return _made(kernel, made, _path(port), port.path.rpartition(".")[0])
+
+
+def _made(kernel: KernelSide, port: FarInPort | FarOutPort, path: Path, owner: str) -> FarInPort | FarOutPort:
+    host = PortHost(owner, Turns())
+    host.kernel = kernel
     host.ports[path.port] = port
     port.far = path
     if isinstance(port, FarOutPort):

@@ -9,19 +9,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import count
+from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.kernel.ports import wiring
 from aiorts.kernel.ports.connector import transport_of
+from aiorts.kernel.ports.far import stand_in
 from aiorts.kernel.ports.host import PortHost
 from aiorts.kernel.ports.in_port import InPort, receiver_of
 from aiorts.kernel.ports.out_port import OutPort
-from aiorts.kernel.ports.port import Turns, refresh
+from aiorts.kernel.ports.port import Port, Turns, refresh
+from aiorts.model.policy import OnLinkLost, Push, Subscription
 
 if TYPE_CHECKING:
     from aiorts.kernel.ports.connector import Connector
     from aiorts.kernel.ports.host import KernelSide
     from aiorts.model.profile import ConnectorProfile
+
+_NUMBERS: Final = count(1)
+"""Of connectors over links: both kernels know each by its name."""
 
 
 class Tap(InPort[Any]):
@@ -42,9 +48,12 @@ def make_injector(kernel: KernelSide, owner: str, in_: InPort[Any], profile: Con
     """Connect an out-port of its own to an in-port."""
     host = PortHost(owner, Turns())
     host.kernel = kernel
-    injector = host.ports[in_.path] = Injector(in_.type)
-    injector._attach(host, in_.path)
-    return wiring.wire(kernel, injector, in_, profile)
+    injector, name, end = Injector(in_.type), in_.path, in_
+    if in_.elsewhere is not None:
+        end, profile, name = _beyond(kernel, in_, profile)
+    host.ports[name] = injector
+    injector._attach(host, name)
+    return wiring.wire(kernel, injector, end, profile)
 
 
 def make_tap(
@@ -53,11 +62,29 @@ def make_tap(
     """Connect a tap of its own to an out-port; `take` is called with it when there is something to read."""
     host = PortHost(owner, Turns())
     host.kernel = kernel
-    tap = host.ports[out.path] = Tap(out.type)
-    tap._attach(host, out.path)
-    connector = wiring.wire(kernel, out, tap, profile)
+    tap, name, end = Tap(out.type), out.path, out
+    if out.elsewhere is not None:
+        end, profile, name = _beyond(kernel, out, profile)
+    host.ports[name] = tap
+    tap._attach(host, name)
+    connector = wiring.wire(kernel, end, tap, profile)
     receiver_of(tap).add_callback(partial(_taken, take))
     return connector
+
+
+def _beyond(kernel: KernelSide, port: Port[Any], profile: ConnectorProfile) -> tuple[Any, ConnectorProfile, str]:
+    """What stands for a port in another process, the options of a connector to it, and a port name of its own."""
+    number = str(next(_NUMBERS))
+    end = stand_in(kernel, port)
+    linked = replace(
+        profile,
+        name=f"{profile.name}-{number}",
+        subscription=Subscription.NEW,
+        push=Push.ALL,
+        on_link_lost=OnLinkLost.WAIT,
+        far_end="writer" if isinstance(end, OutPort) else "reader",
+    )
+    return end, linked, number
 
 
 def resize(connector: Connector, length: int) -> None:

@@ -68,7 +68,7 @@ def plan(
     for out, in_ in pairs:
         check_features(out, in_, _ended(out, in_, base))
     for port, count in Counter(port for pair in pairs for port in pair).items():
-        _check_limit(port, count, limits)
+        check_limit(port, count, limits)
     profiles: dict[int | None, ConnectorProfile] = {None: base}
     for in_ in ins:
         if in_.length is not None and in_.length not in profiles:
@@ -265,7 +265,7 @@ def _ended(out: OutPort[Any], in_: InPort[Any], profile: ConnectorProfile) -> Co
     """The options of one connector, with the end that is in another kernel."""
     if not (out.is_far or in_.is_far):
         return profile
-    return replace(profile, far_end="writer" if out.is_far else "reader")
+    return replace(profile, far_end="reader" if in_.is_far else "writer")
 
 
 def converter_between(out: OutPort[Any], in_: InPort[Any], converter: str) -> str:
@@ -356,7 +356,8 @@ def _kept_from_threads(profile: ConnectorProfile) -> list[str]:
     ] * profile.keep_last
 
 
-def _check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:
+def check_limit(port: Port[Any], more: int, limits: Mapping[str, Any]) -> None:
+    """Raise WiringError where a port takes no more connectors."""
     fan = limits.get("fan_out" if isinstance(port, OutPort) else "fan_in")
     limit = limits.get("connection_limit")
     candidates = [fan, limit if limit is not None and limit >= 0 else None, port.max_connectors]

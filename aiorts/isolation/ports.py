@@ -1,0 +1,73 @@
+"""The ports of a component in a process, as its kernel is told of them: also those that no class declares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from aiorts.errors import DeclarationError, UnknownTypeError
+from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
+from aiorts.model.names import Path
+
+if TYPE_CHECKING:
+    from aiorts.kernel.component import Component
+    from aiorts.kernel.ports import Port
+
+
+def described(component: Component) -> list[list[Any]]:
+    """The data ports of a component as plain values. Their kernel knows no limit of connectors from now on: it is kept
+    where they are connected, without those of tools."""
+    from aiorts.types import full_name
+
+    rows: list[list[Any]] = []
+    for name, port in component.ports.items():
+        if isinstance(port, InPort | OutPort):
+            length = port.length if isinstance(port, InPort) else None
+            shape = None if port.shape is None else list(port.shape)
+            what = [port.direction, full_name(port.type), port.unit, shape, port.doc, length, port.max_connectors]
+            rows.append([name, *what])
+            port.max_connectors = None
+    return rows
+
+
+def follow(component: Component, rows: Iterable[list[Any]], kernel: str) -> None:
+    """Have the ports that these rows describe, and no others; a port that is the same stays, with its connectors.
+
+    Args:
+        kernel: the one in which they are.
+
+    Raises:
+        DeclarationError: a type of a port is not known here.
+    """
+    from aiorts.types import find_type
+
+    wanted = {row[0]: row[1:] for row in rows}
+    for name, port in list(component.ports.items()):
+        if isinstance(port, RemoteInPort | RemoteOutPort) and not _is_alike(port, wanted.get(name)):
+            component.remove_port(name)
+    for name, (direction, kind, unit, shape, doc, length, most) in wanted.items():
+        if name in component.ports:
+            continue
+        try:
+            cls = find_type(kind)
+        except UnknownTypeError as error:
+            where = f"{component.name}.{name}"
+            raise DeclarationError(f"{where}: {error}; import the module that defines it here, too") from None
+        alike: dict[str, Any] = {"unit": unit, "shape": None if shape is None else tuple(shape), "doc": doc}
+        alike["max_connectors"] = most
+        there = RemoteInPort(cls, length=length, **alike) if direction == "in" else RemoteOutPort(cls, **alike)
+        there.elsewhere = Path(component.name, name, kernel)
+        component.add_port(name, there)
+    for name, port in component.ports.items():
+        if isinstance(port, RemoteInPort | RemoteOutPort):
+            port.elsewhere = Path(component.name, name, kernel)
+
+
+def _is_alike(port: Port[Any], row: list[Any] | None) -> bool:
+    from aiorts.types import full_name
+
+    if row is None:
+        return False
+    shape = None if port.shape is None else list(port.shape)
+    return row[:4] == [port.direction, full_name(port.type), port.unit, shape]

@@ -1,0 +1,174 @@
+"""Ports of components in processes of their own: looked at by tools, recorded, and connected with one another."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import EventContext, Kernel, KernelService, PeriodicContext
+from aiorts.errors import WiringError
+from aiorts.links import Links
+from aiorts.types import TimedLong
+from aiorts_log import RecordingReader
+from aiorts_log.recorder.beside import Beside
+from control_parts import commanded
+from isolation.isolated_parts import Scale, Single, Sink, Source, Ticker
+from isolation.test_isolated import ERROR, answer, chain, until
+
+pytestmark = pytest.mark.anyio
+fault, row = pytest.mark.fault, pytest.mark.row
+
+
+class Looker(KernelService):
+    """Takes what a port sends."""
+
+    name = "looker"
+
+
+@row("51")
+async def test_a_tap_sees_every_sample_and_the_system_does_not_know() -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, _ = await chain(kernel)
+        before = kernel.profile().structure().to_json()
+        looker, seen, other = kernel.service(Looker), list[int](), list[int]()
+        tap = kernel.connections.tap(
+            looker, scale.out, lambda port: seen.extend(one.data for one in port.drain()), length=100
+        )
+        two = kernel.connections.tap(
+            looker, scale.out, lambda port: other.extend(one.data for one in port.drain()), length=100
+        )
+        await until(lambda: all(one in kernel.service(Links)._offers.values() for one in _links(kernel, tap, two)))
+        assert [await answer(source, sink, value) for value in range(20)] == list(range(0, 40, 2))
+        await until(lambda: len(seen) == len(other) == 20)
+        assert seen == other == list(range(0, 40, 2))
+        assert kernel.profile().structure().to_json() == before
+        assert set(kernel.service(Links).report()) == {"source.out-scale.inp", "scale.out-sink.inp"}
+        assert (tap.statistics.written, tap.statistics.delivered, tap.statistics.balanced) == (20, 20, True)
+        assert (await kernel.service(Links).ledger(tap)).unexplained == 0
+        os.kill(scale.pid, signal.SIGKILL)
+        await until(lambda: scale.state is ERROR)
+        await scale.context.reset()
+        await scale.context.activate()
+        await until(lambda: _up(kernel, tap))
+        assert await answer(source, sink, 4) == 8
+        await until(lambda: seen[-1] == 8)
+        tap.close()
+        two.close()
+        await answer(source, sink, 5)
+        assert (seen[-1], len(kernel.service(Links)._readers)) == (8, 1)
+
+
+def _links(kernel: Kernel, *connectors: Any) -> list[Any]:
+    return [kernel.service(Links)._readers[one] for one in connectors]
+
+
+def _up(kernel: Kernel, connector: Any) -> bool:
+    return all(link.is_connected for link in kernel.service(Links)._links_of(connector))
+
+
+async def test_an_injected_sample_arrives_there_and_takes_no_place() -> None:
+    async with Kernel() as kernel:
+        _source, scale, sink, _ = await chain(kernel)
+        looker = kernel.service(Looker)
+        one = kernel.connections.inject(looker, scale.inp, {"length": 8, "full": "reject"})
+        two = kernel.connections.inject(looker, scale.inp, {"length": 8, "full": "reject"})
+        assert (one.out.write_nowait(TimedLong(0, 7)), two.out.write_nowait(TimedLong(0, 8))) == (True, True)
+        assert {(await sink.inp.read(timeout=5)).data for _ in range(2)} == {14, 16}
+        await until(lambda: one.statistics.acknowledged == 1)
+        assert (len(scale.inp.connectors), one.statistics.balanced) == (1, True)
+        one.close()
+        two.close()
+        assert len(kernel.service(Links)._writers) == 1
+
+
+async def test_what_it_sends_is_recorded_from_its_first_sample(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    async with Kernel(services={"record": {"file": str(path)}}) as kernel:
+        ticker = await kernel.create_isolated(Ticker, "ticker")
+        context = await kernel.start(PeriodicContext(rate=200.0), ticker)
+        await context.activate()
+        await until(lambda: ticker.has_finished)
+        assert kernel.service(Beside).report()["ports"] == 1
+    with RecordingReader(path) as reader:
+        assert [record.data for _, _, record in reader.records()] == list(range(1, 21))
+
+
+async def test_commands_print_and_measure_what_it_sends(capsys: pytest.CaptureFixture[str]) -> None:
+    async with Kernel(services={"control": {"name": "unit"}}) as kernel:
+        source, _scale, sink, _ = await chain(kernel)
+        status, text = await commanded(capsys, "inject", "scale.inp", "21", "--count", "2")
+        assert (status, [(await sink.inp.read(timeout=5)).data for _ in range(2)]) == (0, [42, 42]), text
+        printed = asyncio.create_task(commanded(capsys, "print", "scale.out", "--count", "2"))
+        await until(lambda: any(one.out.path == "scale.out" for one in _taps(kernel)))
+        await until(lambda: all(_up(kernel, one) for one in _taps(kernel)))
+        assert [await answer(source, sink, value) for value in (1, 2)] == [2, 4]
+        status, text = await printed
+        assert (status, [json.loads(line)["data"] for line in text.splitlines()]) == (0, [2, 4])
+
+
+def _taps(kernel: Kernel) -> list[Any]:
+    return [one for one in kernel.service(Links)._readers if one.in_.is_tap]
+
+
+@row("51")
+@fault("A13")
+async def test_two_in_processes_of_their_own_are_connected_and_survive_the_end_of_either() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        one, two = [await kernel.create_isolated(Scale, name) for name in ("one", "two")]
+        between = await kernel.connect("one.out", "two.inp", length=100)
+        await kernel.connect(source.out, "one.inp", length=100)
+        await kernel.connect("two.out", sink.inp, length=100)
+        contexts = [await kernel.start(EventContext(), each, activate=True) for each in (one, two)]
+        assert await answer(source, sink, 3) == 12
+        assert (between.name, between.profile.ports) == ("one.out-two.inp", ("one.out", "two.inp"))
+        assert (one.out.connectors, two.inp.connectors) == ((between,), (between,))
+        with pytest.raises(WiringError, match=r"one.out -> two.inp: connected already"):
+            await kernel.connect(one.out, two.inp)
+        for each, context in zip((one, two), contexts, strict=True):
+            os.kill(each.pid, signal.SIGKILL)
+            await until(lambda each=each: each.state is ERROR)
+            await context.reset()
+            await context.activate()
+            await until(lambda: all(_up(kernel, connector) for connector in kernel.connectors.values()))
+            assert await answer(source, sink, 5) == 20
+        ledger = await kernel.service(Links).ledger(between)
+        assert (ledger.written, ledger.unexplained, between.statistics.balanced) == (3, 0, True), str(ledger)
+        assert "up" in kernel.service(Links).report()[between.name]
+        between.close()
+        await until(lambda: len(kernel.service(Links)._all()) == 2)
+        source.out.write_nowait(TimedLong(0, 1))
+        await kernel.connect(one.out, two.inp, name="again", length=4, full="reject")
+        assert await answer(source, sink, 5) == 20
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"subscription": "flush"}, "subscription = flush: both ends are in other processes"),
+        ({"dataflow": "pull"}, "dataflow = pull: both ends are in other processes"),
+        ({"subscription": "periodic", "push_rate": 5.0}, "subscription = periodic: the writer is in another kernel"),
+    ],
+)
+async def test_what_such_a_connector_cannot_do_is_refused(options: dict[str, Any], said: str) -> None:
+    async with Kernel() as kernel:
+        for name in ("one", "two"):
+            await kernel.create_isolated(Scale, name)
+        with pytest.raises(WiringError, match=f"one.out -> two.inp: {said}"):
+            await kernel.connect("one.out", "two.inp", **options)
+
+
+async def test_a_port_there_takes_as_many_connectors_as_it_says_without_those_of_tools() -> None:
+    async with Kernel() as kernel:
+        source, other = await kernel.add(Source("source")), await kernel.add(Source("other"))
+        single = await kernel.create_isolated(Single, "single")
+        await kernel.connect(source.out, single.inp)
+        kernel.connections.inject(kernel.service(Looker), single.inp, {"length": 8})
+        with pytest.raises(WiringError, match=r"single.inp: takes 1 connectors at the most, has 1"):
+            await kernel.connect(other.out, single.inp)

@@ -1,0 +1,95 @@
+"""Ports that no class declares: of components in processes of their own they are here as well, and go with them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import EventContext, Kernel
+from aiorts.system import build, load
+from aiorts.types import TimedDoubleSeq, TimedLong
+from isolation.isolated_parts import Growing, Sink, Source
+from isolation.test_isolated import until
+from run_parts import here
+
+pytestmark = pytest.mark.anyio
+SYSTEM = """\
+schema = 1
+[components.const]
+type = "FlexiConst"
+options = ["-p", "TimedLong", "-c", "5", "-r", "100"]
+isolation = "process"
+[components.twice]
+type = "FlexiFilter"
+options = ["-i", "TimedLong", "-o", "TimedDouble", "-m", "0>2>0"]
+isolation = "process"
+[components.dump]
+type = "FlexiDump"
+options = ["-p", "TimedDouble"]
+isolation = "process"
+[[connections]]
+from = "const.output"
+to = "twice.input0"
+[[connections]]
+from = "twice.output0"
+to = "dump.input0"
+[contexts.a]
+kind = "periodic"
+rate = 10.0
+members = ["const"]
+[contexts.b]
+kind = "event"
+members = ["twice"]
+[contexts.c]
+kind = "event"
+members = ["dump"]
+"""
+
+
+async def test_ports_that_it_makes_itself_are_here_and_go_when_it_removes_them() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        growing: Any = await kernel.create_isolated(Growing, "growing")
+        first = growing.ports["first"]
+        assert (first.type, first.unit, first.shape, first.doc) == (TimedDoubleSeq, "m", (3,), "the first")
+        await kernel.connect(source.out, growing.inp)
+        await kernel.connect(first, sink.large)
+        await kernel.start(EventContext(), growing, activate=True)
+        source.out.write_nowait(TimedLong(0, 1))
+        assert (await sink.large.read(timeout=5)).data.tolist() == [0.0, 0.0, 0.0]
+        await until(lambda: "more" in growing.ports)
+        await kernel.connect(growing.ports["more"], sink.inp)
+        source.out.write_nowait(TimedLong(0, 0))
+        await until(lambda: "more" not in growing.ports)
+        assert [one.out.path for one in kernel.connectors.values()] == ["source.out", "growing.first"]
+
+
+async def test_components_that_are_made_by_options_run_in_processes_of_their_own(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    path = tmp_path / "system.toml"
+    path.write_text(SYSTEM)
+    checked = here("check", path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    async with Kernel() as kernel:
+        await build(kernel, load(path))
+        await until(lambda: any("input0 TimedDouble" in one.getMessage() for one in caplog.records))
+        twice: Any = kernel.components["twice"]
+        assert {name: port.type.__name__ for name, port in twice.ports.items()} == {
+            "input0": "TimedLong",
+            "output0": "TimedDouble",
+        }
+
+
+async def test_ports_follow_the_parameters() -> None:
+    async with Kernel() as kernel:
+        const: Any = await kernel.create_isolated("FlexiConst", "const", outputs=("TimedLong",), constants=("1",))
+        assert list(const.ports) == ["output"]
+        await const.configure(outputs=("TimedLong", "TimedDouble"), constants=("1", "2.5"))
+        assert {name: port.type.__name__ for name, port in const.ports.items()} == {
+            "output0": "TimedLong",
+            "output1": "TimedDouble",
+        }
