@@ -144,6 +144,7 @@ async def test_two_in_processes_of_their_own_are_connected_and_survive_the_end_o
         between.close()
         await until(lambda: len(kernel.service(Links)._all()) == 2)
         source.out.write_nowait(TimedLong(0, 1))
+        await until(lambda: kernel.connectors["source.out-one.inp"].statistics.in_flight == 0)
         await kernel.connect(one.out, two.inp, name="again", length=4, full="reject")
         assert await answer(source, sink, 5) == 20
 
