@@ -42,6 +42,8 @@ class First:
     log_level: int
     memory: int | None
     """Bytes above what it has once the component is made."""
+    awaited: bool
+    """Whether links wait until the component is active: what is sent to it before would be dropped."""
     program: str
     """In hexadecimal: the secret by which kernels of one program know each other."""
 

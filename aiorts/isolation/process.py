@@ -99,6 +99,7 @@ class Process:
                 "uvloop" if type(self._kernel.loop).__module__.startswith("uvloop") else "asyncio",
                 logging.getLogger("aiorts").getEffectiveLevel(),
                 self._limits.memory,
+                self._child is not None,  # started anew, to be active again soon
                 self._transport.program.hex(),
             )
             first.send(ours)

@@ -173,6 +173,20 @@ async def test_one_that_is_supervised_comes_back_by_itself_from_a_kill(restart: 
             assert await answer(source, sink, 4) == 12
 
 
+async def test_started_anew_it_gets_what_is_written_before_it_is_active() -> None:
+    async with Kernel() as kernel:
+        source, scale, sink, context = await chain(kernel)
+        os.kill(scale.pid, signal.SIGKILL)
+        await until(lambda: scale.state is ERROR)
+        await context.reset()
+        source.out.write_nowait(TimedLong(0, 1))
+        await sleep(0.3)
+        await context.activate()
+        assert await answer(source, sink, 2) == 2
+        assert (await sink.inp.read(timeout=10)).data == 4
+        assert not any(kernel.connectors["source.out-scale.inp"].statistics.dropped.values())
+
+
 async def test_a_periodic_context_runs_there_at_its_rate_until_the_source_has_finished() -> None:
     async with Kernel() as kernel:
         sink = await kernel.add(Sink("sink"))

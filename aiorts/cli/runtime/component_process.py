@@ -6,6 +6,7 @@ It has no socket that others could find, and ends with the one that it was start
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import inspect
 import logging
 import socket
@@ -93,9 +94,10 @@ class _Process:
 
     async def _run(self, name: str, given: dict[str, Any]) -> Any:
         operation = OPERATIONS[name]
-        value = operation.run(self._session, from_plain(operation.arguments, given))
-        if inspect.isawaitable(value):
-            value = await value
+        with self._links.making() if name == "create" and self._first.awaited else contextlib.nullcontext():
+            value = operation.run(self._session, from_plain(operation.arguments, given))
+            if inspect.isawaitable(value):
+                value = await value
         if name == "create" and self._first.memory is not None:
             limit_memory(self._first.memory)
         return value
