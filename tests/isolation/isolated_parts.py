@@ -6,6 +6,7 @@ import ctypes
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -82,6 +83,20 @@ class SlowStart(Scale):
 
     async def on_activated(self) -> None:
         await self.sleep(0.15)
+
+
+class Spinner(Component):
+    """Uses its processor for a quarter of a second for each sample, and says from when until when."""
+
+    inp = InPort(TimedLong)
+    out = OutPort(TimedDoubleSeq)
+
+    def on_execute(self) -> None:
+        for _ in self.inp.drain():
+            began, until = time.monotonic(), time.process_time() + 0.25
+            while time.process_time() < until:
+                pass
+            self.out.write_nowait(TimedDoubleSeq(0, [began, time.monotonic()]))
 
 
 class Beat(Component):

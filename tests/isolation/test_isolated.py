@@ -22,7 +22,7 @@ from aiorts.supervision import Supervision
 from aiorts.system import build, check, load
 from aiorts.testing import simulate
 from aiorts.types import TimedDoubleSeq, TimedLong
-from isolation.isolated_parts import Echo, Scale, Sink, Source, Ticker, Unmakeable
+from isolation.isolated_parts import Echo, Scale, Sink, Source, Spinner, Ticker, Unmakeable
 
 pytestmark = pytest.mark.anyio
 ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
@@ -85,6 +85,23 @@ async def test_it_looks_like_any_other_and_runs_in_a_process_of_its_own() -> Non
         await context.stop()
         await kernel.remove(scale)
         assert (dict(kernel.connectors), runs(pid)) == ({}, False)
+
+
+@pytest.mark.row(30)
+async def test_two_that_need_a_processor_run_side_by_side() -> None:
+    async with Kernel() as kernel:
+        ends = []
+        for number in range(2):
+            source, sink = await kernel.add(Source(f"source{number}")), await kernel.add(Sink(f"sink{number}"))
+            spinner = await kernel.create_isolated(Spinner, f"spinner{number}")
+            await kernel.connect(source.out, f"spinner{number}.inp")
+            await kernel.connect(f"spinner{number}.out", sink.large)
+            await kernel.start(EventContext(name=f"apart{number}"), spinner, activate=True)
+            ends.append((source, sink))
+        for source, _ in ends:
+            source.out.write_nowait(TimedLong(0, 1))
+        (began, ended), (other_began, other_ended) = [(await sink.large.read(timeout=10)).data for _, sink in ends]
+        assert max(began, other_began) < min(ended, other_ended)
 
 
 async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
