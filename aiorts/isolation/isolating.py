@@ -32,6 +32,8 @@ _LOG: Final = KernelLog()
 class Isolation(KernelService):
     """The processes of one kernel's components."""
 
+    name = "isolation"
+
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)
         self._launcher: Launcher | None = None
@@ -45,10 +47,9 @@ class Isolation(KernelService):
         self._said = False
 
     def report(self) -> Mapping[str, Any]:
-        """Of each component its process, and for how long it has not answered."""
+        """Of each component its process, and for how many seconds a hook has held it."""
         return {
-            one.name: {"pid": one.pid, **({"busy": f"for {one.busy:.1f} s"} if one.busy else {})}
-            for one in self._processes.values()
+            one.name: {"pid": one.pid, "runs": one.runs, "busy": round(one.busy, 1)} for one in self._processes.values()
         }
 
     async def create(

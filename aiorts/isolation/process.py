@@ -164,18 +164,20 @@ class Process:
         return messages.value_of(answer)
 
     async def end(self) -> None:
-        """Have it end in order, or kill it."""
+        """Have it end in order, or kill it, where a hook holds it or it does not end."""
         self._ending = True
         if self._looking is not None:
             self._looking.cancel()
         child = self._child
         if child is None:
             return
-        if self._peer is not None and self.runs:
-            with contextlib.suppress(AiortsError):
-                await self.ask("end", within=_LOOK)
-            await asyncio.wait((child.ended,), timeout=_ENDS)
-        child.kill()
+        try:
+            if self._peer is not None and self.runs and not self.busy:
+                with contextlib.suppress(AiortsError):
+                    await self.ask("end", within=_LOOK)
+                await asyncio.wait((child.ended,), timeout=_ENDS)
+        finally:
+            child.kill()  # also where nobody waits for it any more
         await asyncio.wait((child.ended,), timeout=_ENDS)
 
     def _over(self, ended: asyncio.Future[Ending]) -> None:

@@ -11,7 +11,7 @@ from aiorts.errors import StateError, WiringError
 from aiorts.kernel.execution.apart import check_connection
 from aiorts.kernel.loop.bus import Connected, ConnectorChanged, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog, guarded
-from aiorts.kernel.ports import Port, PortDeclaration, wiring
+from aiorts.kernel.ports import InPort, OutPort, Port, PortDeclaration, wiring
 from aiorts.kernel.ports.connector import Connector, transport_of, unread_of
 from aiorts.kernel.ports.features import offer
 from aiorts.kernel.ports.losses import Losses, Unconverted
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from aiorts.kernel.connection import Connection
     from aiorts.kernel.execution.cell import KernelSide
     from aiorts.kernel.ports.far import FarPorts
-    from aiorts.kernel.ports.in_port import InPort
-    from aiorts.kernel.ports.out_port import OutPort
     from aiorts.kernel.service import KernelService
 
 _LOG = KernelLog()
@@ -72,6 +70,8 @@ class Connections:
             WiringError: says which ports or options do not go together; nothing was connected.
         """
         options = with_openrtm(options)
+        if self.far is not None and len(ports) > 2 and (pairs := self._pairs(ports)):
+            return self._make_each(pairs, options)
         ports, options = self._resolve(ports, options)
         for port in ports:
             connecting = port.connecting if isinstance(port, PortDeclaration) else None
@@ -96,6 +96,29 @@ class Connections:
             self._report_once([key for key in without_effect(options) if key not in self._reported], made[0])
         for connector in made:
             self._notify_made(connector)
+        return made
+
+    def _pairs(self, ports: Sequence[Any]) -> list[tuple[Any, Any]]:
+        """Each out-port with each in-port, where one of them runs in another process."""
+        find = self._kernel.registry.port
+        found = [find(one) if isinstance(one, str) and "/" not in one else one for one in ports]
+        if not any(isinstance(one, Port) and one.elsewhere is not None for one in found):
+            return []
+        outs = [one for one in found if isinstance(one, OutPort)]
+        ins = [one for one in found if isinstance(one, InPort)]
+        return [(out, in_) for out in outs for in_ in ins] if len(outs) + len(ins) == len(found) else []
+
+    def _make_each(self, pairs: Sequence[tuple[Any, Any]], options: Mapping[str, Any]) -> list[Any]:
+        """Connect these ports one pair after the other; all or none."""
+        made: list[Any] = []
+        name = str(options.get("name") or "")
+        try:
+            for pair in pairs:
+                own = {"name": self._numbering.lowest(f"{name}-", 2)} if name and self._taken(name) else {}
+                made += self.make(pair, {**options, **own})
+        except BaseException:
+            self.end_each(made[::-1])
+            raise
         return made
 
     def _resolve(self, ports: Sequence[Any], options: Mapping[str, Any]) -> tuple[list[Any], Mapping[str, Any]]:

@@ -218,7 +218,10 @@ class Links(KernelService):
             return self._calls.resolve(given), options
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         ends = far_ends(self.kernel, where, ports)
-        from_reader = any(isinstance(port, FarOutPort) for port in ends)
+        # A process of this kernel does what the writer's end does alone; another kernel is to be asked there.
+        from_reader = not near or any(
+            isinstance(end, FarOutPort) and isinstance(port, str) for end, port in zip(ends, ports, strict=True)
+        )
         return ends, link_options(where, options, from_reader=from_reader, through=not near)
 
     def connector_made(self, connector: Connector) -> None:

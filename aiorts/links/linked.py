@@ -19,7 +19,7 @@ from aiorts.kernel.ports.transport import Waiting
 from aiorts.kernel.quality.dated import Dated, times_of
 from aiorts.late import dataclass
 from aiorts.model.buffer import FullPolicy
-from aiorts.model.policy import Dataflow, Subscription
+from aiorts.model.policy import Dataflow, Stamp, Subscription
 from aiorts.model.profile import ConnectorProfile, ConnectorStatistics
 
 LINK: Final = "on_link_lost"
@@ -187,6 +187,15 @@ class Pulling(FeaturedTransport):
             link.quiet = False
 
 
+class StampedThere(FeaturedTransport):
+    """A transport at the reader's end whose samples the writer's end has stamped. See `Transport`."""
+
+    __slots__ = ()
+
+    def stamp_in(self, sample: Any) -> Any:
+        return sample
+
+
 class Aged(Dated):
     """A transport that knows when the sample was written that was taken last. See `Transport`."""
 
@@ -226,6 +235,14 @@ def _confirms(profile: ConnectorProfile) -> bool:
     return profile.subscription is Subscription.FLUSH and profile.dataflow is Dataflow.PUSH
 
 
+def _is_stamped_there(profile: ConnectorProfile) -> bool:
+    return profile.far_end == "writer" and profile.stamp is Stamp.SEND
+
+
+def _stamped_there() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
+    return StampedThere, StampedThere  # of which none is periodic
+
+
 def _linked() -> tuple[type[FeaturedTransport], type[FeaturedTransport]]:
     return Linked, Linked
 
@@ -250,6 +267,7 @@ FEATURES: Final = (
     Feature(LINK, lambda profile: _drained(profile) and profile.lifespan is not None, _aged),
     Feature(LINK, lambda profile: _drained(profile) and not _confirms(profile) and not _is_pulled(profile), _linked),
     Feature(LINK, lambda profile: _drained(profile) and _is_pulled(profile), _pulled),
+    Feature("stamp = send", _is_stamped_there, _stamped_there),
     Feature(PULL, _asks, _pulling, settles=True, asks=True),
     Feature(LINK, lambda profile: _drained(profile) and _confirms(profile), _confirmed),
 )

@@ -29,12 +29,15 @@ class SystemPart:
     contexts: Mapping[str, ContextReport] = field(default_factory=lambda: _NOTHING)
     links: Mapping[str, str] = field(default_factory=lambda: _NOTHING)
     """How far each link into another kernel is, by the name of its connector."""
+    processes: Mapping[str, Any] = field(default_factory=lambda: _NOTHING)
+    """Of components that run in processes of their own, what is known of these."""
 
 
 def system_part(
     kernel: Microkernel, components: Collection[str], connectors: Collection[str], contexts: Collection[str]
 ) -> SystemPart:
     """Components with all connectors and contexts that they are in, and these connectors and contexts."""
+    said = reports(kernel.services)
     return SystemPart(
         _frozen({name: profiling.component_report(kernel.components[name]) for name in components}),
         _frozen(
@@ -58,7 +61,8 @@ def system_part(
                 if name in contexts or not set(components).isdisjoint(one.profile.members)
             }
         ),
-        _frozen(reports(kernel.services).get("links", {})),
+        _frozen(said.get("links", {})),
+        _frozen({name: one for name, one in said.get("isolation", {}).items() if name in components}),
     )
 
 

@@ -17,7 +17,9 @@ from aiorts.kernel.extensions.arguments import needs_rate, path_settings
 from aiorts.kernel.extensions.type_texts import type_text
 from aiorts.model.configuration.sets import DEFAULT, same
 from aiorts.model.converter import Converter
+from aiorts.model.names import names_kernel
 from aiorts.model.options import chosen_options
+from aiorts.model.policy import OnLinkLost, Push, Subscription
 from aiorts.model.wanted.entries import ComponentEntry, ConnectionEntry
 from aiorts.model.wanted.restart_policy import Supervision
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 20
 _MISSING: Final = object()
+_USUAL_APART: Final = {"subscription": Subscription.NEW, "push": Push.ALL}
+"""Options of a connector to a component in a process of its own, where nobody says them."""
 
 
 class Canon:
@@ -175,6 +179,9 @@ class Canon:
         usual_name, again = f"{ports[0]}-{ports[1]}", ports in self._joined
         self._joined.add(ports)
         options = chosen_options(profile, usual_length)
+        if options.get("on_link_lost") == OnLinkLost.WAIT and not any(map(names_kernel, ports)):
+            usual = _USUAL_APART if all(options.get(key) == value for key, value in _USUAL_APART.items()) else {}
+            options = {key: value for key, value in options.items() if key not in (*usual, "on_link_lost")}
         if profile.name not in ("", usual_name) and not (again and profile.name.startswith(usual_name)):
             options = {"name": profile.name, **options}
         if again:

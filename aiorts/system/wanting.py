@@ -10,6 +10,7 @@ from typing import Any
 from aiorts.composites import exports
 from aiorts.kernel.declarations import declarations
 from aiorts.kernel.ports import InPort, OutPort
+from aiorts.model.names import names_kernel
 from aiorts.model.options import connector_profile, link_options
 from aiorts.model.wanted.entries import ComponentEntry, CompositeEntry, ConnectionEntry, ContextEntry, Wanted
 from aiorts.planning import Canon, service_connection, table, whole
@@ -96,10 +97,10 @@ class _Reader:
             pairs = list(_pairs(entry.ports, ports))
             for at, (out, in_, length) in enumerate(pairs):
                 number += 1
-                given, elsewhere = options, self._system.is_elsewhere
+                said, elsewhere = options, self._system.is_elsewhere
                 if elsewhere(out) or elsewhere(in_):
-                    given = link_options("", options, from_reader=elsewhere(out))
-                profile, _ = connector_profile("", given, "", (out, in_), 8 if length is None else length)
+                    said = link_options("", options, from_reader=names_kernel(out))
+                profile, _ = connector_profile("", said, "", (out, in_), 8 if length is None else length)
                 name = f"{profile.name}-{at + 1}" if at and profile.name else profile.name
                 yield self._canon.connection((out, in_), replace(profile, name=name), length, number)
         for entry in services:

@@ -173,3 +173,23 @@ async def test_a_port_there_takes_as_many_connectors_as_it_says_without_those_of
         kernel.connections.inject(kernel.service(Looker), single.inp, {"length": 8})
         with pytest.raises(WiringError, match=r"single.inp: takes 1 connectors at the most, has 1"):
             await kernel.connect(other.out, single.inp)
+
+
+async def test_the_process_of_the_writer_does_what_the_writers_end_does_alone() -> None:
+    async with Kernel() as kernel:
+        source, every, sink = [await kernel.add(kind(name)) for kind, name in
+                               ((Source, "source"), (Sink, "every"), (Sink, "sink"))]  # fmt: skip
+        scale: Any = await kernel.create_isolated(Scale, "scale")
+        await kernel.connect(source.ports["out"], scale.inp, length=100)
+        skipped = await kernel.connect(scale.out, sink.ports["inp"], push="skip", skip=1, stamp="send")
+        await kernel.connect(scale.out, every.ports["inp"], subscription="periodic", push_rate=20.0, push="all")
+        await kernel.start(EventContext(), scale, activate=True)
+        for value in range(6):
+            source.ports["out"].write_nowait(TimedLong(7, value))
+        await until(lambda: skipped.statistics.written == 3)
+        samples = sink.ports["inp"].drain()
+        assert [one.data for one in samples] == [2, 6, 10]
+        assert all(one.tm > 1_000 for one in samples)
+        periodic = [(await every.ports["inp"].read(timeout=5)).data for _ in range(6)]
+        assert periodic == list(range(0, 12, 2))
+        assert skipped.profile.push == "skip"

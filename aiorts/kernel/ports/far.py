@@ -177,7 +177,8 @@ def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | 
             return port
     if isinstance(given, str):
         return far_port(kernel, like, path, like.unit, like.shape)
-    return far_port(kernel, like, path, given.unit, given.shape, given.path.rpartition(".")[0])
+    made = far_port(kernel, like, path, given.unit, given.shape, given.path.rpartition(".")[0])
+    return _as_long(made, given)
 
 
 def _path(port: str | Port[Any]) -> Path:
@@ -209,7 +210,14 @@ def stand_in(kernel: KernelSide, port: Port[Any]) -> FarInPort | FarOutPort:
     """What stands for a port of a component that runs in another kernel, where its other end is there, too."""
     kind = FarInPort if isinstance(port, InPort) else FarOutPort
     made = kind(port.type, unit=port.unit, shape=port.shape)
-    return _made(kernel, made, _path(port), port.path.rpartition(".")[0])
+    return _as_long(_made(kernel, made, _path(port), port.path.rpartition(".")[0]), port)
+
+
+def _as_long(made: FarInPort | FarOutPort, port: Port[Any]) -> FarInPort | FarOutPort:
+    """With the length that the in-port says of its connectors."""
+    if isinstance(made, InPort) and isinstance(port, InPort):
+        made.length = port.length
+    return made
 
 
 def _made(kernel: KernelSide, port: FarInPort | FarOutPort, path: Path, owner: str) -> FarInPort | FarOutPort:

@@ -86,6 +86,7 @@ class TransportKind:
     def of(self, profile: ConnectorProfile) -> type[Transport]:
         """The class for connectors with these options."""
         periodic = profile.subscription is Subscription.PERIODIC and profile.dataflow is Dataflow.PUSH
+        periodic = periodic and profile.far_end != "writer"  # else it is the writer's end that has the period
         plain = self.periodic if periodic else self.at_once
         found = features_of(profile) if self.featured else ()
         return _composed(plain, tuple(feature.mixins()[periodic] for feature in found))

@@ -135,6 +135,8 @@ class Transport:
         self.length = profile.length
         # Pull: the writer keeps its latest unread sample, the reader asks for it; nobody is woken by data.
         chosen = Push.ALL if profile.subscription is Subscription.FLUSH else profile.push
+        if profile.far_end == "writer" and chosen is _SKIP:
+            chosen = Push.ALL  # the writer's end leaves out what is skipped
         self.push = _NEW if profile.dataflow is _PULL else chosen
         self.arrived_at = 0
         """When the newest sample arrived, counted at a receiver with several connectors."""

@@ -149,8 +149,11 @@ def _connection(found: Survey, entry: ConnectionEntry) -> None:
     if wrong:
         return
     try:
-        if any(map(found.system.is_elsewhere, entry.ports)):
-            options = link_options("", options)
+        far = [path for path in entry.ports if found.system.is_elsewhere(path)]
+        if far:
+            # What the kernel of a writer elsewhere has to do itself is said with the ports: see `checks`.
+            through = entry.ports[0] in far and len(far) > 1
+            options = link_options("", options, from_reader=through, through=through)
         elif options.get("on_link_lost") is not None:
             raise WiringError("on_link_lost: both ports are in this kernel; there is no link that could be lost")
         found.profiles[entry.number] = connector_profile("", options, "", entry.ports)

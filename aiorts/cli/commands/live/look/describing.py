@@ -118,6 +118,9 @@ def _component(name: str, full: str, report: Mapping[str, Any], *, long: bool) -
         yield f"  {one['doc']}"
     states = (f"{state} in {context}" for context, state in one["states"].items())
     rows = [("state", ", ".join(states) or "in no context"), ("error", one["last_error"] or "")]
+    if (process := _part(report, "processes", "isolation").get(name)) is not None:
+        busy = f", busy for {process['busy']:.1f} s" if process["busy"] else ""
+        rows.append(("process", f"{process['pid']}{busy if process['runs'] else ', has ended'}"))
     if one["modes"] is not None:
         pending = f", {one['modes']['pending']} is requested" if one["modes"]["pending"] else ""
         rows.append(("mode", f"{one['modes']['mode']} of {', '.join(one['modes']['modes'])}{pending}"))
@@ -214,8 +217,13 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
 
 def _link_states(report: Mapping[str, Any]) -> Mapping[str, str]:
     """How far links are, by connector; of a whole kernel, or of a part of it."""
-    states: Mapping[str, str] = report["links"] if "links" in report else report["services"].get("links", {})
-    return states
+    return _part(report, "links", "links")
+
+
+def _part(report: Mapping[str, Any], key: str, service: str) -> Mapping[str, Any]:
+    """What a service says: of a part of a kernel it is under the key, of a whole one with the services."""
+    found: Mapping[str, Any] = report[key] if key in report else report.get("services", {}).get(service, {})
+    return found
 
 
 def _inside(parts: Iterator[str]) -> Iterator[str]:

@@ -1,0 +1,115 @@
+"""A system with components in processes of their own, as the commands show, save and plan it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import Kernel
+from aiorts.errors import WiringError
+from aiorts.system import build, load
+from aiorts.types import TimedLong
+from control_parts import commanded
+from isolation.isolated_parts import Scale, Sink, Source
+from isolation.test_isolated import until
+from run_parts import here
+
+pytestmark = pytest.mark.anyio
+SYSTEM = """\
+schema = 1
+
+[control]
+name = "unit"
+
+[components.source]
+type = "isolated_parts.py:Source"
+
+[components.one]
+type = "isolated_parts.py:Scale"
+params.factor = 3
+isolation = "process"
+
+[components.two]
+type = "isolated_parts.py:Scale"
+isolation = "process"
+
+[components.sink]
+type = "isolated_parts.py:Sink"
+
+[[connections]]
+from = "source.out"
+to = "one.inp"
+
+[[connections]]
+from = "one.out"
+to = "two.inp"
+
+[[connections]]
+from = "one.out"
+to = "sink.inp"
+length = 20
+subscription = "flush"
+
+[contexts.a]
+kind = "event"
+members = ["one"]
+
+[contexts.b]
+kind = "event"
+members = ["two"]
+"""
+
+
+async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    parts = tmp_path / "isolated_parts.py"
+    parts.write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    path, saved = tmp_path / "system.toml", tmp_path / "saved.toml"
+    path.write_text(SYSTEM)
+    async with Kernel() as kernel:
+        await build(kernel, load(path))
+        one: Any = kernel.components["one"]
+        status, text = await commanded(capsys, "cat", "one")
+        assert (status, f"process  {one.pid}\n" in text, "one.out -> two.inp" in text) == (0, True, True), text
+        status, text = await commanded(capsys, "plan", str(path), "--live", "unit")
+        assert (status, text) == (0, ""), text
+        status, text = await commanded(capsys, "save", "-o", str(saved))
+        assert status == 0, text
+        assert await commanded(capsys, "plan", str(saved), "--live", "unit") == (0, "")
+        assert "on_link_lost" not in saved.read_text()
+        checked = here("check", saved)
+        assert checked.returncode == 0, checked.stdout
+        source: Any = kernel.components["source"]
+        source.out.write_nowait(TimedLong(0, -4))
+        await until(lambda: one.busy)
+        status, text = await commanded(capsys, "cat", "one")
+        assert f"process  {one.pid}, busy for" in text
+
+
+async def test_what_a_file_asks_of_a_connector_between_processes_and_cannot_be_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
+    path = tmp_path / "system.toml"
+    path.write_text(SYSTEM.replace('to = "two.inp"', 'to = "two.inp"\nsubscription = "flush"'))
+    done = here("check", path)
+    assert done.returncode != 0
+    assert "subscription = flush: both ends are in other processes" in done.stdout + done.stderr
+
+
+async def test_a_connection_fans_out_to_components_here_and_in_a_process() -> None:
+    async with Kernel() as kernel:
+        source, sink = await kernel.add(Source("source")), await kernel.add(Sink("sink"))
+        one, two = [await kernel.create_isolated(Scale, name) for name in ("one", "two")]
+        made: Any = await kernel.connect(source.out, sink.inp, "one.inp", name="fan")
+        assert [each.name for each in made] == ["fan", "fan-2"]
+        await kernel.connect("one.out", "two.inp", sink.inp)
+        assert [each.profile.ports[:2] for each in kernel.connectors.values()] == [
+            ("source.out", "sink.inp"),
+            ("source.out", "one.inp"),
+            ("one.out", "two.inp"),
+            ("one.out", "sink.inp"),
+        ]
+        with pytest.raises(WiringError, match="types differ"):
+            await kernel.connect(source.large, "two.inp", sink.large)
+        assert len(kernel.connectors) == 4
+        assert [len(each.ports["inp"].connectors) for each in (one, two)] == [1, 1]
