@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack, overload
 
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import kinds_of
@@ -175,6 +175,38 @@ class Kernel(Microkernel):
         from aiorts.isolation import Isolation  # late: few kernels have processes
 
         return await self.service(Isolation).create(kind, name, asdict(limits) if limits else {}, params)
+
+    async def move(
+        self, component: Component, to: Context | Literal["process"], *, limits: Limits | None = None
+    ) -> Component:
+        """Move a component to another context, or into a process of its own and back, while the system runs.
+
+        It is deactivated where it was and activated where it goes: `on_deactivated` and `on_shutdown` run there,
+        `on_startup` and `on_activated` here. Its in-ports take samples all the time. Between contexts of this kernel
+        it stays the same instance.
+
+        To and from a process another instance is made: its `on_initialize` runs before, beside the old one, whose
+        `on_finalize` runs at the end. Parameters and sets go with it, and its attributes, which have to be plain data,
+        arrays and records, or what its `on_reload` takes over of them. Its connectors are made anew under their names,
+        with what is unread in them, in order. Calls in progress end with ServiceUnavailable.
+
+        Args:
+            to: a context of this kernel, which is started where it does not run yet; or "process".
+            limits: what its process may use, as `create_isolated`.
+
+        Returns:
+            The handle from now on. One that is another than before leaves the old one raising StateError at each use.
+
+        Raises:
+            StateError: it cannot be moved: names what keeps it; nothing was changed.
+            WiringError: a connector of it cannot reach into another process; nothing was changed.
+            TransitionTimeout: what it had written was not taken in time; it goes on where it was.
+                What making or starting it raises: it goes on where it was.
+        """
+        self.check_open("move")
+        from aiorts.isolation import move  # late: few systems do
+
+        return await move(self, component, to, asdict(limits) if limits else {})
 
     def monitor_deadlines(self, context: Context) -> ContextTimer | None:
         return None if self._deadlines is None else self._deadlines.monitor(context)

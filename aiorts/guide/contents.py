@@ -25,6 +25,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
             *("dynamic-ports", "connect-by-rules", "connect-processes", "isolate-components", "one-file"),
             *(
                 "replace-code",
+                "move",
                 "observe",
                 "control",
                 "save-system",

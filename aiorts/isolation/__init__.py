@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.isolation.handover import give_state, hold, packed, release, state_of, taken
     from aiorts.isolation.isolating import Isolation
     from aiorts.isolation.messages import MARK, OPERATE, REPORT, First, Report, asked, done, refused
+    from aiorts.isolation.moving import move
     from aiorts.isolation.placing import given_of
     from aiorts.isolation.ports import described
     from aiorts.isolation.stand_in import RemoteComponent
@@ -31,15 +33,24 @@ __all__ = (
     "asked",
     "described",
     "done",
+    "give_state",
     "given_of",
+    "hold",
+    "move",
+    "packed",
     "refused",
+    "release",
+    "state_of",
+    "taken",
 )
 
 _late(
     globals(),
     {
+        "aiorts.isolation.handover": "give_state hold packed release state_of taken",
         "aiorts.isolation.isolating": "Isolation",
         "aiorts.isolation.messages": "MARK OPERATE REPORT First Report asked done refused",
+        "aiorts.isolation.moving": "move",
         "aiorts.isolation.placing": "given_of",
         "aiorts.isolation.ports": "described",
         "aiorts.isolation.stand_in": "RemoteComponent",

@@ -17,10 +17,12 @@ from aiorts.kernel.component import Component
 from aiorts.kernel.extensions.loading import load_aside
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.extensions.type_texts import type_text
+from aiorts.kernel.loop.bus import Connected, Disconnected
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
 from aiorts.links import Caller, Links, UnixTransport
+from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.processes import Launcher, Limits
 
 if TYPE_CHECKING:
@@ -45,6 +47,8 @@ class Isolation(KernelService):
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
         self._said = False
+        kernel.bus.subscribe(Connected, self._rewired)
+        kernel.bus.subscribe(Disconnected, self._rewired)
 
     def report(self) -> Mapping[str, Any]:
         """Of each component its process, and for how many seconds a hook has held it."""
@@ -94,7 +98,7 @@ class Isolation(KernelService):
             self._launcher = Launcher()
         if self._opening is None:
             self._opening = kernel_task(
-                self.kernel.loop, self.kernel.service(Links).carry(self._transport), "aiorts isolation"
+                self.kernel.loop, self.kernel.service(Links).reach.carry(self._transport), "aiorts isolation"
             )
         process = Process(
             self.kernel,
@@ -126,6 +130,18 @@ class Isolation(KernelService):
     def stopped(self) -> None:
         if self._launcher is not None:
             kernel_task(self.kernel.loop, self._launcher.close(), "aiorts isolation close")
+
+    def _rewired(self, event: Connected | Disconnected) -> None:
+        """Interfaces that isolated components call may have others who answer."""
+        if not isinstance(event.connector, ServiceConnectorProfile):
+            return
+        for name in {required.partition(".")[0] for required, _ in event.connector.mapping}:
+            component = self.kernel.components.get(name)
+            if isinstance(component, RemoteComponent):
+                task = kernel_task(self.kernel.loop, component.rewired(), f"aiorts bind {name}")
+                awaited = self.kernel.service(Links).calls.awaited
+                awaited.add(task)
+                task.add_done_callback(awaited.discard)
 
     async def _reported(self, body: bytes, caller: Caller) -> bytes:
         process = None if caller.peer is None else self._processes.get(caller.peer.kernel)

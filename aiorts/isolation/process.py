@@ -114,7 +114,7 @@ class Process:
             theirs.close()
         for limit, why in self._child.denied.items():
             self._line(logging.WARNING, f"limits.{limit} is not kept: {why}")
-        self._links.carried(self.kernel)
+        self._links.reach.carried.add(self.kernel)
         connection = self._transport.take(ours, greets_within=_COMES_UP)
         self._child.ended.add_done_callback(self._over)
         try:

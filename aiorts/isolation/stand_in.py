@@ -15,14 +15,16 @@ from aiorts.errors import ComponentError, DeclarationError, ProcessError, StateE
 from aiorts.isolation.placing import RemoteContext, placed
 from aiorts.isolation.ports import follow
 from aiorts.isolation.process import text_of
+from aiorts.isolation.services import RemoteServices, remote_end
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import Kind, declarations
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.parameters import Declared
-from aiorts.kernel.ports import InPort, OutPort
+from aiorts.kernel.ports import InPort, OutPort, PortDeclaration
 from aiorts.kernel.ports.far import RemoteInPort, RemoteOutPort
 from aiorts.links import Links
 from aiorts.model.lifecycle import LifecycleState
+from aiorts.services import ServiceEnd, ServicePort
 
 if TYPE_CHECKING:
     from aiorts.isolation.messages import Report
@@ -59,6 +61,9 @@ class RemoteComponent(Component, kind=RemoteKind()):
     limits: ClassVar[Mapping[str, Any]]
     """What its process may use."""
     _process: Process | None = None
+    _services: RemoteServices | None = None
+    before: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+    """Of connectors that were made before it was moved into its process: their options, by name."""
     _there = LifecycleState.INACTIVE
     """The state that the process has reported last."""
 
@@ -89,15 +94,24 @@ class RemoteComponent(Component, kind=RemoteKind()):
 
         isolation = self.kernel.service(Isolation)
         self._process = isolation.process_of(self)
+        if any(isinstance(port, ServicePort) for port in self.ports.values()):
+            self._services = RemoteServices(self)
         try:
             await self._begin()
         except BaseException:
             await isolation.end(self)
             raise
 
+    async def rewired(self) -> None:
+        """Others than before answer what it requires."""
+        if self._services is not None and self._running.runs:
+            await self._services.bind(self._running)
+
     async def on_finalize(self) -> None:
         from aiorts.isolation.isolating import Isolation  # late: that knows this class
 
+        if self._services is not None:
+            self._services.end()
         await self.kernel.service(Isolation).end(self)
 
     async def _begin(self) -> None:
@@ -106,6 +120,8 @@ class RemoteComponent(Component, kind=RemoteKind()):
         self._there = LifecycleState.INACTIVE
         await self._running.start(self.type_text, params)
         await self._follow()
+        if self._services is not None:
+            await self._services.begin(self._running)
 
     async def _follow(self) -> None:
         """Have the ports that it has in the process."""
@@ -141,6 +157,10 @@ class RemoteComponent(Component, kind=RemoteKind()):
             self.log.error("%s", error)
         for member in members:
             member.context.runner.life.task_failed(member, error)
+
+    async def ask(self, operation: str, **arguments: Any) -> Any:
+        """What its process answers. ProcessError: it does not. AiortsError: what refused it."""
+        return await self._running.ask(operation, **arguments)
 
     # -- its context -----------------------------------------------------------------------------------------------
 
@@ -188,7 +208,7 @@ def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> t
     """The class of what stands for components of this class, which a process finds by this text.
 
     Raises:
-        DeclarationError: it has what cannot be used across processes yet, such as service ports.
+        DeclarationError: it has what cannot be used across processes.
     """
     key = cls, text, *sorted(limits.items())
     if (known := _classes.get(key)) is not None:
@@ -204,10 +224,12 @@ def stand_in_of(cls: type[Component], text: str, limits: Mapping[str, Any]) -> t
     return made
 
 
-def _remote_port(cls: type[Component], attribute: str, port: Any) -> RemoteInPort | RemoteOutPort:
+def _remote_port(cls: type[Component], attribute: str, port: Any) -> PortDeclaration:
+    if isinstance(port, ServiceEnd):
+        return remote_end(cls.__qualname__, attribute, port)
     if not isinstance(port, InPort | OutPort):
         raise DeclarationError(
-            f"{cls.__qualname__}.{attribute}: a component with service ports cannot run in a process of its own yet"
+            f"{cls.__qualname__}.{attribute}: a {type(port).__name__} cannot be used from another process"
         )
     alike: dict[str, Any] = {"unit": port.unit, "shape": port.shape, "doc": port.doc, "name": port.name or None}
     alike["max_connectors"] = port.max_connectors

@@ -275,6 +275,13 @@ class Registry:
             self.parked.discard(component)
             await self._finalize(component, StopBudget(self._kernel.loop))
 
+    def supersede(self, old: Component, new: Component) -> None:
+        """Put a new instance, whose `on_initialize` has run, in the place of an old one, which is parked."""
+        self.replace(old, new)
+        self._cells[new.name] = cell(new)
+        self.parked.discard(new)
+        self.parked.add(old)
+
     def stranger(self, component: object, name: str, where: str) -> str:
         """What is said of one that is not of this kernel, or whose place another instance has."""
         if (

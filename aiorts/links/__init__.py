@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from aiorts.late import late as _late
 
 if TYPE_CHECKING:
+    from aiorts.links.calls import FarProvider
     from aiorts.links.connecting import Links, LinksSettings
     from aiorts.links.ledgers import LinkLedger
     from aiorts.links.reaching import find_transport
@@ -26,6 +27,7 @@ __all__ = (
     "Caller",
     "Channel",
     "ChannelEvents",
+    "FarProvider",
     "KernelFace",
     "LinkLedger",
     "LinkOffer",
@@ -41,6 +43,7 @@ __all__ = (
 _late(
     globals(),
     {
+        "aiorts.links.calls": "FarProvider",
         "aiorts.links.connecting": "Links LinksSettings",
         "aiorts.links.ledgers": "LinkLedger",
         "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of",

@@ -44,7 +44,7 @@ from aiorts.links.call_values import (
 )
 from aiorts.links.messages import Answer
 from aiorts.model.names import Path
-from aiorts.services import Goal, Provided, Relayed, Required, ServicePort, goal_types, seconds_left
+from aiorts.services import Goal, Provided, Relayed, Required, ServiceEnd, ServicePort, goal_types, seconds_left
 
 if TYPE_CHECKING:
     from aiorts.links.kernels import Kernels
@@ -71,6 +71,8 @@ class Calls:
         self._far: dict[FarProvider, None] = {}
         self._numbers = count(1)
         """Of the calls of this kernel, whatever interface they are of."""
+        self.awaited: set[asyncio.Future[None]] = set()
+        """What else of service ports is under way: `connect` waits for it, too."""
 
     def handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
         """What other kernels may ask."""
@@ -114,6 +116,17 @@ class Calls:
                 self._links.kernel.loop.call_soon(self._begin, each)
         return found
 
+    def relay(self, end: Provided[Any], path: Path) -> FarProvider:
+        """What answers in this kernel for the interface of another one, until `end_relay`; whoever has it binds it."""
+        far = FarProvider(self._links, end, path, self._numbers)
+        self._far[far] = None
+        return far
+
+    def end_relay(self, far: FarProvider) -> None:
+        """It answers no more."""
+        if self._far.pop(far, self) is None:
+            far.close()
+
     def first_answers(self, connectors: Sequence[Any]) -> list[asyncio.Future[None]]:
         """Of those that were made: done when the other kernel has answered, or is not there."""
         found = []
@@ -121,7 +134,7 @@ class Calls:
             self._begin(far)
             if any(one in connectors for one in far.end.connectors):
                 found.append(far.first)
-        return found
+        return [*found, *self.awaited]
 
     def _begin(self, far: FarProvider) -> None:
         if far in self._new:
@@ -153,7 +166,7 @@ class Calls:
 
     def end_closed(self) -> None:
         """Connectors have ended."""
-        for far in [one for one in self._far if not one.end.connectors]:
+        for far in [one for one in self._far if not one.in_use]:
             del self._far[far]
             far.close()
 
@@ -171,36 +184,62 @@ class Calls:
 
 
 class FarProvider:
-    """Stands for a provided interface of another kernel, at the end of one service connector.
+    """Stands for a provided interface of another kernel, at the end of one service connector, or of many.
 
     Args:
+        asking: the required interface that it answers; or a provided one of this kernel that has `methods` for its
+            provider and is called by any number of others.
         numbers: of calls, of all providers of this kernel.
     """
 
-    def __init__(self, links: Kernels, required: Required[Any], path: Path, numbers: Iterator[int]) -> None:
-        self._links, self._required, self.path, self._numbers = links, required, path, numbers
+    def __init__(self, links: Kernels, asking: ServiceEnd[Any], path: Path, numbers: Iterator[int]) -> None:
+        self._links, self._asking, self.path, self._numbers = links, asking, path, numbers
         self.first: asyncio.Future[None] = links.kernel.loop.create_future()
         """Done with the first answer, or with what refused it."""
         self.peer: Peer | None = None
         """The kernel that it is bound in; None: it is not bound."""
         self._why = "not connected yet"
+        self._over = False
         self._number = 0
         self._late = 0
         self._binding = False
         self._changed: list[asyncio.Future[None]] = []
         self._goals: dict[int, tuple[Goal[Any, Any], GoalTypes]] = {}
+        self.methods = SimpleNamespace(**{one.name: self._method(one) for one in asking.spec.methods.values()})
+        """What answers: a method for each of the interface."""
+        self.end = asking if isinstance(asking, Provided) else self._provided()
+
+    def _provided(self) -> Provided[Any]:
+        """An interface that looks like the far one."""
         component = Component()
-        cell(component).rename(str(replace(path, port="")))
-        cell(component).kernel = links.kernel
-        methods = {name: self._method(method) for name, method in required.spec.methods.items()}
-        kind: Any = Provided[required.interface]  # type: ignore[name-defined]
-        declared = kind(SimpleNamespace(**methods), concurrent=True, always=True, cancel_timeout=LONGEST_CALL)
-        self.end: Provided[Any] = component.add_port(path.port, declared)
+        cell(component).rename(str(replace(self.path, port="")))
+        cell(component).kernel = self._links.kernel
+        kind: Any = Provided[self._asking.interface]  # type: ignore[name-defined]
+        declared = kind(self.methods, concurrent=True, always=True, cancel_timeout=LONGEST_CALL)
+        end: Provided[Any] = component.add_port(self.path.port, declared)
+        return end
+
+    @property
+    def _relays(self) -> bool:
+        """Whether it is there without a connector, too."""
+        return self.end is self._asking
+
+    @property
+    def in_use(self) -> bool:
+        """Whether anybody may call it."""
+        return bool(self.end.connectors) if not self._relays else not self._over
 
     @property
     def name(self) -> str:
-        """Of the connector."""
-        return next((one.name for one in self.end.connectors), f"{self._required.path}-{self.end.path}")
+        """Of the connector, or of the interface that it answers for many."""
+        if self._relays:
+            return self.end.path
+        return next((one.name for one in self.end.connectors), f"{self._asking.path}-{self.end.path}")
+
+    @property
+    def _where(self) -> str:
+        """Who calls whom, for messages."""
+        return self.end.path if self._relays else f"{self._asking.path} -> {self.end.path}"
 
     def report(self) -> str:
         """Its state, for tools."""
@@ -215,8 +254,8 @@ class FarProvider:
         if peer is None or self.peer == peer or self._binding:
             return
         self._binding = True
-        required = str(self._links.path_of(self._required.port))
-        body = frame_of([required, self._required.instance, str(self.path), interface_text(self._required.spec)])
+        required = str(self._links.path_of(self._asking.port))
+        body = frame_of([required, self._asking.instance, str(self.path), interface_text(self._asking.spec)])
         try:
             answer = Answer.from_bytes(await self._links.ask(peer, "bind", body, _WITHIN))
         except LinkError as error:
@@ -239,20 +278,20 @@ class FarProvider:
         return None
 
     def _look_again(self) -> None:
-        if self.end.connectors and not self._links.kernel.closed:
+        if self.in_use and not self._links.kernel.closed:
             self._links.run(self.bind(), f"aiorts bind {self.name}")
 
     def waits(self, why: str) -> None:
         """It cannot be bound yet."""
         self._why = why
-        if not self.first.done():
+        if not (self.first.done() or self._relays):
             _LOG.warning("W-LINK: %s: waits: %s", self.name, why)
         self._answer(None)
 
     def _refused(self, why: str) -> None:
         self._why = why
         _LOG.error("%s: refused by %s: %s", self.name, self.path.kernel, why)
-        self._answer(WiringError(f"{self._required.path} -> {self.end.path}: {why}"))
+        self._answer(WiringError(f"{self._where}: {why}"))
         for connector in self.end.connectors:
             self._links.kernel.connections.end(connector)
 
@@ -272,8 +311,8 @@ class FarProvider:
             _advance(goal, types, "failed", why)
 
     def close(self) -> None:
-        """It has no connector any more."""
-        peer, self.peer = self.peer, None
+        """It is called no more."""
+        peer, self.peer, self._over = self.peer, None, True
         self._why = "was disconnected"
         self._wake()
         if peer is not None and not self._links.kernel.closed:
@@ -315,7 +354,7 @@ class FarProvider:
     async def _call(
         self, method: Method, types: GoalTypes | None, args: tuple[Any, ...], kwargs: dict[str, Any]
     ) -> Any:
-        named = f"{self._required.path} -> {self.end.path}.{method.name}"
+        named = f"{self._where}.{method.name}"
         try:
             given = method.signature.bind(*args, **kwargs)
         except TypeError as error:
@@ -343,8 +382,8 @@ class FarProvider:
             changed: asyncio.Future[None] = self._links.kernel.loop.create_future()
             self._changed.append(changed)
             await changed
-        if not self.end.connectors:
-            raise Relayed(ServiceUnavailable(f"{self._required.path} -> {self.end.path}: was disconnected"))
+        if not self.in_use:
+            raise Relayed(ServiceUnavailable(f"{self._where}: was disconnected"))
 
     async def _ask(
         self, method: Method, types: GoalTypes | None, named: str, args: list[Any], kwargs: dict[str, Any]

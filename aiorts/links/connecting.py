@@ -105,12 +105,13 @@ class Links(KernelService):
         """Reader's ends by the writer's kernel and its name of the link."""
         self._number = int.from_bytes(os.urandom(3), "big")
         self._accepting = False
-        self._calls, self._serving = Calls(self), Serving(self)
+        self.calls, self._serving = Calls(self), Serving(self)
         self._ledgers = Ledgers(self, self._writers, self._offers)
         self._arrivals = Arrivals(self)
-        self._reach = Reach(self, self._handlers, self._present, self._waits_again)
+        self.reach = Reach(self, self._handlers, self._present, self._waits_again)
+        """The other kernels, and the transports that reach them."""
         kernel.connections.far = self
-        kernel.bus.subscribe(Disconnected, lambda _event: self._end_closed())
+        kernel.bus.subscribe(Disconnected, lambda _event: self.end_closed())
 
     def owns(self, connector: Connector) -> bool:
         """Whether another kernel has connected it: not saved, and nothing that a plan looks at."""
@@ -125,7 +126,7 @@ class Links(KernelService):
             if not (connector.in_.is_tap or connector.out.is_tap):
                 before = data.get(connector.name, said)
                 data[connector.name] = said if said == before else f"{before}; {said}"
-        return data | self._calls.report()
+        return data | self.calls.report()
 
     async def ledger(self, connector: Connector, within: float = _ASK_SECONDS) -> LinkLedger:
         """The ledger of a link from end to end, asked for at either end; the other kernel answers in `within` seconds.
@@ -153,7 +154,7 @@ class Links(KernelService):
         if settings.name:
             check_name(settings.name, "[links]: kernel")  # no other kernel would take it
         self._settings = settings
-        self._reach.open_soon(settings.transport)
+        self.reach.open_soon(settings.transport)
 
     @property
     def reached_as(self) -> str:
@@ -163,12 +164,12 @@ class Links(KernelService):
     @property
     def open_as(self) -> str:
         """See `FarPorts.open_as`."""
-        return self.reached_as if self._reach.is_open else ""
+        return self.reached_as if self.reach.is_open else ""
 
     @property
     def peers(self) -> tuple[Peer, ...]:
         """The other kernels that are there."""
-        return tuple(self._reach.peers)
+        return tuple(self.reach.peers)
 
     async def opened(self) -> None:
         """Wait until other kernels can be reached.
@@ -176,27 +177,16 @@ class Links(KernelService):
         Raises:
             LinkError: the transport cannot be opened; it is tried again while the kernel runs.
         """
-        await self._reach.opened()
+        await self.reach.opened()
 
     def use(self, transport: Transport) -> None:
         """Carry links with this transport, which is not open yet; before anything else is done."""
-        self._reach.use(transport)
-
-    async def carry(self, transport: Transport) -> None:
-        """Carry links with this transport, too: to the kernels that `carried` names. It is opened.
-
-        Raises:
-            LinkError: it cannot be opened.
-        """
-        await self._reach.carry(transport)
-
-    def carried(self, kernel: str) -> None:
-        """A kernel of this name is reached by a transport that was given to `carry`, and by no other."""
+        self.reach.use(transport)
 
     def _handlers(self) -> Mapping[str, Callable[[bytes, Caller], Awaitable[bytes]]]:
         """What other kernels may ask."""
         own = {"offer": self._offered, "request": self._requested, "come": self._come}
-        return {**own, **self._calls.handlers(), **self._serving.handlers(), **self._ledgers.handlers()}
+        return {**own, **self.calls.handlers(), **self._serving.handlers(), **self._ledgers.handlers()}
 
     def _waits_again(self) -> None:
         """Other kernels can be reached at last: what waits for one that is not there says so now."""
@@ -215,7 +205,7 @@ class Links(KernelService):
         near = [port for port in ports if not (isinstance(port, str) or port.elsewhere)]
         if near and is_service(near[0]):
             given = [port if port in near else str(getattr(port, "elsewhere", port)) for port in ports]
-            return self._calls.resolve(given), options
+            return self.calls.resolve(given), options
         where = " -> ".join(port if isinstance(port, str) else port.path for port in ports)
         ends = far_ends(self.kernel, where, ports)
         # A process of this kernel does what the writer's end does alone; another kernel is to be asked there.
@@ -233,14 +223,14 @@ class Links(KernelService):
                 self._own.add(writer)
             self._start(writer)
         out = connector.out
-        if isinstance(out, FarOutPort) and (not self._accepting or out.far.kernel in self._reach.carried):
+        if isinstance(out, FarOutPort) and (not self._accepting or out.far.kernel in self.reach.carried):
             reader = self._read_end(connector)
             self._own.add(reader)
             self._expected[str(out.far), self._as_reader(connector.in_)] = reader
             self._start(reader)
 
     def connector_ended(self) -> None:
-        self._end_closed()
+        self.end_closed()
 
     async def connect(
         self, connect: Callable[..., Awaitable[Any]], ports: Sequence[Any], options: Mapping[str, Any]
@@ -256,7 +246,7 @@ class Links(KernelService):
         made = await connect(*ports, **options)
         connectors = made.connectors if isinstance(made, Connection) else (made,)
         waits = [self._first[link] for one in connectors for link in self._links_of(one) if link in self._first]
-        waits += self._calls.first_answers(connectors)
+        waits += self.calls.first_answers(connectors)
         try:
             for wait in waits:
                 await asyncio.wait((wait,), timeout=_FIRST_SECONDS)
@@ -270,7 +260,7 @@ class Links(KernelService):
 
     async def ask(self, peer: Peer, what: str, body: bytes, within: float) -> bytes:
         """See `Kernels.ask`."""
-        return await self._reach.carrier(peer).ask(peer, what, body, within=within)
+        return await self.reach.carrier(peer).ask(peer, what, body, within=within)
 
     def _all(self) -> list[Link]:
         return [*self._writers.values(), *self._readers.values()]
@@ -303,7 +293,7 @@ class Links(KernelService):
 
     def _start(self, link: Link) -> None:
         self._first[link] = self.kernel.loop.create_future()
-        self._reach.open_for(self.far_of(link))
+        self.reach.open_for(self.far_of(link))
         self._try(link)
         if link not in self._asking:
             self._answer_first(link, None)
@@ -315,7 +305,7 @@ class Links(KernelService):
 
     def absent(self, path: Path) -> str:
         """See `Kernels.absent`."""
-        return self._reach.absent(path)
+        return self.reach.absent(path)
 
     def far_of(self, link: Link) -> Path:
         """See `Kernels.far_of`."""
@@ -324,7 +314,7 @@ class Links(KernelService):
         return port.far
 
     def _is_carried(self, link: Link) -> bool:
-        return self.far_of(link).kernel in self._reach.carried
+        return self.far_of(link).kernel in self.reach.carried
 
     def _lost(self, link: Link, why: str) -> None:
         connector = link.connector
@@ -362,8 +352,9 @@ class Links(KernelService):
         else:
             self.kernel.connections.end(connector)
 
-    def _end_closed(self) -> None:
-        self._calls.end_closed()
+    def end_closed(self) -> None:
+        """Connectors have ended."""
+        self.calls.end_closed()
         for link in [one for one in self._all() if one.connector.closed]:
             (self._writers if isinstance(link, WriterLink) else self._readers).pop(link.connector)
             # The end of a kernel ends what it has connected; whoever connected from elsewhere waits for its return.
@@ -391,12 +382,12 @@ class Links(KernelService):
 
     def _present(self, peer: Peer, up: bool) -> None:
         if not up:
-            self._calls.present(peer, False)
+            self.calls.present(peer, False)
             self._serving.gone(peer)
             self._arrivals.gone(peer)
             self._end_unanswered(peer)
             return
-        self._calls.present(peer, True)
+        self.calls.present(peer, True)
         for link in self._all():
             if self._peer(link) == peer:
                 self._try(link)
@@ -419,14 +410,14 @@ class Links(KernelService):
 
     def peer_of(self, path: Path) -> Peer | None:
         """See `Kernels.peer_of`."""
-        return self._reach.peer_of(path)
+        return self.reach.peer_of(path)
 
     def _try(self, link: Link) -> None:
         """Offer it, or ask the writer's kernel to, unless that is under way, or the other kernel is not there."""
         if link.is_connected or link in self._asking or (isinstance(link, ReaderLink) and link not in self._own):
             return
         peer = self._peer(link)
-        if peer is None and not self._reach.is_opening:
+        if peer is None and not self.reach.is_opening:
             return
         self._asking.add(link)
         self.run(self._ask(link), f"aiorts link {link.connector.name}")
@@ -434,7 +425,7 @@ class Links(KernelService):
     async def _ask(self, link: Link) -> None:
         will_be_offered = False
         try:
-            await self._reach.opened_for(self.far_of(link))
+            await self.reach.opened_for(self.far_of(link))
             peer = self._peer(link)
             if link not in self._links_of(link.connector):
                 return
@@ -485,7 +476,7 @@ class Links(KernelService):
             return self._not_now(link, answer)
         version = versions.agreed(peer.kernel, answer.protocol)
         agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
-        channel = await self._reach.carrier(peer).channel(agreed, link)
+        channel = await self.reach.carrier(peer).channel(agreed, link)
         if self._writers.get(connector) is not link:
             channel.close()
             return None
@@ -584,7 +575,7 @@ class Links(KernelService):
 
     async def _join(self, link: ReaderLink, offer: LinkOffer, peer: Peer | None) -> None:
         try:
-            channel = await self._reach.carrier(peer).channel(offer, link)
+            channel = await self.reach.carrier(peer).channel(offer, link)
         except LinkError as error:
             link.why = str(error)
             return
@@ -648,7 +639,7 @@ class Links(KernelService):
                 if link in self._asking:
                     self._retry(link)  # the answer that it was not there has come, and was not looked at yet
                 self._try(link)
-        self._calls.come(component, caller.peer)
+        self.calls.come(component, caller.peer)
         return b""
 
     # -- ending --------------------------------------------------------------------------------------------------------
@@ -664,11 +655,11 @@ class Links(KernelService):
     def stopped(self) -> None:
         for link in self._all():
             link.close(for_good=link in self._own)
-        self._calls.stopped()
+        self.calls.stopped()
         self._serving.stopped()
         for task in self._tasks:
             task.cancel()
-        self._reach.close()
+        self.reach.close()
 
     # -- helpers -------------------------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ from aiorts.links.messages import Answer
 if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
     from aiorts.kernel.ports import Port
+    from aiorts.links.reaching import Reach
     from aiorts.links.reader_link import ReaderLink
     from aiorts.links.transport import Caller, Peer
     from aiorts.links.writer_link import WriterLink
@@ -21,6 +22,8 @@ class Kernels(Protocol):
     """The links of one kernel, and through them the other kernels."""
 
     kernel: Microkernel
+    reach: Reach
+    """The other kernels, and the transports that reach them."""
 
     @property
     def reached_as(self) -> str:

@@ -52,7 +52,7 @@ class Reach:
         self._carriers: list[Transport] = []
         """Those that reach certain kernels alone, such as those in processes of this program."""
         self.carried: set[str] = set()
-        """The names of those kernels."""
+        """The names of those kernels; they connect what this kernel tells them to."""
         self.peers: dict[Peer, Transport] = {}
         """The other kernels that are there, and what carries links to them."""
         self._closing = False

@@ -95,7 +95,8 @@ class Serving:
             if isinstance(found, Answer):
                 return sent(found)
             end = self._fitting(found, text, instance, provided)
-            self._check_limit(end.port)
+            if caller.peer is None or caller.peer.kernel not in self._links.reach.carried:
+                self._check_limit(end.port)  # else a connector of this kernel stands for it, which is counted
             bound = _Bound(end, Path.parse(required))
             if caller.peer is None or len(self._bound) >= _BOUND:
                 bound.close()

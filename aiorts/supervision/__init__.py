@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from aiorts.model.wanted.restart_policy import ACTIONS, Supervision
     from aiorts.model.wanted.start_rules import ADDED, StartRule, in_order
     from aiorts.supervision.readiness import wait_ready
+    from aiorts.supervision.saved_state import standing_of
     from aiorts.supervision.supervising import Supervising
     from aiorts.supervision.supervisor import ComponentRecovered, RestartLimitReached, Supervised
 
@@ -20,6 +21,7 @@ _late(
     globals(),
     {
         "aiorts.supervision.readiness": "wait_ready",
+        "aiorts.supervision.saved_state": "standing_of",
         "aiorts.model.wanted.restart_policy": "ACTIONS Supervision",
         "aiorts.model.wanted.start_rules": "ADDED StartRule in_order",
         "aiorts.supervision.supervising": "Supervising",

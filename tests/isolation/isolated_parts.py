@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from aiorts import Component, InPort, OutPort, Param
-from aiorts.types import TimedDoubleSeq, TimedLong
+from aiorts import Component, Goal, InPort, OutPort, Param, Provided, Required
+from aiorts.errors import ServiceError
+from aiorts.types import TimedDoubleSeq, TimedLong, TimedPose2D
 from campaign import CAMPAIGN
 
 LINES = 15_625 if CAMPAIGN else 500
@@ -176,3 +178,86 @@ class Growing(Component):
                 self.add_port("more", OutPort(TimedLong))
             if sample.data:
                 self.ports["first"].write_nowait(TimedDoubleSeq(0, np.zeros(3)))  # type: ignore[attr-defined]
+
+
+class Arm(Protocol):
+    """What an arm can do."""
+
+    async def add(self, left: float, right: float = 1.0) -> float: ...
+    async def place(self, pose: TimedPose2D) -> list[float]: ...
+    async def wait(self, seconds: float) -> str: ...
+    async def fail(self, text: str) -> None: ...
+    async def die(self) -> None: ...
+    async def reach(self, steps: int, end: bool) -> Goal[float, str]: ...
+    async def where(self) -> int: ...
+
+
+class Robot(Component):
+    """Has an arm."""
+
+    arm = Provided[Arm](cancel_timeout=0.3)
+
+    async def add(self, left: float, right: float = 1.0) -> float:
+        return left + right
+
+    async def place(self, pose: TimedPose2D) -> list[float]:
+        return [pose.data.position.x, pose.data.heading]
+
+    async def wait(self, seconds: float) -> str:
+        await asyncio.sleep(seconds)
+        return "waited"
+
+    async def fail(self, text: str) -> None:
+        raise OSError(text)
+
+    async def die(self) -> None:
+        os._exit(4)
+
+    async def reach(self, steps: int, end: bool) -> Goal[float, str]:
+        goal: Goal[float, str] = Goal()
+        goal.on_cancel = goal.cancelled
+        for step in range(steps):
+            goal.feedback(float(step))
+        if end:
+            goal.succeed("there")
+        return goal
+
+    async def where(self) -> int:
+        return os.getpid()
+
+
+class Client(Component):
+    """Calls an arm."""
+
+    arm = Required[Arm](timeout=5.0)
+
+
+class Caller(Component):
+    """Asks its arm for the sum of each number and 1, and what it heard."""
+
+    inp = InPort(TimedLong, length=100)
+    out = OutPort(TimedLong)
+    arm = Required[Arm](timeout=5.0)
+
+    async def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            try:
+                found = int(await self.arm.proxy.add(sample.data))
+                if sample.data == 100:
+                    found = int(await (await self.arm.proxy.reach(3, True)).result() == "there")
+            except ServiceError as error:
+                found = {"ServiceUnavailable": -1, "ServiceFailed": -2}.get(type(error).__name__, -3)
+            self.out.write_nowait(TimedLong(sample.tm, found))
+
+
+class Quick(Protocol):
+    """May not wait."""
+
+    def look(self) -> int: ...
+
+
+class Looker(Component):
+    quick = Provided[Quick]()
+
+    def look(self) -> int:
+        return 1

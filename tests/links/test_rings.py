@@ -69,7 +69,7 @@ async def test_arrays_arrive_and_keep_their_values_whoever_sent_them(programs: t
                     kept.append(sample.data[5:7])
                 del sample
         assert [int(one[0]) for one in kept] == [number % 251 for number in range(0, 300, 10)]
-        ((connection,),) = one.service(Links)._reach._transport._peers.values()  # type: ignore[union-attr]
+        ((connection,),) = one.service(Links).reach._transport._peers.values()  # type: ignore[union-attr]
         assert connection.rings._sending._used is not None
 
 
@@ -270,7 +270,7 @@ async def test_what_another_program_writes_after_sending_changes_no_value(progra
     seen: list[memoryview] = []
     try:
         async with hostile_to_a_kernel(program) as (two, hostile):
-            transport = two.service(Links)._reach._transport
+            transport = two.service(Links).reach._transport
             transport.arrived = lambda _peer, frames: seen.extend(  # type: ignore[union-attr]
                 part for those in frames.values() for _, parts in those for part in parts
             )
@@ -288,7 +288,7 @@ async def test_what_another_program_writes_after_sending_changes_no_value(progra
 
 async def test_a_peer_that_gives_nothing_back_stops_nobody() -> None:
     async with hostile_to_a_kernel() as (two, hostile):
-        transport = two.service(Links)._reach._transport
+        transport = two.service(Links).reach._transport
         await hostile.next(PROOF)
         ((connection,),) = transport._peers.values()  # type: ignore[union-attr]
         block = memoryview(bytes(SIZE))

@@ -11,6 +11,7 @@ import inspect
 import logging
 import socket
 import sys
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,14 +19,33 @@ from aiorts.assembly import Kernel
 from aiorts.control import Right, Session
 from aiorts.control.operations import OPERATIONS
 from aiorts.errors import AiortsError, ComponentError, LinkError, format_error
-from aiorts.isolation import MARK, OPERATE, REPORT, First, Report, asked, described, done, refused
+from aiorts.isolation import (
+    MARK,
+    OPERATE,
+    REPORT,
+    First,
+    Report,
+    asked,
+    described,
+    done,
+    give_state,
+    hold,
+    packed,
+    refused,
+    release,
+    state_of,
+    taken,
+)
+from aiorts.kernel.component import Component
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.loop.bus import PortAdded, PortRemoved, StateChanged
+from aiorts.kernel.ports import InPort
 from aiorts.links import Caller, Links, Peer, UnixTransport
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.reading import from_plain
 from aiorts.processes import DESCRIPTOR, limit_memory
 from aiorts.running import run
+from aiorts.services import ServiceConnector, ServicePort
 
 _REPORT_SECONDS: Final = 5.0
 
@@ -51,6 +71,14 @@ class _Process:
         self._told = False
         """Whether the kernel that started this process knows the ports: then it hears of changes."""
         self._reports: set[asyncio.Task[None]] = set()
+        self._own: dict[str, Callable[..., Awaitable[Any]]] = {
+            "bind": self._bind,
+            "hold": self._hold,
+            "state": self._state,
+            "unread": self._unread,
+            "give": self._give,
+        }
+        """What is asked for beside the operations of the control table."""
 
     async def serve(self) -> None:
         first = self._first
@@ -86,7 +114,8 @@ class _Process:
             if name == "ports":
                 self._told = True
                 return done(described(self._kernel.components[self._first.component]))
-            return done(await self._run(name, given))
+            own = self._own.get(name)
+            return done(await (self._run(name, given) if own is None else own(**given)))
         except AiortsError as error:
             return refused(error)
         except Exception as error:  # noqa: BLE001 - a hook of the component may raise anything
@@ -101,6 +130,39 @@ class _Process:
         if name == "create" and self._first.memory is not None:
             limit_memory(self._first.memory)
         return value
+
+    async def _bind(self, required: str, provided: str) -> str:
+        """Connect an interface that the component requires; the connector's name."""
+        made: ServiceConnector
+        component = self._component
+        ends = [end for port in component.ports.values() if isinstance(port, ServicePort) for end in port.interfaces]
+        made = await self._kernel.connect(next(end for end in ends if end.path == required), provided)
+        return made.name
+
+    @property
+    def _component(self) -> Component:
+        return self._kernel.components[self._first.component]
+
+    async def _hold(self, holds: bool) -> None:
+        """Have the in-ports take samples whatever its state is, or no longer."""
+        (hold if holds else release)(self._component)
+
+    async def _state(self) -> dict[str, Any]:
+        """What its attributes are."""
+        return state_of(self._component)
+
+    async def _unread(self) -> list[Any]:
+        """What is unread, by in-port and writer; it is taken out."""
+        ports = [port for port in self._component.ports.values() if isinstance(port, InPort)]
+        return [
+            [port.name, str(getattr(one.out, "far", "")), [packed(sample, port.path) for sample in taken(one)]]
+            for port in ports
+            for one in port.connectors
+        ]
+
+    async def _give(self, state: dict[str, Any]) -> None:
+        """Have these attributes."""
+        await give_state(self._kernel, self._component, state)
 
     def _changed(self, event: StateChanged) -> None:
         component = self._kernel.components.get(event.component)

@@ -1,0 +1,492 @@
+"""Moves a component to another context, or into a process and back, while its neighbours run.
+
+What takes long is done first, beside the component that still runs: the process is started, the other instance made.
+Then it leaves its context, with its in-ports open. In one moment of the loop the other one has its place and its
+connectors, with what was unread; then state goes over, and it is started.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts.contexts import PeriodicContext
+from aiorts.errors import AiortsError, DeclarationError, ProcessError, StateError, TransitionTimeout
+from aiorts.isolation.handover import give_state, hold, pass_on, put_in_front, release, state_of, taken, unpacked
+from aiorts.isolation.isolating import Isolation
+from aiorts.isolation.placing import RemoteContext, given_of
+from aiorts.isolation.stand_in import RemoteComponent
+from aiorts.kernel.component import Component, construct
+from aiorts.kernel.detached_hook import run_alone
+from aiorts.kernel.execution.cell import ATTRIBUTE, as_group, cell, check_free
+from aiorts.kernel.execution.context import Context
+from aiorts.kernel.loop.guarded import KernelLog
+from aiorts.kernel.loop.tasks import kernel_task
+from aiorts.kernel.ports import PortDeclaration
+from aiorts.kernel.ports.connector import Connector, unread_of
+from aiorts.kernel.ports.port import host_of
+from aiorts.links import Links
+from aiorts.model.lifecycle import LifecycleState
+from aiorts.model.options import chosen_options, link_options
+from aiorts.services import ServicePort
+from aiorts.supervision import standing_of
+
+if TYPE_CHECKING:
+    from aiorts.kernel.microkernel import Microkernel
+
+_LOG: Final = KernelLog()
+_PATIENCE: Final = 5.0
+"""Seconds for what was written to arrive."""
+_SETTLES: Final = 0.5
+"""Seconds for the other end of a link to say that it has all."""
+_LOOK: Final = 0.001
+_READ_SECONDS: Final = 0.05
+"""How often it is looked whether what the old one wrote was read."""
+
+
+async def move(kernel: Microkernel, component: Component, to: Context | str, limits: Mapping[str, Any]) -> Component:
+    """See `Kernel.move`."""
+    kernel.check_mine(component, "move")
+    if any(context.runner.inside() for context in component.contexts):
+        raise StateError(f"{component.name}: move: called by a hook that it would wait for; call it from outside")
+    task = kernel_task(kernel.loop, _moved(kernel, component, to, limits), f"aiorts move {component.name}")
+    renewing = kernel.registry.renewing
+    renewing.add(task)
+    task.add_done_callback(renewing.discard)
+    try:
+        return await asyncio.shield(task)
+    except asyncio.CancelledError:
+        task.add_done_callback(_log_error)
+        raise
+
+
+def _log_error(task: asyncio.Task[Component]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _LOG.error("move: %s", error)
+
+
+async def _moved(kernel: Microkernel, component: Component, to: Context | str, limits: Mapping[str, Any]) -> Component:
+    async with kernel.registry.renewal:
+        kernel.check_open("move")
+        _check(kernel, component, to)
+        if isinstance(to, Context):
+            if not isinstance(component, RemoteComponent):
+                return await _change_context(kernel, component, to)
+            return await _exchange(kernel, component, component.original, to)
+        if isinstance(component, RemoteComponent):
+            raise StateError(f"{component.name}: runs in a process of its own already")
+        cls = kernel.service(Isolation).stand_in(type(component), limits)
+        if cls is type(component):
+            return component  # on a simulated clock, which was said
+        return await _exchange(kernel, component, cls, _alike(kernel, component))
+
+
+def _check(kernel: Microkernel, component: Component, to: Context | str) -> None:
+    name = component.name
+    kernel.registry.check_settled(component)
+    check_free((component,), "move")
+    if as_group(component) is not None:
+        raise StateError(f"{name}: is a composite; move its members, or stop it")
+    if not isinstance(to, Context) and to != "process":
+        raise DeclarationError(f'{name}: move to {to!r:.80}: expected a context, or "process"')
+    if isinstance(to, RemoteContext):
+        raise StateError(f'{name}: {to.name} runs in the process of its member; move it to "process"')
+    if len(component.contexts) > 1:
+        raise StateError(f"{name}: is in {len(component.contexts)} contexts; a component that is in one can be moved")
+    if cell(component).abandoned is not None or LifecycleState.ERROR in component.states.values():
+        raise StateError(f"{name}: is in error; reset it first, or remove it")
+    if to in component.contexts:
+        raise StateError(f"{name}: is in {component.context.name} already")
+
+
+# -- between contexts of this kernel -------------------------------------------------------------------------------
+
+
+async def _change_context(kernel: Microkernel, component: Component, to: Context) -> Component:
+    """The same instance in another context; back in the one before, where that refuses it."""
+    before = component.contexts[0] if component.contexts else None
+    active = before is not None and before.state(component) is LifecycleState.ACTIVE
+    hold(component)
+    try:
+        if before is not None:
+            await before.remove(component)
+        try:
+            await _join(kernel, component, to, active=active)
+        except BaseException:
+            if before is not None and before.running and not component.contexts:
+                await _join(kernel, component, before, active=active)
+            raise
+    finally:
+        release(component)
+    return component
+
+
+async def _join(kernel: Microkernel, component: Component, to: Context, *, active: bool) -> None:
+    if not to.running:
+        await kernel.start(to, component, activate=active)
+        return
+    await to.add(component)
+    if active:
+        await to.activate(component)
+
+
+def _alike(kernel: Microkernel, component: Component) -> Context | None:
+    """A context of the kind of the component's, for it alone; a periodic one for a real-time one, whose thread could
+    not read from links.
+
+    Raises:
+        StateError: there is none like it in another process.
+    """
+    if not component.contexts:
+        return None
+    like = component.contexts[0]
+    if like.kind == "external":
+        raise StateError(
+            f"{component.name}: {like.name} is ticked by this program, which cannot tick it in another process; move "
+            "it to a periodic context first"
+        )
+    options = RemoteContext(like).as_started()["options"]
+    cls = type(like)
+    if like.kind == "realtime" and like.rate is not None:
+        cls, options = PeriodicContext, {"rate": like.rate}
+    name, number = f"{like.name}_{component.name}", 2
+    while name in kernel.contexts:
+        name, number = f"{like.name}_{component.name}{number}", number + 1
+    try:
+        return cls(name=name, **options)
+    except TypeError as error:
+        raise StateError(f"{component.name}: {like.name}: a context of its kind cannot be made anew: {error}") from None
+
+
+# -- to and from a process -----------------------------------------------------------------------------------------
+
+
+class _Here:
+    """An instance in this process."""
+
+    def __init__(self, component: Component) -> None:
+        self._component = component
+
+    async def prepare(self, _to: Context | None) -> None:
+        """It is about to run in such a context."""
+        await self.hold(True)
+
+    async def state(self) -> Mapping[str, Any]:
+        """What its attributes are. StateError: one of them cannot go over."""
+        return state_of(self._component)
+
+    async def give(self, kernel: Microkernel, state: Mapping[str, Any]) -> None:
+        """Have these attributes."""
+        await give_state(kernel, self._component, state)
+
+    async def hold(self, holds: bool) -> None:
+        """Take samples whatever its state is, or no longer."""
+        (hold if holds else release)(self._component)
+
+    async def leave(self, context: Context) -> None:
+        """Run no more."""
+        await context.remove(self._component)
+
+
+class _There:
+    """An instance in a process of its own."""
+
+    def __init__(self, component: RemoteComponent) -> None:
+        self._component = component
+
+    async def prepare(self, to: Context | None) -> None:
+        """It is about to run in such a context: what starting one imports is imported, which takes 0.1 s."""
+        await self.hold(True)
+        if to is not None:
+            await self._component.ask("start_context", members=[], **RemoteContext(to).as_started())
+            await self._component.ask("stop_context", context=to.name)
+
+    async def state(self) -> Mapping[str, Any]:
+        """What its attributes are. StateError: one of them cannot go over."""
+        found: Mapping[str, Any] = await self._component.ask("state")
+        return found
+
+    async def give(self, _kernel: Microkernel, state: Mapping[str, Any]) -> None:
+        """Have these attributes."""
+        await self._component.ask("give", state=state)
+
+    async def hold(self, holds: bool) -> None:
+        """Take samples whatever its state is, or no longer."""
+        await self._component.ask("hold", holds=holds)
+
+    async def leave(self, context: Context) -> None:
+        """Run no more."""
+        await context.stop()
+
+
+def _place_of(component: Component) -> _Here | _There:
+    return _There(component) if isinstance(component, RemoteComponent) else _Here(component)
+
+
+async def _exchange(kernel: Microkernel, old: Component, cls: type[Component], to: Context | None) -> Component:
+    """Another instance in the place of the old one, in another process; what fails takes all of it back."""
+    move, active = _Move(kernel, old), LifecycleState.ACTIVE in old.states.values()
+    await move.here.state()  # refused before anything is changed
+    new = await _make(kernel, old, cls)
+    there, switched = _place_of(new), False
+    try:
+        await there.prepare(to)
+        await move.here.hold(True)
+        await move.leave()
+        state = await move.here.state()
+        move.switch(new)
+        switched = True
+        await move.arrive()
+        await there.give(kernel, state)
+        if to is not None:
+            await _join(kernel, new, to, active=active)
+    except BaseException:
+        if switched:
+            await move.finish()
+            await _take_back(kernel, new, old)
+        try:
+            if move.context is not None and not old.contexts:
+                await _join(kernel, old, given_of(move.context), active=active)
+        finally:
+            await move.here.hold(False)
+            await kernel.registry.end_parked(new)
+        raise
+    await move.finish()
+    with suppress(ProcessError):  # of the process, which has ended: that is its failure, as always
+        await there.hold(False)
+    await kernel.registry.end_parked(old)
+    _disown(old, new)
+    return new
+
+
+async def _take_back(kernel: Microkernel, new: Component, old: Component) -> None:
+    """The old instance is in its place again; its process may be gone, or that of the new one."""
+    move = _Move(kernel, new)
+    for step in (partial(move.here.hold, True), move.leave):
+        with suppress(AiortsError):
+            await step()
+    move.switch(old)
+    with suppress(AiortsError):
+        await move.arrive()
+    await move.finish()
+
+
+async def _make(kernel: Microkernel, old: Component, cls: type[Component]) -> Component:
+    """The other instance, whose `on_initialize` has run, and which is in no place.
+
+    Raises:
+        StateError: it has other ports. What making it raises.
+    """
+    new = construct(cls, old.name)
+    standing_of(old).configure(new)
+    here = cell(new)
+    here.kernel = kernel
+    error = await run_alone(kernel, new, "on_initialize", None, limit=kernel.initialize_timeout)
+    kernel.registry.parked.add(new)
+    if error is None and new.ports.keys() != old.ports.keys():
+        odd = ", ".join(new.ports.keys() ^ old.ports.keys())
+        error = StateError(f"{old.name}: {odd}: was added while it ran, or removed; such ports cannot be moved")
+    if error is not None:
+        await kernel.registry.end_parked(new)
+        raise error
+    here.deadlines = cell(old).deadlines
+    return new
+
+
+class _Move:
+    """What another instance takes over from an old one: its place, its connectors and what is unread in them.
+
+    Raises:
+        StateError, WiringError: a connector cannot be made anew there.
+    """
+
+    def __init__(self, kernel: Microkernel, old: Component) -> None:
+        self._kernel, self._old = kernel, old
+        self.here = _place_of(old)
+        self.context = old.contexts[0] if old.contexts else None
+        """Where it ran."""
+        self._links = kernel.service(Links)
+        self._options = {one: self._options_of(one) for one in self._connectors()}
+        self._fed: list[tuple[Connector, Connector]] = []
+        """Connectors that the old one read from, each with the one that the new one reads from."""
+        self._made: list[Connector] = []
+
+    async def leave(self) -> None:
+        """It runs no more, and all that it wrote is here."""
+        if self.context is not None:
+            await self.here.leave(self.context)
+        await self._wait_for("what it wrote to be taken", self._has_all_arrived)
+
+    async def arrive(self) -> None:
+        """What is unread in the old one's process is here, and links lead to that of the new one."""
+        await self._unread()
+        for connector in self._made:
+            await self._links.connect(_there_already, (connector,), {})
+
+    def _connectors(self) -> list[Connector]:
+        """Its connectors of data ports, one to itself once."""
+        ports = [port for port in self._old.ports.values() if not isinstance(port, ServicePort)]
+        return list(dict.fromkeys(one for port in ports for one in port.connectors))
+
+    def _reads(self, connector: Connector) -> bool:
+        """Whether the old one reads from it."""
+        port = connector.in_
+        return port in self._old.ports.values() or str(getattr(port, "far", "")) in self._elsewhere()
+
+    def _elsewhere(self) -> set[str]:
+        """Where the old one's ports are, if that is in a process."""
+        return {str(port.elsewhere) for port in self._old.ports.values() if port.elsewhere is not None}
+
+    def _options_of(self, connector: Connector) -> dict[str, Any]:
+        """The options of the connector in its place.
+
+        Raises:
+            StateError, WiringError: it cannot be made anew there.
+        """
+        old, profile = self._old, connector.profile
+        where = f"{connector.out.path} -> {connector.in_.path}"
+        reads = self._reads(connector)
+        other = host_of(connector.out if reads else connector.in_)
+        if other is not None and (other.threaded or other.realtime):
+            raise StateError(
+                f"{old.name}: {where}: {other.name} runs in a thread; move it to a context of the loop first"
+            )
+        if isinstance(old, RemoteComponent):
+            known = dict(old.before.get(profile.name, {}))
+            return known or {**chosen_options(profile), "on_link_lost": None, "length": profile.length}
+        if connector.in_.is_far or connector.out.is_far:
+            raise StateError(
+                f"{old.name}: {where}: one end is in another process, and both cannot be; disconnect it first"
+            )
+        if connector.out in old.ports.values() and reads:
+            raise StateError(f"{old.name}: {where}: both ends are its own; disconnect it first")
+        given = chosen_options(profile) | {"length": profile.length, "convert": profile.convert}
+        return link_options(where, given, from_reader=not reads)
+
+    # -- one moment ------------------------------------------------------------------------------------------------
+
+    def switch(self, new: Component) -> None:
+        """The new one has the old one's place and connectors, with what is unread here."""
+        kernel, old, options = self._kernel, self._old, self._options
+        calls = [one.profile for one in kernel.service_connectors.values() if self._is_at(one.profile.ports)]
+        for profile in calls:
+            kernel.connections.end(kernel.service_connectors[profile.name])
+        before = {one.name: chosen_options(one.profile) | {"length": one.profile.length} for one in options}
+        for connector in options:
+            kernel.connections.park(connector)
+        kernel.registry.supersede(old, new)
+        if isinstance(new, RemoteComponent):
+            new.before = before
+        for connector, chosen in options.items():
+            reads = self._reads(connector)
+            ports: Any = (
+                (connector.out, new.ports[connector.in_.path.rpartition(".")[2]])
+                if reads
+                else (new.ports[connector.out.path.rpartition(".")[2]], connector.in_)
+            )
+            given = {**chosen, "name": connector.name, "allow_duplicate": True}
+            (made,) = kernel.connections.make(ports, given)
+            self._made.append(made)
+            if reads:
+                self._fed.append((connector, made))
+                if isinstance(old, RemoteComponent):
+                    continue  # what is unread lies in the process
+                put_in_front(made, taken(connector))
+            elif isinstance(old, RemoteComponent):
+                pass_on(connector, made)
+            else:
+                _end_when_read(kernel, connector)  # the other is a link, which counts what comes over it alone
+                continue
+            kernel.connections.end(connector)
+        self._links.end_closed()
+        for profile in calls:
+            kernel.connections.renew(profile, reports_losses=False)
+
+    def _is_at(self, paths: tuple[str, ...]) -> bool:
+        return any(path.partition(".")[0] == self._old.name for path in paths)
+
+    # -- what is on its way ----------------------------------------------------------------------------------------
+
+    async def _unread(self) -> None:
+        """What is unread in the process of the old one is unread here, before what came meanwhile."""
+        old = self._old
+        if not isinstance(old, RemoteComponent):
+            return
+        await self._wait_for("what was written to it to arrive", self._is_all_sent)
+        unread = {(port, writer): samples for port, writer, samples in await old.ask("unread")}
+        for connector, made in self._fed:
+            key = made.in_.name, str(self._links.path_of(connector.out))
+            put_in_front(made, [unpacked(one) for one in unread.get(key, ())])
+
+    async def finish(self) -> None:
+        """The links of the old one end, once the other ends have said that they have all."""
+        fed = [connector for connector, _ in self._fed if connector.in_.is_far]
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_SETTLES):
+                while any(one.statistics.in_flight for one in fed):  # noqa: ASYNC110 - as above
+                    await asyncio.sleep(_LOOK)
+        for connector in fed:
+            self._kernel.connections.end(connector)
+        self._links.end_closed()
+
+    async def _is_all_sent(self) -> bool:
+        """Whether the process has all that was written to the old one."""
+        for connector, _ in self._fed:
+            if unread_of(connector) or (await self._links.ledger(connector)).in_flight:
+                return False
+        return True
+
+    async def _has_all_arrived(self) -> bool:
+        """Whether all that the old one wrote is here."""
+        if isinstance(self._old, RemoteComponent):
+            for connector in self._connectors():
+                if not self._reads(connector):
+                    ledger = await self._links.ledger(connector)
+                    if ledger.in_flight or ledger.buffered > unread_of(connector):
+                        return False
+        return True
+
+    async def _wait_for(self, what: str, holds: Callable[[], Awaitable[bool]]) -> None:
+        try:
+            async with asyncio.timeout(_PATIENCE):
+                while not await holds():  # noqa: ASYNC110 - of another process, which says nothing by itself
+                    await asyncio.sleep(_LOOK)
+        except TimeoutError:
+            raise TransitionTimeout(f"{self._old.name}: move: waited {_PATIENCE:g} s for {what}") from None
+
+
+async def _there_already(connector: Connector) -> Connector:
+    return connector
+
+
+def _end_when_read(kernel: Microkernel, connector: Connector) -> None:
+    """What the old one wrote stays until it is read."""
+    if connector.closed or kernel.closed:
+        return
+    if unread_of(connector):
+        kernel.call_later(_READ_SECONDS, lambda: _end_when_read(kernel, connector))
+    else:
+        kernel.connections.end(connector)
+
+
+class _Moved:
+    """What a handle has in the place of ports and of all that the kernel kept on it: each use raises."""
+
+    __slots__ = ("text",)
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def __getattribute__(self, name: str) -> Any:
+        raise StateError(object.__getattribute__(self, "text"))
+
+
+def _disown(old: Component, new: Component) -> None:
+    """Have each use of the old handle raise, and name the new one."""
+    moved = _Moved(f"{new.name}: this handle is not valid since it was moved; use what `move` returned, {new!r}")
+    ports = [name for name, value in vars(old).items() if isinstance(value, PortDeclaration)]
+    vars(old).clear()
+    vars(old).update(dict.fromkeys((ATTRIBUTE, *ports), moved))
