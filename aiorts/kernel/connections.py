@@ -146,6 +146,10 @@ class Connections:
         before = connector.profile
         where = f"{connector.out.path} -> {connector.in_.path}"
         profile = changed_profile(where, before, options)
+        if before.far_end == "writer" and profile.push_rate != before.push_rate:
+            raise StateError(
+                f"{where}: push_rate: its period is in the process of the writer; disconnect and connect anew"
+            )
         transport_of(connector).change(profile)
         if says_what_is_lost(options):
             self.losses.stop(connector)

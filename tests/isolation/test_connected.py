@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from aiorts import EventContext, Kernel, KernelService, PeriodicContext
-from aiorts.errors import WiringError
+from aiorts.errors import StateError, WiringError
 from aiorts.links import Links
 from aiorts.types import TimedLong
 from aiorts_log import RecordingReader
@@ -182,7 +182,7 @@ async def test_the_process_of_the_writer_does_what_the_writers_end_does_alone() 
         scale: Any = await kernel.create_isolated(Scale, "scale")
         await kernel.connect(source.ports["out"], scale.inp, length=100)
         skipped = await kernel.connect(scale.out, sink.ports["inp"], push="skip", skip=1, stamp="send")
-        await kernel.connect(scale.out, every.ports["inp"], subscription="periodic", push_rate=20.0, push="all")
+        paced = await kernel.connect(scale.out, every.ports["inp"], subscription="periodic", push_rate=20.0, push="all")
         await kernel.start(EventContext(), scale, activate=True)
         for value in range(6):
             source.ports["out"].write_nowait(TimedLong(7, value))
@@ -193,3 +193,5 @@ async def test_the_process_of_the_writer_does_what_the_writers_end_does_alone() 
         periodic = [(await every.ports["inp"].read(timeout=5)).data for _ in range(6)]
         assert periodic == list(range(0, 12, 2))
         assert skipped.profile.push == "skip"
+        with pytest.raises(StateError, match="push_rate: its period is in the process of the writer"):
+            paced.change(push_rate=1.0)
