@@ -26,8 +26,8 @@ _LOOK: Final = 0.5
 """How often it is looked whether the process answers."""
 _BUSY_BEYOND: Final = 2.0
 """Seconds beyond its deadline that a hook may hold its process."""
-_ENDS: Final = 4.0
-"""Seconds that a process has to end by itself: hooks have 2 s, and their grace."""
+_ENDS: Final = 1.2
+"""Seconds that a process has to end by itself: with the request for it less than the 2 s of the hook that waits."""
 
 
 class Process:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import LinkError, WiringError
 from aiorts.kernel.loop.bus import StateChanged
+from aiorts.kernel.ports import InPort
 from aiorts.links.messages import Answer
 from aiorts.model.lifecycle import LifecycleState
 
@@ -41,12 +42,14 @@ class Arrivals:
 
     def there(self, path: Path, caller: Caller) -> Port[Any] | Answer:
         """The port of this kernel that another one means; where it is not there, the other hears when it comes."""
-        if path.component in self._starting and caller.peer is not None:
-            self._awaited.setdefault(path.component, set()).add(caller.peer)
-            return Answer(absent=f"{path.component} is being started")
         kernel = self._links.kernel
         try:
-            return kernel.registry.port(str(replace(path, kernel="", host="")))
+            port = kernel.registry.port(str(replace(path, kernel="", host="")))
+            # What is written to it would be dropped; what it writes must have a way; calls are answered in any state.
+            if path.component in self._starting and caller.peer is not None and isinstance(port, InPort):
+                self._awaited.setdefault(path.component, set()).add(caller.peer)
+                return Answer(absent=f"{path.component} is being started")
+            return port
         except WiringError as error:
             if path.component in kernel.components or caller.peer is None or len(self._awaited) >= _AWAITED:
                 raise
