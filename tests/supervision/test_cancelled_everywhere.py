@@ -143,6 +143,7 @@ CALLS: dict[str, Call] = {
     "Microkernel.activate": lambda w: w.kernel.activate("two"),
     "Microkernel.deactivate": _quietened,
     "Microkernel.reset": _repaired,
+    "Kernel.move": lambda w: w.kernel.move(w.two, aiorts.PeriodicContext(100.0, name="elsewhere")),
     "Kernel.open": _opened,
     "Kernel.__aenter__": _entered,
     "Kernel.__aexit__": _entered,
