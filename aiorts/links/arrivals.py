@@ -69,8 +69,7 @@ class Arrivals:
         """A component is there."""
         if self._making:
             self._starting.add(component)
-        else:
-            self._has_come(component)
+        self._wake(component)
 
     def started(self) -> None:
         """All that was made runs."""
@@ -88,6 +87,10 @@ class Arrivals:
 
     def _has_come(self, component: str) -> None:
         self._starting.discard(component)
+        self._wake(component)
+
+    def _wake(self, component: str) -> None:
+        """Have the kernels ask again that wait for it."""
         for peer in self._awaited.pop(component, ()):
             self._links.run(self._tell(peer, component), "aiorts link")
 
