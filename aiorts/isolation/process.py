@@ -124,8 +124,8 @@ class Process:
                 await self.ask("create", within=_COMES_UP, type=text, name=self.name, params=params)
         except TimeoutError:
             raise await self._not_up(f"has not come up within {_COMES_UP:g} s") from None
-        except LinkError as error:
-            raise await self._not_up(str(error)) from None
+        except ProcessError as error:
+            raise await self._not_up(str(error).removeprefix(f"{self.name}: ")) from None
         except BaseException:
             await self.end()
             raise

@@ -275,6 +275,17 @@ async def test_a_creation_that_is_cancelled_leaves_no_process(seconds: float) ->
             assert runs(again.pid)
 
 
+async def test_a_process_that_ends_while_it_comes_up_says_how_and_what_it_wrote(tmp_path: Path) -> None:
+    file = tmp_path / "fragile.py"
+    text = "import os, sys\nfrom aiorts import Component\n"
+    text += "if 'kernel' in sys.argv:\n    print('no licence', file=sys.stderr, flush=True)\n    os._exit(5)\n"
+    file.write_text(f"{text}class Fragile(Component):\n    pass\n")
+    async with Kernel() as kernel:
+        with pytest.raises(ProcessError, match=r"(?s)fragile0: its process ended: exit status 5.*no licence"):
+            await kernel.create_isolated(f"{file}:Fragile")
+        assert dict(kernel.components) == {}
+
+
 async def test_members_of_one_context_run_in_one_process() -> None:
     async with Kernel() as kernel:
         source = await kernel.add(Source("source"))
