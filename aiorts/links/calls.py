@@ -226,7 +226,7 @@ class FarProvider:
 
     @property
     def in_use(self) -> bool:
-        """Whether anybody may call it."""
+        """Whether it may be called."""
         return bool(self.end.connectors) if not self._relays else not self._over
 
     @property

@@ -109,7 +109,7 @@ async def test_every_sample_of_a_burst_in_one_tick_is_recorded(
             feed.write_nowait(TimedLong(0, count + number))
         await until(lambda: not any(unread_of(connector) for connector in logger.ports["input0"].connectors))
         await closed(logger)
-        assert longest < 0.05  # to hand on 100,000 one by one is 0.1 s of work and more
+        assert longest < 0.08  # to hand on 100,000 one by one is 0.1 s of work and more
     assert [record.data for _, _, record in read(path)] == list(range(count + 100))
     assert ending(path)["dropped"] == {}
 
