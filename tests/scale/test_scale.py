@@ -44,7 +44,8 @@ long = pytest.mark.skipif(not CAMPAIGN, reason="a long one; AIORTS_CAMPAIGN=1")
 @pytest.mark.parametrize(
     ("context", "most"),
     [
-        pytest.param(EventContext, BYTES_EACH, id="event"),
+        # 5,999 alone, 6,183 were seen behind other tests.
+        pytest.param(EventContext, 6_400, id="event"),
         # 6,910 behind other tests, 7,055 alone: where the kernel's dictionaries grow differs.
         pytest.param(ExternalContext, 7_500, id="external"),
         # A rate costs a schedule, and a watch over its deadlines with a descriptor for some: 9,000 bytes. One that was
