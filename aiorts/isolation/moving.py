@@ -148,7 +148,7 @@ def _alike(kernel: Microkernel, component: Component) -> Context | None:
             f"{component.name}: {like.name} is ticked by this program, which cannot tick it in another process; move "
             "it to a periodic context first"
         )
-    options = RemoteContext(like).as_started()["options"]
+    options: dict[str, Any] = RemoteContext(like).as_started()["options"]
     cls = type(like)
     if like.kind == "realtime" and like.rate is not None:
         cls, options = PeriodicContext, {"rate": like.rate}
