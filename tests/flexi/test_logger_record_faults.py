@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
 import os
 import time
@@ -85,9 +86,11 @@ async def test_every_sample_of_a_burst_in_one_tick_is_recorded(
 
     def timed(self: Recording) -> None:
         nonlocal longest
+        gc.disable()  # what other tests have left is not this work
         begin = time.thread_time()  # work, whatever else the machine does
         execute(self)
         longest = max(longest, time.thread_time() - begin)
+        gc.enable()
 
     monkeypatch.setattr(Recording, "execute", timed)
     count = BURST if kind == "periodic" or CAMPAIGN else BURST // 5
@@ -109,7 +112,7 @@ async def test_every_sample_of_a_burst_in_one_tick_is_recorded(
             feed.write_nowait(TimedLong(0, count + number))
         await until(lambda: not any(unread_of(connector) for connector in logger.ports["input0"].connectors))
         await closed(logger)
-        assert longest < 0.08  # to hand on 100,000 one by one is 0.1 s of work and more
+        assert longest < 0.05  # to hand on 100,000 one by one is 0.1 s of work and more
     assert [record.data for _, _, record in read(path)] == list(range(count + 100))
     assert ending(path)["dropped"] == {}
 
