@@ -66,6 +66,8 @@ class ReaderLink:
         self._waiting: Waiting | None = None
         self._ended = False
         self._ages = connector.profile.lifespan is not None
+        # Its reader is in a third kernel: each sample waits for the answer from there, and so does its writer.
+        self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         if isinstance(connector.out, FarOutPort):
             connector.out.held = lambda: self.end.held
 
@@ -82,7 +84,7 @@ class ReaderLink:
     @property
     def held(self) -> int:
         """Samples that have come and are not in the reader's buffer."""
-        return self.end.held + (self._waiting is not None and not self._waiting.done)
+        return self.end.held + len(transport_of(self.connector).waiting or ())
 
     def connect(self, channel: Channel, number: int, peer_epoch: int) -> None:
         """Receive over this channel from now on the frames that carry `number`."""
@@ -130,7 +132,8 @@ class ReaderLink:
 
     def _deliver(self) -> None:
         """Write what came, as long as the reader has room; what has none is not acknowledged."""
-        end, write, decode, now = self.end, self.connector.out.write_nowait, self._decode, self._now()
+        end, decode, now = self.end, self._decode, self._now()
+        write = _always_waits if self._confirms else self.connector.out.write_nowait
         ages = self._ages
         taken = last = 0
         while not self._waits and not self._ended and (received := end.take()) is not None:
@@ -181,14 +184,23 @@ class ReaderLink:
         future.add_done_callback(self._room_made)
 
     def _room_made(self, _future: object) -> None:
-        number, self._waits, self._waiting = self._waits, 0, None
+        number, entry = self._waits, self._waiting
+        self._waits, self._waiting = 0, None
         if self._ages:
             self._date(None)
         if self._ended:
             return
-        self.end.done(self._now(), number, 1)
+        if entry is not None and entry.refused:
+            self.end.failed(self._now(), number, "rejected")
+        else:
+            self.end.done(self._now(), number, 1)
         self._deliver()
         self._poll()
+
+
+def _always_waits(_sample: Any) -> bool:
+    """Write a sample that is taken when its reader has said so."""
+    raise WouldBlock
 
 
 def reader_options(profile: ConnectorProfile) -> dict[str, Any]:

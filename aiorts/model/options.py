@@ -207,11 +207,6 @@ _AT_THE_WRITER: Final[tuple[tuple[str, type[Any], Any], ...]] = (
     ("stamp", Stamp, Stamp.SEND),
 )
 """What the writer's end does alone."""
-_END_TO_END: Final[tuple[tuple[str, type[Any], Any], ...]] = (
-    ("subscription", Subscription, Subscription.FLUSH),
-    ("dataflow", Dataflow, Dataflow.PULL),
-)
-"""What asks the reader at each sample."""
 
 
 def link_options(
@@ -223,7 +218,7 @@ def link_options(
 
     Args:
         from_reader: the kernel of the reader connects it: what both ends would do, each for itself, is refused.
-        through: both ends are in other kernels, and the samples go through this one: what asks the reader is refused.
+        through: both ends are in other kernels, and the samples go through this one: what asks the writer is refused.
 
     Raises:
         WiringError: an option that a link does not have, or as `connector_profile`.
@@ -241,10 +236,9 @@ def link_options(
     for key, kind, value in _AT_THE_WRITER if from_reader else ():
         if get.choice(key, kind, None) is value:
             raise WiringError(f"{where}: {key} = {value}: the writer is in another kernel; connect them there")
-    for key, kind, value in _END_TO_END if through else ():
-        if get.choice(key, kind, None) is value:
-            why = "both ends are in other processes, and samples go through this one, which would answer for the reader"
-            raise WiringError(f"{where}: {key} = {value}: {why}")
+    if pulls and through:
+        why = "both ends are in other processes, and samples go through this one, which would answer for the writer"
+        raise WiringError(f"{where}: dataflow = pull: {why}")
     usual: dict[str, Any] = {}
     if "subscription" not in own and not pulls:
         usual["subscription"] = Subscription.NEW

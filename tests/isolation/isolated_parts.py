@@ -261,3 +261,28 @@ class Looker(Component):
 
     def look(self) -> int:
         return 1
+
+
+class Careful(Component):
+    """Writes numbers on, and says of each whether the write was taken, once it knows."""
+
+    inp = InPort(TimedLong, length=10_000)
+    out = OutPort(TimedLong)
+    taken = OutPort(TimedLong)
+
+    async def on_execute(self) -> None:
+        for sample in self.inp.drain():
+            taken = await self.out.write(sample)
+            self.taken.write_nowait(TimedLong(sample.tm, sample.data if taken else -sample.data))
+
+
+class Asked(Component):
+    """Takes a number when it is asked to, and passes it on."""
+
+    inp = InPort(TimedLong)
+    ask = InPort(TimedLong, length=100)
+    out = OutPort(TimedLong)
+
+    async def on_execute(self) -> None:
+        for _ in self.ask.drain():
+            self.out.write_nowait(await self.inp.read())

@@ -18,7 +18,7 @@ from aiorts.types import TimedLong
 from aiorts_log import RecordingReader
 from aiorts_log.recorder.beside import Beside
 from control_parts import commanded
-from isolation.isolated_parts import Scale, Single, Sink, Source, Ticker
+from isolation.isolated_parts import Asked, Careful, Scale, Single, Sink, Source, Ticker
 from isolation.test_isolated import ERROR, answer, chain, until
 
 pytestmark = pytest.mark.anyio
@@ -152,7 +152,6 @@ async def test_two_in_processes_of_their_own_are_connected_and_survive_the_end_o
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"subscription": "flush"}, "subscription = flush: both ends are in other processes"),
         ({"dataflow": "pull"}, "dataflow = pull: both ends are in other processes"),
         ({"subscription": "periodic", "push_rate": 5.0}, "subscription = periodic: the writer is in another kernel"),
     ],
@@ -195,3 +194,85 @@ async def test_the_process_of_the_writer_does_what_the_writers_end_does_alone() 
         assert skipped.profile.push == "skip"
         with pytest.raises(StateError, match="push_rate: its period is in the process of the writer"):
             paced.change(push_rate=1.0)
+
+
+async def flushed(kernel: Kernel, **options: Any) -> tuple[Any, ...]:
+    """source -> careful, in a process -> asked, in another one -> sink, active; the middle connector is flush."""
+    source, ask = await kernel.add(Source("source")), await kernel.add(Source("ask"))
+    said, sink = await kernel.add(Sink("said")), await kernel.add(Sink("sink"))
+    careful: Any = await kernel.create_isolated(Careful, "careful")
+    asked: Any = await kernel.create_isolated(Asked, "asked")
+    between = await kernel.connect(careful.out, asked.inp, subscription="flush", timeout=60.0, **options)
+    await kernel.connect(source.out, careful.inp, length=100)
+    await kernel.connect(ask.out, asked.ask, length=100)
+    await kernel.connect(careful.taken, said.inp, length=100)
+    await kernel.connect(asked.out, sink.inp, length=100)
+    for each in (careful, asked):
+        await kernel.start(EventContext(), each, activate=True)
+    return source, ask, said, sink, careful, asked, between
+
+
+async def test_a_flush_is_over_when_the_reader_in_the_other_process_has_the_sample_or_refuses_it() -> None:
+    async with Kernel() as kernel:
+        source, ask, said, sink, *_, between = await flushed(kernel, length=1, full="reject")
+        assert [await answer(source, said, value) for value in (1, 2)] == [1, -2]
+        ledger = await kernel.service(Links).ledger(between)
+        counts = (ledger.written, ledger.buffered, ledger.in_flight, dict(ledger.dropped), ledger.unexplained)
+        assert counts == (2, 1, 0, {"rejected": 1}, 0), str(ledger)
+        assert await answer(ask, sink, 0) == 1
+        assert await answer(source, said, 3) == 3
+
+
+async def test_a_flush_waits_for_room_at_the_reader_in_the_other_process() -> None:
+    async with Kernel() as kernel:
+        source, ask, said, sink, *_, between = await flushed(kernel, length=1, full="block")
+        assert await answer(source, said, 1) == 1
+        source.out.write_nowait(TimedLong(0, 2))
+        await until(lambda: between.statistics.in_flight == 1)
+        ledger = await kernel.service(Links).ledger(between)
+        assert (ledger.written, ledger.buffered, ledger.in_flight, ledger.unexplained) == (2, 2, 0, 0), str(ledger)
+        assert said.inp.drain() == []
+        assert await answer(ask, sink, 0) == 1
+        assert (await said.inp.read(timeout=5)).data == 2
+        assert await answer(ask, sink, 0) == 2
+        ledger = await kernel.service(Links).ledger(between)
+        assert (ledger.written, ledger.delivered, ledger.unexplained) == (2, 2, 0), str(ledger)
+
+
+@row("51")
+@fault("A13")
+async def test_a_flush_goes_on_when_either_process_was_killed_in_it() -> None:
+    async with Kernel() as kernel:
+        source, ask, said, sink, careful, asked, between = await flushed(kernel, length=1, full="block")
+        value = 0
+        for victims in ((asked,), (careful,), (asked,), (careful,), (careful, asked)):
+            for _ in range(2):  # one lies there, one waits
+                value += 1
+                source.out.write_nowait(TimedLong(0, value))
+            await until(lambda: between.statistics.in_flight == 1)
+            for victim in victims:
+                os.kill(victim.pid, signal.SIGKILL)
+            for victim in victims:
+                await until(lambda victim=victim: victim.state is ERROR)
+                await victim.context.reset()
+                await victim.context.activate()
+            await until(lambda: all(_up(kernel, connector) for connector in kernel.connectors.values()))
+            await emptied(kernel, ask, between)
+            said.inp.drain(), sink.inp.drain()
+            assert between.statistics.balanced
+        value += 1
+        assert await answer(source, said, value) == value
+        assert await answer(ask, sink, 0) == value
+        ledger = await kernel.service(Links).ledger(between)
+        assert (ledger.unexplained, ledger.in_flight, ledger.buffered) == (0, 0, 0), str(ledger)
+        # Of those on their way to a reader that was killed, it is said that nobody knows.
+        assert set(ledger.dropped) <= {"unknown_fate"}, str(ledger)
+
+
+async def emptied(kernel: Kernel, ask: Any, between: Any) -> None:
+    """Have the reader take what it has, until nothing is on its way."""
+    while (ledger := await kernel.service(Links).ledger(between)).buffered + ledger.in_flight:
+        assert ledger.unexplained == 0, str(ledger)
+        for _ in range(ledger.buffered):
+            ask.out.write_nowait(TimedLong(0, 0))
+        await asyncio.sleep(0.1)

@@ -90,10 +90,10 @@ async def test_it_is_shown_saved_and_planned_as_any_other(tmp_path: Path, capsys
 async def test_what_a_file_asks_of_a_connector_between_processes_and_cannot_be_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "isolated_parts.py").write_text(Path(__file__).with_name("isolated_parts.py").read_text())
     path = tmp_path / "system.toml"
-    path.write_text(SYSTEM.replace('to = "two.inp"', 'to = "two.inp"\nsubscription = "flush"'))
+    path.write_text(SYSTEM.replace('to = "two.inp"', 'to = "two.inp"\ndataflow = "pull"'))
     done = here("check", path)
     assert done.returncode != 0
-    assert "subscription = flush: both ends are in other processes" in done.stdout + done.stderr
+    assert "dataflow = pull: both ends are in other processes" in done.stdout + done.stderr
 
 
 async def test_a_connection_fans_out_to_components_here_and_in_a_process() -> None:
