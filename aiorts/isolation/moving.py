@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,6 +17,7 @@ from aiorts.contexts import PeriodicContext
 from aiorts.errors import AiortsError, DeclarationError, ProcessError, StateError, TransitionTimeout
 from aiorts.isolation.handover import give_state, hold, pass_on, put_in_front, release, state_of, taken, unpacked
 from aiorts.isolation.isolating import Isolation
+from aiorts.isolation.pausing import threads_paused
 from aiorts.isolation.placing import RemoteContext, given_of
 from aiorts.isolation.stand_in import RemoteComponent
 from aiorts.kernel.component import Component, construct
@@ -237,8 +238,9 @@ async def _exchange(kernel: Microkernel, old: Component, cls: type[Component], t
         await move.here.hold(True)
         await move.leave()
         state = await move.here.state()
-        move.switch(new)
-        switched = True
+        async with move.neighbours_paused():
+            move.switch(new)
+            switched = True
         await move.arrive()
         await there.give(kernel, state)
         if to is not None:
@@ -268,7 +270,10 @@ async def _take_back(kernel: Microkernel, new: Component, old: Component) -> Non
     for step in (partial(move.here.hold, True), move.leave):
         with suppress(AiortsError):
             await step()
-    move.switch(old)
+    async with AsyncExitStack() as paused:
+        with suppress(TransitionTimeout):
+            await paused.enter_async_context(move.neighbours_paused())
+        move.switch(old)
     with suppress(AiortsError):
         await move.arrive()
     await move.finish()
@@ -350,21 +355,29 @@ class _Move:
         where = f"{connector.out.path} -> {connector.in_.path}"
         reads = self._reads(connector)
         other = host_of(connector.out if reads else connector.in_)
-        if other is not None and (other.threaded or other.realtime):
+        if other is not None and other.realtime:
             raise StateError(
-                f"{old.name}: {where}: {other.name} runs in a thread; move it to a context of the loop first"
+                f"{old.name}: {where}: {other.name} runs in a real-time thread, which has no links; move it to a "
+                "context of the loop or to a thread context first"
             )
         if isinstance(old, RemoteComponent):
             known = dict(old.before.get(profile.name, {}))
             return known or {**chosen_options(profile), "on_link_lost": None, "length": profile.length}
         if connector.in_.is_far or connector.out.is_far:
             raise StateError(
-                f"{old.name}: {where}: one end is in another process, and both cannot be; disconnect it first"
+                f"{old.name}: {where}: one end is in another process, and both cannot be; disconnect it first, "
+                "or move the other one back"
             )
         if connector.out in old.ports.values() and reads:
             raise StateError(f"{old.name}: {where}: both ends are its own; disconnect it first")
         given = chosen_options(profile) | {"length": profile.length, "convert": profile.convert}
         return link_options(where, given, from_reader=not reads)
+
+    def neighbours_paused(self) -> AbstractAsyncContextManager[None]:
+        """Meanwhile no neighbour reads or writes in a thread of its own."""
+        paths = {path.partition(".")[0] for one in self._options for path in (one.out.path, one.in_.path)}
+        components = self._kernel.components
+        return threads_paused(self._kernel, [components[name] for name in paths if name in components])
 
     # -- one moment ------------------------------------------------------------------------------------------------
 

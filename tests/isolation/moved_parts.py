@@ -28,6 +28,18 @@ class Feed(Component):
     out = OutPort(TimedLong)
 
 
+class Clockwork(Component):
+    """Writes 1, 2, 3 ..., five in each cycle."""
+
+    out = OutPort(TimedLong)
+    written = 0
+
+    def on_execute(self) -> None:
+        for _ in range(5):
+            self.written += 1
+            self.out.write_nowait(TimedLong(0, self.written))
+
+
 class Log(Component):
     """Keeps what it gets until it is read."""
 

@@ -24,7 +24,7 @@ from aiorts.errors import ComponentError, DeclarationError, StateError
 from aiorts.supervision import Supervision
 from aiorts.testing import simulate
 from aiorts.types import Point2D, TimedLong
-from isolation.moved_parts import Careful, Closed, Controller, Counter, Echo, Feed, Holder, Log, Seen
+from isolation.moved_parts import Careful, Clockwork, Closed, Controller, Counter, Echo, Feed, Holder, Log, Seen
 from isolation.test_isolated import until
 
 pytestmark = pytest.mark.anyio
@@ -135,6 +135,28 @@ async def test_a_controller_goes_through_all_places_under_1_khz_and_loses_nothin
         await check_all_came(log, written)
 
 
+async def test_between_neighbours_in_threads_it_moves_and_loses_nothing() -> None:
+    async with Kernel() as kernel:
+        clockwork, log = await kernel.add(Clockwork("clockwork")), await kernel.add(Log("log"))
+        last = await kernel.create(Controller, "last", gain=1)
+        mid: Any = await kernel.create(Controller, "mid", gain=2)
+        for out, inp in ((clockwork.out, mid.inp), (mid.out, last.inp), (last.out, log.inp)):
+            await kernel.connect(out, inp, length=100_000)
+        context = await kernel.start(PeriodicContext(100, name="loop"), mid, activate=True)
+        await kernel.start(ThreadContext(100, name="after"), last, activate=True)
+        before = await kernel.start(ThreadContext(200, name="before"), clockwork, activate=True)
+        for place in ("process", context, "process", ThreadContext(100, name="thread")):
+            await sleep(0.2)
+            with fail_after(30):
+                mid = await kernel.move(mid, place)
+        await sleep(0.2)
+        await before.deactivate(clockwork)
+        written = clockwork.written
+        assert written > 200
+        await check_all_came(log, written)
+        assert (mid.count, mid.integral[0]) == (written, written * (written + 1) / 2)
+
+
 async def test_what_cannot_go_over_is_refused_by_name_and_nothing_is_changed() -> None:
     async with Kernel() as kernel:
         holder, log = await kernel.add(Holder("holder")), await kernel.add(Log("log"))
@@ -147,8 +169,8 @@ async def test_what_cannot_go_over_is_refused_by_name_and_nothing_is_changed() -
             await kernel.move(holder, "prozess")  # type: ignore[arg-type]
         feed = await kernel.add(Feed("feed"))
         await kernel.connect(feed.out, log.inp)
-        threaded = await kernel.start(ThreadContext(100, name="thread"), feed, activate=True)
-        with pytest.raises(StateError, match=r"log: feed.out -> log.inp: feed runs in a thread"):
+        await kernel.start(RealtimeContext(100, name="hard"), feed, activate=True)
+        with pytest.raises(StateError, match=r"log: feed.out -> log.inp: feed runs in a real-time thread, .* first"):
             await kernel.move(log, "process")
         echo = await kernel.add(Echo("echo"))
         outside = await kernel.start(ExternalContext(name="outside"), echo, activate=True)
@@ -156,9 +178,9 @@ async def test_what_cannot_go_over_is_refused_by_name_and_nothing_is_changed() -
             await kernel.move(echo, "process")
         await outside.stop()
         with pytest.raises(StateError, match="on_execute"):
-            await kernel.move(echo, threaded)
+            await kernel.move(echo, ThreadContext(100, name="thread"))
         states = {one.name: dict(one.states) for one in kernel.components.values()}
-        assert states == {"holder": {"loop": ACTIVE}, "log": {}, "feed": {"thread": ACTIVE}, "echo": {}}
+        assert states == {"holder": {"loop": ACTIVE}, "log": {}, "feed": {"hard": ACTIVE}, "echo": {}}
 
 
 async def test_on_reload_takes_over_what_can_go_over() -> None:
