@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack, overload
 
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import kinds_of
+from aiorts.kernel.execution.cell import flattened
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.microkernel import Microkernel
 
@@ -63,9 +64,10 @@ class Kernel(Microkernel):
             from aiorts.diagnostics import DeadlineMonitor
 
             self._deadlines = self.service(DeadlineMonitor)
-        for component in components:
-            for kind in kinds_of(component) if isinstance(component, Component) else ():
-                context = kind.placed(component, context, components)
+        run = flattened([one for one in components if isinstance(one, Component)])
+        for component in run:
+            for kind in kinds_of(component):
+                context = kind.placed(component, context, run)
         return await super().start(context, *components, activate=activate, timeout=timeout)
 
     start.__doc__ = Microkernel.start.__doc__

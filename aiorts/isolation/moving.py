@@ -13,6 +13,7 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from aiorts.composites import Composite
 from aiorts.contexts import PeriodicContext
 from aiorts.errors import AiortsError, DeclarationError, ProcessError, StateError, TransitionTimeout
 from aiorts.isolation.handover import give_state, hold, pass_on, put_in_front, release, state_of, taken, unpacked
@@ -89,7 +90,7 @@ def _check(kernel: Microkernel, component: Component, to: Context | str) -> None
     name = component.name
     kernel.registry.check_settled(component)
     check_free((component,), "move")
-    if as_group(component) is not None:
+    if as_group(component) is not None or issubclass(getattr(type(component), "original", Component), Composite):
         raise StateError(f"{name}: is a composite; move its members, or stop it")
     if not isinstance(to, Context) and to != "process":
         raise DeclarationError(f'{name}: move to {to!r:.80}: expected a context, or "process"')

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from aiorts.errors import DeclarationError, UnknownTypeError
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
 
 
 def described(component: Component) -> list[list[Any]]:
-    """The data ports of a component as plain values. Their kernel knows no limit of connectors from now on: it is kept
-    where they are connected, without those of tools."""
+    """The data ports of a component as plain values, each with its path: a composite shows ports of its members.
+
+    Their kernel knows no limit of connectors from now on: it is kept where they are connected, without those of tools.
+    """
     from aiorts.types import full_name
 
     rows: list[list[Any]] = []
@@ -26,7 +29,7 @@ def described(component: Component) -> list[list[Any]]:
             length = port.length if isinstance(port, InPort) else None
             shape = None if port.shape is None else list(port.shape)
             what = [port.direction, full_name(port.type), port.unit, shape, port.doc, length, port.max_connectors]
-            rows.append([name, *what])
+            rows.append([name, *what, port.path])
             port.max_connectors = None
     return rows
 
@@ -46,7 +49,7 @@ def follow(component: Component, rows: Iterable[list[Any]], kernel: str) -> None
     for name, port in list(component.ports.items()):
         if isinstance(port, RemoteInPort | RemoteOutPort) and not _is_alike(port, wanted.get(name)):
             component.remove_port(name)
-    for name, (direction, kind, unit, shape, doc, length, most) in wanted.items():
+    for name, (direction, kind, unit, shape, doc, length, most, _) in wanted.items():
         if name in component.ports:
             continue
         try:
@@ -57,11 +60,10 @@ def follow(component: Component, rows: Iterable[list[Any]], kernel: str) -> None
         alike: dict[str, Any] = {"unit": unit, "shape": None if shape is None else tuple(shape), "doc": doc}
         alike["max_connectors"] = most
         there = RemoteInPort(cls, length=length, **alike) if direction == "in" else RemoteOutPort(cls, **alike)
-        there.elsewhere = Path(component.name, name, kernel)
         component.add_port(name, there)
     for name, port in component.ports.items():
         if isinstance(port, RemoteInPort | RemoteOutPort):
-            port.elsewhere = Path(component.name, name, kernel)
+            port.elsewhere = replace(Path.parse(wanted[name][-1]), kernel=kernel)
 
 
 def _is_alike(port: Port[Any], row: list[Any] | None) -> bool:
