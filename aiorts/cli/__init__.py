@@ -105,7 +105,8 @@ def _import_command(names: list[str]) -> None:
     for name in names:
         if name.startswith("-"):
             continue
-        home = app._COMMANDS.get(name, ("aiorts.cli.commands.filter:",))[0].partition(":")[0]
+        own = app._COMMANDS.get(name) or app._HIDDEN.get(name, ("aiorts.cli.commands.filter:",))
+        home = own[0].partition(":")[0]
         try:
             importlib.import_module(home)
         except ImportError:
