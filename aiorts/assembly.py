@@ -11,6 +11,7 @@ from dataclasses import asdict
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Unpack, overload
 
+from aiorts.errors import DeclarationError
 from aiorts.kernel.component import Component
 from aiorts.kernel.declarations import kinds_of
 from aiorts.kernel.execution.cell import flattened
@@ -176,7 +177,7 @@ class Kernel(Microkernel):
         self.check_open("create_isolated")
         from aiorts.isolation import Isolation  # late: few kernels have processes
 
-        return await self.service(Isolation).create(kind, name, asdict(limits) if limits else {}, params)
+        return await self.service(Isolation).create(kind, name, _plain(limits), params)
 
     async def move(
         self, component: Component, to: Context | Literal["process"], *, limits: Limits | None = None
@@ -208,7 +209,7 @@ class Kernel(Microkernel):
         self.check_open("move")
         from aiorts.isolation import move  # late: few systems do
 
-        return await move(self, component, to, asdict(limits) if limits else {})
+        return await move(self, component, to, _plain(limits))
 
     def monitor_deadlines(self, context: Context) -> ContextTimer | None:
         return None if self._deadlines is None else self._deadlines.monitor(context)
@@ -603,3 +604,12 @@ class Kernel(Microkernel):
         from aiorts.observe import kernel_html
 
         return kernel_html(self)
+
+
+def _plain(limits: object) -> dict[str, Any]:
+    """Limits of a process as plain values. DeclarationError: they are none."""
+    from aiorts.isolation import Limits  # late: few kernels have processes
+
+    if limits is not None and not isinstance(limits, Limits):
+        raise DeclarationError(f"limits: expected Limits(memory=..., cpu=...), got {type(limits).__name__}")
+    return asdict(limits) if limits is not None else {}

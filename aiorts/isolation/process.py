@@ -35,7 +35,7 @@ class Process:
 
     Args:
         name: the component's.
-        ended: called once, when it has ended without being asked to, with how.
+        ended: called once, when it has ended without being asked to, with how and its last lines.
         line: called with a level of the log and a line that it wrote.
         ticked: called with the cycles of its contexts, about twice a second.
     """
@@ -48,7 +48,7 @@ class Process:
         name: str,
         limits: Limits,
         *,
-        ended: Callable[[Ending], None],
+        ended: Callable[[str, tuple[str, ...]], None],
         line: Callable[[int, str], None],
         ticked: Callable[[list[int]], None],
     ) -> None:
@@ -65,6 +65,8 @@ class Process:
         self.deadline: float | None = None
         """Seconds that a hook may take there."""
         self._ending = False
+        self._killed = ""
+        """Why it was killed, where this kernel did it."""
 
     @property
     def runs(self) -> bool:
@@ -89,7 +91,7 @@ class Process:
             AiortsError: what refused the component.
         """
         ours, theirs = socket.socketpair()
-        self._ending, self._peer = False, None
+        self._ending, self._peer, self._killed = False, None, ""
         try:
             first = messages.First(
                 self.kernel,
@@ -185,10 +187,12 @@ class Process:
             self._looking.cancel()
         self._busy_since = None
         if not self._ending and self._looking is not None and not ended.cancelled():
-            self._ended(ended.result())
+            ending = ended.result()
+            self._ended(self._killed or ending.text, ending.last_lines)
 
     async def _look(self) -> None:
-        """See whether it answers; kill it when a hook holds it beyond its deadline."""
+        """See whether it answers; kill it when a hook holds it beyond its deadline, or nothing can reach it."""
+        lost = False
         while True:
             await asyncio.sleep(_LOOK)
             asked = self._kernel.loop.time()
@@ -197,10 +201,17 @@ class Process:
                 self._busy_since = None
             except ProcessError:
                 self._busy_since = self._busy_since or asked
-                if self.deadline is not None and self.busy > self.deadline + _BUSY_BEYOND and self._child is not None:
-                    self._line(logging.ERROR, f"killed: a hook has held its process for {self.busy:.1f} s")
-                    self._child.kill()
-                    return
+                if self.deadline is not None and self.busy > self.deadline + _BUSY_BEYOND:
+                    return self._kill(f"a hook has held it for {self.busy:.1f} s")
+                if lost:
+                    return self._kill("it has closed its connection with this kernel and goes on")
+                lost = self._peer not in self._links.peers  # else it ends: its end says how
+
+    def _kill(self, why: str) -> None:
+        self._killed = f"killed: {why}"
+        self._line(logging.ERROR, self._killed)
+        if self._child is not None:
+            self._child.kill()
 
     def _wrote(self, stream: str, line: str) -> None:
         if line.startswith(messages.MARK):

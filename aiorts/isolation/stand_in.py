@@ -29,7 +29,6 @@ from aiorts.services import ServiceEnd, ServicePort
 if TYPE_CHECKING:
     from aiorts.isolation.messages import Report
     from aiorts.isolation.process import Process
-    from aiorts.processes import Ending
 
 _LINKED: Final = 2.0
 """Seconds that an activation waits for the links of its out-ports."""
@@ -70,7 +69,15 @@ class RemoteComponent(Component, kind=RemoteKind()):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        raise AttributeError(
+        raise self._not_here(name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and not hasattr(type(self), name):
+            raise self._not_here(name)
+        super().__setattr__(name, value)
+
+    def _not_here(self, name: str) -> AttributeError:
+        return AttributeError(
             f"{self.name}.{name}: {type(self).__name__} runs in a process of its own: here are its ports, parameters "
             "and lifecycle, and no other attribute",
             name=name,
@@ -133,11 +140,11 @@ class RemoteComponent(Component, kind=RemoteKind()):
             raise StateError(f"{self.name}: has no process yet; await kernel.add(...) first")
         return self._process
 
-    def process_ended(self, ending: Ending) -> None:
+    def process_ended(self, how: str, last_lines: Sequence[str]) -> None:
         """Its process has ended, and nobody asked it to."""
-        lines = "".join(f"\n  {text_of(line)}" for line in ending.last_lines[-3:])
+        lines = "".join(f"\n  {text_of(line)}" for line in last_lines[-3:])
         self._there = LifecycleState.ERROR
-        self._fail(ProcessError(f"{self.name}: its process has ended: {ending.text}{lines}"))
+        self._fail(ProcessError(f"{self.name}: its process has ended: {how}{lines}"))
 
     def reported(self, report: Report) -> None:
         """The process says what has become of the component."""

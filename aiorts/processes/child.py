@@ -71,5 +71,5 @@ def limit_memory(size: int) -> None:
         with open("/proc/self/statm", encoding="ascii") as file:
             now = int(file.read().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (now + size, now + size))
-    except (ImportError, OSError, ValueError) as error:
+    except (ImportError, OSError, OverflowError, ValueError) as error:
         raise ProcessError(f"limits.memory = {size}: the system refuses: {error}") from None

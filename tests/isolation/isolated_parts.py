@@ -78,6 +78,10 @@ def misbehave(what: int) -> None:
             sys.stdout.flush()
         case -9:
             subprocess.run([sys.executable, "-c", BOMB], check=False, timeout=60)
+        case -10:
+            os.execv("/bin/sleep", ["sleep", "60"])  # noqa: S606 - another program has the process from now on
+        case -11:
+            raise KeyboardInterrupt
 
 
 class SlowStart(Scale):

@@ -77,6 +77,8 @@ async def test_it_looks_like_any_other_and_runs_in_a_process_of_its_own() -> Non
         assert [(one.written, one.delivered, one.unexplained) for one in ledgers] == [(1, 1, 0), (1, 1, 0)]
         with pytest.raises(AttributeError, match=r"scale.secret: Scale runs in a process of its own"):
             _ = scale.secret
+        with pytest.raises(AttributeError, match=r"scale.secret: Scale runs in a process of its own"):
+            scale.secret = "here"
         with pytest.raises(StateError, match=r"scale.out: its component runs in a process of its own"):
             scale.out.write_nowait(TimedLong(0, 1))
         pid = scale.pid
@@ -118,13 +120,14 @@ async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
         assert (scale.factor, await answer(source, sink, 2)) == (1000, 2000)
 
 
-async def test_what_it_raises_is_its_error_here_and_a_reset_helps() -> None:
+@pytest.mark.parametrize(("value", "said"), [(-1, "ValueError: negative"), (-11, "KeyboardInterrupt")])
+async def test_what_it_raises_is_its_error_here_and_a_reset_helps(value: int, said: str) -> None:
     async with Kernel() as kernel:
         source, scale, sink, context = await chain(kernel)
         pid = scale.pid
-        source.out.write_nowait(TimedLong(0, -1))
+        source.out.write_nowait(TimedLong(0, value))
         await until(lambda: scale.state is ERROR)
-        assert str(scale.last_error) == "scale: ValueError: negative"
+        assert said in str(scale.last_error)
         assert isinstance(scale.last_error, ComponentError)
         await context.reset()
         await context.activate()
@@ -133,7 +136,13 @@ async def test_what_it_raises_is_its_error_here_and_a_reset_helps() -> None:
 
 @pytest.mark.fault("A13")
 @pytest.mark.parametrize(
-    ("value", "said"), [(-2, "killed by SIGSEGV (signal 11)"), (-3, "exit status 3")], ids=["segfault", "exit"]
+    ("value", "said"),
+    [
+        (-2, "killed by SIGSEGV (signal 11)"),
+        (-3, "exit status 3"),
+        (-10, "killed: it has closed its connection with this kernel and goes on"),
+    ],
+    ids=["segfault", "exit", "another program"],
 )
 async def test_the_end_of_its_process_is_its_failure_and_a_reset_starts_another(value: int, said: str) -> None:
     async with Kernel() as kernel:
@@ -168,7 +177,7 @@ async def test_a_hook_that_holds_its_process_is_seen_and_killed_after_its_deadli
             await asyncio.sleep(0.01)
             late.append(time.monotonic() - before)
             assert len(late) < 1_000
-        assert "killed by SIGKILL" in str(scale.last_error)
+        assert "its process has ended: killed: a hook has held it for" in str(scale.last_error)
         assert max(late) < 1.0, "this loop was held, too"
 
 
@@ -302,6 +311,11 @@ async def test_a_class_that_a_process_cannot_import_is_refused_with_what_to_do()
     async with Kernel() as kernel:
         with pytest.raises(DeclarationError, match="write it into a module or a file of its own"):
             await kernel.create_isolated(Local, "local")
+        limits: Any = {"memory": 1 << 30}
+        with pytest.raises(DeclarationError, match=r"limits: expected Limits\(memory=..., cpu=...\), got dict"):
+            await kernel.create_isolated(Scale, "scale", limits=limits)
+        with pytest.raises(ProcessError, match=r"limits.memory = \d+: the system refuses"):
+            await kernel.create_isolated(Scale, "scale", limits=Limits(memory=1 << 70))
         assert dict(kernel.components) == {}
 
 

@@ -83,7 +83,7 @@ class _Process:
     async def serve(self) -> None:
         first = self._first
         plugins = Catalogue(folders=tuple(map(Path, first.plugins)))
-        async with Kernel(first.kernel, plugins=plugins) as kernel:
+        async with Kernel(first.kernel, plugins=plugins, contain_interrupts=True) as kernel:
             self._kernel = kernel
             self._session = Session(kernel, Right.CODE, "the kernel that started this process", _unsent)
             self._links = kernel.service(Links)
@@ -206,4 +206,4 @@ class _Marked(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         head = f"{MARK}{record.levelno} "
-        return "\n".join(head + line for line in super().format(record).splitlines() or [""])
+        return "\n".join(head + line for line in super().format(record).split("\n"))
