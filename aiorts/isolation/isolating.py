@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from aiorts.clock import SimulatedClock
 from aiorts.errors import DeclarationError, LinkError
 from aiorts.isolation.messages import REPORT, Report
+from aiorts.isolation.placing import RemoteContext
 from aiorts.isolation.process import Process
 from aiorts.isolation.stand_in import RemoteComponent, stand_in_of
 from aiorts.kernel.component import Component
@@ -22,6 +23,8 @@ from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.kernel.service import KernelService
 from aiorts.links import Caller, Links, UnixTransport
+from aiorts.model.profile import ContextStatistics
+from aiorts.model.reading import from_plain
 from aiorts.model.service_profile import ServiceConnectorProfile
 from aiorts.processes import Launcher, Limits
 
@@ -108,7 +111,7 @@ class Isolation(KernelService):
             Limits(**component.limits),
             ended=component.process_ended,
             line=partial(_log_line, component),
-            ticked=partial(_count, component),
+            counted=partial(_count, component),
         )
         self._processes[process.kernel] = process
         self._components[process] = component
@@ -156,6 +159,7 @@ def _log_line(component: RemoteComponent, level: int, text: str) -> None:
     component.log.log(level, "%s", text)
 
 
-def _count(component: RemoteComponent, ticks: list[int]) -> None:
-    for context, count in zip(component.contexts, ticks, strict=False):
-        context.ticks = count
+def _count(component: RemoteComponent, counted: list[Any]) -> None:
+    for context, plain in zip(component.contexts, counted, strict=False):
+        if isinstance(context, RemoteContext):
+            context.counted(from_plain(ContextStatistics, plain))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.errors import StateError
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.execution.cycle import Wait
+from aiorts.model.profile import ContextStatistics, HookStatistics
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import Component
@@ -32,6 +34,7 @@ class RemoteContext(Context):
         """The context that it stands for; it never runs here."""
         self.kind = given.kind  # type: ignore[misc] # that of the one it stands for
         self._rate = given.rate
+        self._there = ContextStatistics(0)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name in ("given", "name"):
@@ -51,6 +54,18 @@ class RemoteContext(Context):
         except BaseException:
             self._rate = before
             raise
+
+    @property
+    def counts(self) -> ContextStatistics:
+        """What its process has said last, about twice a second; a process that is started anew counts from 0."""
+        return replace(self._there, hooks={}, at_ns=super().counts.at_ns)
+
+    def counted(self, statistics: ContextStatistics) -> None:
+        """Its process says what the context has done there so far."""
+        self._there, self.ticks = statistics, statistics.cycles
+
+    def _hook_statistics(self) -> Mapping[str, HookStatistics]:
+        return self._there.hooks
 
     def as_started(self) -> dict[str, Any]:
         """What starts it in the process: name, kind and options."""

@@ -37,7 +37,7 @@ class Process:
         name: the component's.
         ended: called once, when it has ended without being asked to, with how and its last lines.
         line: called with a level of the log and a line that it wrote.
-        ticked: called with the cycles of its contexts, about twice a second.
+        counted: called with the statistics of its contexts, as plain values, about twice a second.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class Process:
         *,
         ended: Callable[[str, tuple[str, ...]], None],
         line: Callable[[int, str], None],
-        ticked: Callable[[list[int]], None],
+        counted: Callable[[list[Any]], None],
     ) -> None:
         self._kernel, self._launcher, self._transport = kernel, launcher, transport
         self.name, self._limits = name, limits
-        self._ended, self._line, self._ticked = ended, line, ticked
+        self._ended, self._line, self._counted = ended, line, counted
         self._links = kernel.service(Links)
         self.kernel = f"{self._links.reached_as}-{name}"
         """The name of its kernel."""
@@ -197,7 +197,7 @@ class Process:
             await asyncio.sleep(_LOOK)
             asked = self._kernel.loop.time()
             try:
-                self._ticked(await self.ask("ping", within=_LOOK))
+                self._counted(await self.ask("ping", within=_LOOK))
                 self._busy_since = None
             except ProcessError:
                 self._busy_since = self._busy_since or asked

@@ -142,6 +142,17 @@ class Ticker(Component):
             self.finish()
 
 
+class Held(Component):
+    """Holds its fifth cycle up for five more ticks of 100 Hz."""
+
+    cycles = 0
+
+    def on_execute(self) -> None:
+        self.cycles += 1
+        if self.cycles == 5:
+            time.sleep(0.055)
+
+
 class Echo(Component):
     """Gives arrays back."""
 

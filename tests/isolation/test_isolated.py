@@ -22,7 +22,8 @@ from aiorts.supervision import Supervision
 from aiorts.system import build, check, load
 from aiorts.testing import simulate
 from aiorts.types import TimedDoubleSeq, TimedLong
-from isolation.isolated_parts import Echo, Scale, Sink, Source, Spinner, Ticker, Unmakeable
+from control_parts import commanded
+from isolation.isolated_parts import Echo, Held, Scale, Sink, Source, Spinner, Ticker, Unmakeable
 
 pytestmark = pytest.mark.anyio
 ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
@@ -226,6 +227,27 @@ async def test_a_periodic_context_runs_there_at_its_rate_until_the_source_has_fi
         assert seen == list(range(1, 21))
         await until(lambda: ticker.has_finished)
         assert connector.statistics.written == 20
+
+
+async def test_what_its_context_counts_there_is_counted_here_and_by_the_commands(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async with Kernel("unit", services={"control": {}}) as kernel:
+        held = await kernel.create_isolated(Held, "held")
+        context = await kernel.start(PeriodicContext(name="apart", rate=100.0, timing=True), held, activate=True)
+        await until(lambda: context.statistics.overruns)
+        found, counts = context.statistics, context.counts
+        assert (found.policy, found.cycles >= 2, found.lateness_max_ns > 30_000_000) == ("skip", True, True)
+        assert (found.skipped >= 3, sum(found.lateness_histogram.values())) == (True, found.cycles)
+        assert (found.hooks["held.on_execute"].max_ns >= 50_000_000, dict(counts.hooks)) == (True, {})
+        status, text = await commanded(capsys, "cat", "apart")
+        assert (status, "overruns" in text) == (0, True), text
+        await until(lambda: context.counts.cycles > 200)
+        os.kill(held.pid, signal.SIGKILL)
+        await until(lambda: held.state is ERROR)
+        assert context.counts.cycles > 200
+        await context.reset()  # the new process begins anew
+        await until(lambda: context.counts.cycles < 200)
 
 
 async def test_arrays_go_there_and_back() -> None:

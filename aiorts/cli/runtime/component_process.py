@@ -110,7 +110,7 @@ class _Process:
                 self._over.set()
                 return done(None)
             if name == "ping":
-                return done([one.ticks for one in self._kernel.contexts.values()])
+                return done([one.statistics for one in self._kernel.contexts.values()])
             if name == "ports":
                 self._told = True
                 return done(described(self._kernel.components[self._first.component]))
