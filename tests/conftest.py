@@ -31,7 +31,7 @@ import pytest
 from hypothesis import settings
 
 from aiorts.kernel.extensions.catalogue import Catalogue
-from campaign import CAMPAIGN
+from campaign import CAMPAIGN, be_quick
 from tiers import are_slow, far_from_quick
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def pytest_configure(config: pytest.Config) -> None:
     _check_installed()
     if config.getoption("--tier") == "quick" and not CAMPAIGN and not os.environ.get("CI"):
         settings.load_profile("quick")  # other ones each time; CI tries all of them
+        be_quick()
     leave, process, capture = os._exit, os.getpid(), config.pluginmanager.getplugin("capturemanager")
 
     def told(status: int) -> Never:

@@ -2,7 +2,8 @@
 
 Each line names a slow test and the quick one that keeps its promise; `first` says that nothing quicker does, and that
 the first case of the test itself is run with the quick ones. A test is slow when a case of it takes longer than LIMIT.
-Of a quick test with many cases the first CASES are quick; each of its cases is run with one tier or the other.
+Of a quick test with many cases one is quick, chosen by the name of the test: of every two tests that run on both loops
+about one has its quick case on either. Each case is run with one tier or the other.
 
     python -m pytest -q -n 2 --tier all --durations 0 --durations-min 0.05 > all.log; python tests/tiers.py all.log
 
@@ -17,11 +18,10 @@ from collections import Counter
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
+from zlib import crc32
 
 LIMIT = 0.25
 """Seconds that the longest case of a quick test takes, its fixtures included."""
-CASES = 2
-"""Cases of a test that are run with the quick ones."""
 USUAL = 0.022
 """Seconds that a quick test takes on average on the machine that LIMIT was chosen on: 130 s for 5,986 of them."""
 LIST = Path(__file__).with_name("SLOW.txt")
@@ -52,11 +52,11 @@ def is_slow(name: str) -> bool:
 
 def are_slow(nodeids: Iterable[str]) -> list[bool]:
     """Of each case, in the order of collection, whether it is left to the slow tier."""
-    seen: Counter[str] = Counter()
-    found = []
-    for name in map(name_of, nodeids):
-        quick = 1 if name in table() else CASES
-        found.append(is_slow(name) or (seen[name] >= quick and not name.startswith(ALWAYS)))
+    names = [name_of(nodeid) for nodeid in nodeids]
+    cases, seen, found = Counter(names), Counter[str](), []
+    for name in names:
+        quick = 0 if name in table() else crc32(name.encode()) % cases[name]
+        found.append(is_slow(name) or (seen[name] != quick and not name.startswith(ALWAYS)))
         seen[name] += 1
     return found
 

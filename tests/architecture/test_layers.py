@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from trees import many_objects, nodes, parse
+from trees import many_objects, nodes, parse, statements
 
 ROOT = Path(__file__).parents[2]
 ORDER = """
@@ -130,6 +130,7 @@ def module_of(path: Path, root: Path = ROOT) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@cache
 def room_of(path: Path, root: Path = ROOT) -> str:
     inside = path.relative_to(root)
     return str(inside if inside.parent == Path("aiorts") else inside.parent)
@@ -138,8 +139,9 @@ def room_of(path: Path, root: Path = ROOT) -> str:
 @cache
 def imports(path: Path) -> list[Import]:
     """Every import of a file, wherever it stands, and every string that is nothing but the name of a module of ours."""
-    found = []
-    for node in nodes(parse(path)):
+    found, tree = [], parse(path)
+    names_ours = re.search(r"""["']aiorts""", path.read_text(encoding="utf-8"))
+    for node in nodes(tree) if names_ours else statements(tree):
         if isinstance(node, ast.Import):
             found += [Import(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

@@ -19,9 +19,17 @@ def test_of_a_test_that_nothing_quicker_replaces_the_first_case_is_quick() -> No
     assert tiers.are_slow(f"tests/a.py::{case}" for case in cases) == [False, True, False, True, True]
 
 
-def test_of_a_quick_test_with_many_cases_some_are_quick_but_all_of_what_is_always_to_be_seen() -> None:
-    for name, quick in (("tests/a.py::test_x", tiers.CASES), ("tests/architecture/test_layers.py::test_x", 9)):
-        assert tiers.are_slow(f"{name}[{case}]" for case in range(9)) == [case >= quick for case in range(9)]
+def test_of_a_quick_test_with_many_cases_one_is_quick_but_all_of_what_is_always_to_be_seen() -> None:
+    for name, quick in (("tests/a.py::test_x", 1), ("tests/architecture/test_layers.py::test_x", 9)):
+        assert tiers.are_slow(f"{name}[{case}]" for case in range(9)).count(False) == quick
+
+
+def test_both_loops_are_among_the_quick_cases_and_a_test_keeps_its_own() -> None:
+    cases = [f"tests/a.py::test_{test}[{loop}]" for test in range(200) for loop in ("asyncio", "uvloop")]
+    quick = [case for case, slow in zip(cases, tiers.are_slow(cases), strict=True) if not slow]
+    assert len(quick) == 200
+    assert 60 < sum("uvloop" in case for case in quick) < 140
+    assert [case for case, slow in zip(cases[6:8], tiers.are_slow(cases[6:8]), strict=True) if not slow] == quick[3:4]
 
 
 def test_far_from_quick_is_what_takes_four_times_the_limit_and_is_not_meant_to() -> None:
