@@ -14,7 +14,7 @@ from aiorts.diagnostics.loop_monitor import EXIT_STATUS
 from aiorts.errors import ComponentError, ConfigurationError
 from aiorts_log.mcap.reader import RecordingReader
 from run_parts import here
-from trees import dotted, parse
+from trees import dotted, nodes, parse
 
 ROOT = Path(__file__).parents[2]
 COMPONENTS = [name.lower() for name in Catalogue.default().extensions("components")]
@@ -389,7 +389,7 @@ def test_no_command_returns_a_number_of_its_own() -> None:
     faults = []
     for folder in ("aiorts/cli", "aiorts/bench", "plugins/aiorts_log", "plugins/aiorts_flexi"):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(parse(path)):
+            for node in nodes(parse(path)):
                 if isinstance(node, ast.FunctionDef) and _is_command(node):
                     faults += [f"{path.name}:{one.lineno}" for one in ast.walk(node) if _returns_number(one)]
                 elif isinstance(node, ast.Call) and _ends(node):

@@ -40,16 +40,16 @@ async def test_who_is_to_blame_is_asked_again_where_the_machine_took_as_much_as_
     monkeypatch.setattr(measuring, "Stalls", Counted)
     async with Kernel() as kernel:
         worker = await kernel.create(Component, "worker")
-        await kernel.start(PeriodicContext(rate=100.0, name="loop"), worker)
-        measured = asyncio.ensure_future(Health(kernel).window(0.05))
-        await asyncio.sleep(0.01)
+        await kernel.start(PeriodicContext(rate=1.0, name="loop"), worker)  # so slow that none of its own is late
+        measured = asyncio.ensure_future(Health(kernel).window(0.2))
+        await asyncio.sleep(0.02)
 
         def overran(late_ns: int, *looks: tuple[int, int], taken_ns: int) -> None:
             Counted.looks, Counted.taken_ns = looks, taken_ns
             kernel.bus.publish(Overrun("loop", 1, late_ns, "skip", HOOK))
 
-        overran(20 * MS, (-50 * MS, 0), (-40 * MS, 3 * MS), (-5 * MS, 9 * MS), taken_ns=23 * MS)
-        overran(20 * MS, (-50 * MS, 0), (-40 * MS, 3 * MS), (-5 * MS, 9 * MS), taken_ns=22 * MS)
+        overran(2_000 * MS, (-5_000 * MS, 0), (-4_000 * MS, 300 * MS), (-500 * MS, 900 * MS), taken_ns=2_300 * MS)
+        overran(2_000 * MS, (-5_000 * MS, 0), (-4_000 * MS, 300 * MS), (-500 * MS, 900 * MS), taken_ns=2_200 * MS)
         Counted.taken_ns = 0
         found = (await measured).contexts["loop"]
     assert (found.by_machine, found.left_out) == (1, 1)

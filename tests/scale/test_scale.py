@@ -277,9 +277,9 @@ def test_six_times_as_many_take_six_times_as_long(what: Callable[[Lines, int], C
         return {step: value / count for step, value in lines.steps.items()}
 
     measured(10)  # what is made once
-    few, many = measured(40), measured(240)
+    few, many = measured(20), measured(120)
     grown = {step: (few[step], many[step]) for step in few if many[step] > 1.1 * few[step] + 2}
-    assert grown == {}, "lines run for each, of 40 and of 240"
+    assert grown == {}, "lines run for each, of 20 and of 120"
 
 
 @pytest.mark.fault("G07")
