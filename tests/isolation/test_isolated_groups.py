@@ -1,0 +1,109 @@
+"""Groups of a composite side by side: each has a schedule of its own, and its member a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import EventContext, Kernel, LifecycleState
+from aiorts.composites import Composite
+from aiorts.types import TimedLong
+from isolation.composite_parts import Digger, Pair, Stage
+from isolation.isolated_parts import Sink, Source
+from isolation.test_isolated import answer
+
+pytestmark = [pytest.mark.anyio, pytest.mark.row(30)]
+ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
+GROUPS = ("left", "right")
+TURNS = 1_500_000
+"""Turns of a loop that one portion of work has."""
+BARE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from digging import dig
+for line in sys.stdin:
+    print(dig(int(line)), flush=True)
+"""
+
+
+async def whole(kernel: Kernel, left: Any, right: Any, errors: str = "stop") -> Any:
+    """A composite of two groups, started and active, each in a process of its own and between a source and a sink."""
+    groups = [
+        Composite(name, member, exported=["*.*"], own_schedule=True)
+        for name, member in zip(GROUPS, (left, right), strict=True)
+    ]
+    exported = {"*.inp": "{component}_inp", "*.out": "{component}_out"}
+    made = await kernel.add(Composite("whole", *groups, exported=exported, errors=errors))
+    for name in GROUPS:
+        source, sink = await kernel.add(Source(f"{name}_source")), await kernel.add(Sink(f"{name}_sink"))
+        await kernel.connect(source.out, f"whole.{name}_inp", length=100)
+        await kernel.connect(f"whole.{name}_out", sink.inp, length=100)
+    for group in groups:
+        await kernel.start(EventContext(name=f"of_{group.name}"), group, activate=True)
+    return made
+
+
+async def asked(kernel: Kernel, group: str, value: int) -> int:
+    """What a group answers."""
+    source: Any = kernel.components[f"{group}_source"]
+    sink: Any = kernel.components[f"{group}_sink"]
+    return await answer(source, sink, value)
+
+
+async def test_its_ports_lead_to_members_in_two_processes() -> None:
+    async with Kernel() as kernel:
+        left, right = await kernel.create_isolated(Stage, "stage"), await kernel.create_isolated(Pair, "pair")
+        both = await whole(kernel, left, right)
+        assert list(both.ports) == ["left_inp", "left_out", "right_inp", "right_out"]
+        assert (left.pid != right.pid, left.state, right.state) == (True, ACTIVE, ACTIVE)
+        assert (await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (2, 3)
+
+
+async def test_their_work_takes_as_long_as_in_two_bare_processes() -> None:
+    async with Kernel() as kernel:
+        left, right = await kernel.create_isolated(Digger, "one"), await kernel.create_isolated(Digger, "two")
+        await whole(kernel, left, right)
+        sources: list[Any] = [kernel.components[f"{name}_source"] for name in GROUPS]
+        sinks: list[Any] = [kernel.components[f"{name}_sink"] for name in GROUPS]
+
+        async def isolated() -> float:
+            began = time.perf_counter()
+            for source in sources:
+                source.out.write_nowait(TimedLong(0, TURNS))
+            for sink in sinks:
+                await sink.inp.read(timeout=30)
+            return time.perf_counter() - began
+
+        command = [sys.executable, "-c", BARE, str(Path(__file__).parent)]
+        bare = [
+            subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1)
+            for _ in GROUPS
+        ]
+
+        def in_bare_processes() -> float:
+            began = time.perf_counter()
+            for one in bare:
+                one.stdin.write(f"{TURNS}\n")  # type: ignore[union-attr]
+            for one in bare:
+                one.stdout.readline()  # type: ignore[union-attr]
+            return time.perf_counter() - began
+
+        try:
+            await isolated()  # what is cold at first is no part of it
+            in_bare_processes()
+            ours, theirs = [], []
+            for _ in range(30):
+                ours.append(await isolated())
+                theirs.append(in_bare_processes())
+                if len(ours) >= 10 and min(ours) <= 1.15 * min(theirs):
+                    break
+            print(f"{min(ours):.3f} s beside {min(theirs):.3f} s: {min(ours) / min(theirs):.3f}, {len(ours)} rounds")
+            assert min(ours) <= 1.15 * min(theirs)
+        finally:
+            for one in bare:
+                one.communicate(timeout=30)
