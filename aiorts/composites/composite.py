@@ -50,7 +50,8 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
         groups: "a,b|c,d": groups separated by `|` run side by side in each cycle, each group one member after the
             other; the cycle ends when all groups have. For members whose hooks wait.
         errors: "stop", "report" or "isolate": see `ErrorPolicy`.
-        own_schedule: inside another composite it does not run with it, but is started in a context of its own.
+        own_schedule: inside another composite it does not run with it, but is started in a context of its own. Where
+            all members are such, the outer one is in no context: its state, errors and transitions are theirs together.
 
     Raises:
         ConfigurationError: an argument cannot be parsed.
@@ -145,20 +146,19 @@ class Composite(Component, kind=CompositeKind(), redefines=_REDEFINED):
 
     @property
     def states(self) -> Mapping[str, LifecycleState]:
-        """Its state, by the name of its context."""
-        state = self.state
-        return MappingProxyType({} if state is None else {self.context.name: state})
+        """Its state, by the name of its context, or of each of those where all members have a schedule of their own."""
+        return MappingProxyType(_group(self).states)
 
     @property
     def has_finished(self) -> bool:
         """Whether all its members have finished."""
-        parts = self.parts
+        parts = _group(self).parts_together
         return bool(parts) and all(part.has_finished for part in parts)
 
     @property
     def last_error(self) -> BaseException | None:
         """The error of the first member in error; else what its own `on_initialize` or `on_finalize` raised."""
-        for part in _group(self).parts:
+        for part in _group(self).parts_together:
             for member in cell(part).members:
                 if member.state is LifecycleState.ERROR and member.failure is not None:
                     return member.failure

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -90,8 +91,38 @@ class CompositeGroup:
     @property
     def state(self) -> LifecycleState | None:
         """The state that follows from its members' (`aiorts.composites.composition.STATES`); None in no context."""
+        if self.is_spread:
+            return derived((state for one in self.inner if (state := one.state) is not None), self.errors)
         context = self.context
         return None if context is None else self.state_in(context)
+
+    @property
+    def states(self) -> dict[str, LifecycleState]:
+        """Its state, by the name of each context that runs members of it."""
+        state = self.state
+        return {} if state is None else dict.fromkeys(self._context_names(), state)
+
+    def _context_names(self) -> tuple[str, ...]:
+        if self.is_spread:
+            return tuple(name for one in self.inner for name in one._context_names())
+        context = self.context
+        return () if context is None else (context.name,)
+
+    @property
+    def is_spread(self) -> bool:
+        """Whether each member has a schedule of its own: it runs in no context, and is what they are together."""
+        return bool(self.members) and all(map(self.runs_apart, self.members))
+
+    @property
+    def parts_together(self) -> tuple[Component, ...]:
+        """Its parts; those of its members, where all have a schedule of their own."""
+        return self.parts or tuple(part for one in self.inner if self.is_spread for part in one.parts_together)
+
+    @property
+    def next_out(self) -> CompositeGroup | None:
+        """The group that an error of it concerns, too: the outer one, where it runs with it or that is spread."""
+        outer = self.outer
+        return outer if outer is not None and (not self.own_schedule or outer.is_spread) else None
 
     @property
     def parts(self) -> tuple[Component, ...]:
@@ -154,6 +185,9 @@ class CompositeGroup:
         """Set the context it is about to run in, or None."""
         self.started_in = context
         self.reset_state(None if context is None else LifecycleState.INACTIVE)
+        outer = self.next_out
+        while context is not None and outer is not None and outer.state is None:
+            outer.state_published, outer = LifecycleState.INACTIVE, outer.next_out
 
     def reset_state(self, state: LifecycleState | None) -> None:
         """Set the last published state without publishing it."""
@@ -305,7 +339,10 @@ class CompositeGroup:
         await membership.leave(context, components, timeout)
 
     def check_startable(self) -> None:
-        """Raise StateError when it runs already."""
+        """Raise StateError when it runs already, or never does itself."""
+        if self.is_spread:
+            names = ", ".join(member.name for member in self.members)
+            raise StateError(f"{self.name}: each member has a schedule of its own; start {names}, each in its context")
         context = self.context
         if context is not None:
             raise StateError(f"{self.name}: runs in {context.name} already")
@@ -371,17 +408,21 @@ class CompositeGroup:
             if group.errors is ErrorPolicy.STOP:
                 recovery.stop_the_others(group, context, member.component.name)
             failed = group.state is LifecycleState.ERROR
-            group = None if group.own_schedule else group.outer
+            group = group.next_out
         self.publish_state()
 
     def publish_state(self) -> None:
         """Publish its state, unless that was published before."""
-        context, state = self.context, self.state
+        state, kernel = self.state, self.kernel
         before, self.state_published = self.state_published, state
-        if context is not None and state is not None and before not in (None, state):
-            context.runner.publish(StateChanged(self.name, context.name, before, state))
-        outer = self.outer
-        if outer is not None and not self.own_schedule:
+        if state is not None and before is not None and before is not state:
+            for name in self._context_names():
+                event = StateChanged(self.name, name, before, state)
+                kernel.call_on_loop(partial(kernel.bus.publish, event))
+        outer = self.next_out
+        if outer is not None and outer.is_spread:
+            kernel.call_on_loop(outer.publish_state)  # contexts of several threads are in it
+        elif outer is not None:
             outer.publish_state()
 
 

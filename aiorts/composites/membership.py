@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from aiorts.composites import composition_check, parallel
 from aiorts.composites.composition import ErrorPolicy, Export
 from aiorts.composites.previous_placement import leave_contexts, return_to_contexts
-from aiorts.errors import ComponentError, StateError, TransitionTimeout, format_error
+from aiorts.errors import AiortsError, ComponentError, StateError, TransitionTimeout, format_error
 from aiorts.kernel.execution.cell import cell, flattened
 from aiorts.kernel.loop.guarded import KernelLog
 from aiorts.kernel.loop.tasks import kernel_task
@@ -312,12 +312,41 @@ async def leave(context: Context, given: Sequence[Component], timeout: float | N
 
 
 async def transition(composite: CompositeGroup, event: Event, timeout: float | None) -> None:
-    """Request a transition of all members of a composite, in one action between two cycles."""
+    """Request a transition of all members of a composite, in one action between two cycles.
+
+    Those that all have a schedule of their own are asked one after the other.
+    """
+    if composite.is_spread:
+        await _transition_of_groups(composite, event, timeout)
+        return
     context = composite.component.context
     context.runner.check(event.value)
     await context.runner.ask(
         [(f"{event} {composite.name}", lambda done: _transition(composite, context, event, done))], timeout
     )
+
+
+async def _transition_of_groups(composite: CompositeGroup, event: Event, timeout: float | None) -> None:
+    stops = composite.errors is ErrorPolicy.STOP and event is Event.ACTIVATE
+    if stops and composite.state is _ERROR:
+        raise StateError(f"{composite.name}: cannot activate from error; reset it first")
+    groups = [group for member in composite.laid_out if (group := composition_check.group_of(member)) is not None]
+    failed: AiortsError | None = None
+    begun: list[CompositeGroup] = []
+    for group in reversed(groups) if event is Event.DEACTIVATE else groups:
+        if group.state is not _ACTIVE:
+            begun.append(group)
+        try:
+            await transition(group, event, timeout)
+        except AiortsError as error:
+            failed = failed or error
+            if stops:
+                break
+    if failed is not None:
+        for group in reversed(begun) if stops else ():
+            if group.state is _ACTIVE:
+                await transition(group, Event.DEACTIVATE, timeout)
+        raise failed
 
 
 def _transition(composite: CompositeGroup, context: Context, event: Event, done: Done) -> Steps:

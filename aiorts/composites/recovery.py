@@ -6,7 +6,7 @@ Everything here runs between two cycles, in the thread of the context.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -28,8 +28,22 @@ _ERROR, _INACTIVE = LifecycleState.ERROR, LifecycleState.INACTIVE
 
 
 def stop_the_others(composite: CompositeGroup, context: Context, failed: str) -> None:
-    """Deactivate the other members before the next cycle, since one is in error; in the thread of the context."""
-    context.runner.submit(Action(lambda: _stop(composite, failed)))
+    """Deactivate the other members before the next cycle, since one is in error; in the thread of the context.
+
+    Members with schedules of their own are stopped soon after it.
+    """
+    if composite.is_spread:
+        composite.kernel.call_on_loop(partial(_stop_groups, composite, failed))
+    else:
+        context.runner.submit(Action(lambda: _stop(composite, failed)))
+
+
+def _stop_groups(composite: CompositeGroup, failed: str) -> None:
+    for group in composite.inner:
+        if group.is_spread:
+            _stop_groups(group, failed)
+        elif (context := group.context) is not None:
+            stop_the_others(group, context, failed)
 
 
 def _stop(composite: CompositeGroup, failed: str) -> Steps:
@@ -46,10 +60,14 @@ async def bring_back(component: Component) -> tuple[str, ...]:
     They stay off while another member is in error, and come back after the last recovery.
     """
     back: list[str] = []
-    names = frozenset(leaf.name for leaf in leaves_of((component,)))
-    for context in component.contexts:
+    leaves = leaves_of((component,))
+    names = frozenset(leaf.name for leaf in leaves)
+    contexts = dict.fromkeys(component.contexts)
+    for outer in filter(lambda one: one.is_spread, _line(outer_of(component))):
+        contexts |= dict.fromkeys(member.context for leaf in leaves_of(outer.members) for member in cell(leaf).members)
+    for context in contexts:
         if any(names & member.stopped_for for member in context.runner.members):
-            steps = partial(_back, context, names, back)
+            steps = partial(_back, context, leaves, back)
             try:
                 await context.runner.ask([(f"bring back who stopped with {component.name}", steps)], None)
             except AiortsError:
@@ -57,13 +75,15 @@ async def bring_back(component: Component) -> tuple[str, ...]:
     return tuple(back)
 
 
-def _back(context: Context, names: frozenset[str], back: list[str], done: Done) -> Steps:
-    helped = frozenset(member.component.name for member in context.runner.members if member.active) & names
+def _back(context: Context, leaves: Iterable[Component], back: list[str], done: Done) -> Steps:
+    helped = frozenset(leaf.name for leaf in leaves if _is_active(leaf, context))
     for member in tuple(context.runner.members):
         if member.left or not member.stopped_for & helped:
             continue
-        if any(composite.state is _ERROR for composite in _stopping(member.component)):
-            failing = (other.component.name for other in context.runner.members if other.state is _ERROR)
+        in_error = [composite for composite in _stopping(member.component) if composite.state is _ERROR]
+        if in_error:
+            others = leaves_of(part for composite in in_error for part in composite.members)
+            failing = (leaf.name for leaf in others if any(m.state is _ERROR for m in cell(leaf).members))
             member.stopped_for = member.stopped_for.union(failing)
             continue
         member.stopped_for = frozenset()
@@ -75,13 +95,19 @@ def _back(context: Context, names: frozenset[str], back: list[str], done: Done) 
     done(None)
 
 
+def _is_active(component: Component, context: Context) -> bool:
+    """Whether it is active in this context, or where it runs when it is not in this one."""
+    members = cell(component).members
+    return any(member.active for member in [one for one in members if one.context is context] or members)
+
+
 def stopped_with(component: Component, composite: CompositeGroup | None) -> str:
     """The outermost composite that a component's error stopped; "" for none."""
     names = frozenset(leaf.name for leaf in leaves_of((component,)))
     stopped = ""
     for outer in _line(composite):
         if outer.errors is ErrorPolicy.STOP and any(
-            names & member.stopped_for for part in outer.parts for member in cell(part).members
+            names & member.stopped_for for part in leaves_of(outer.members) for member in cell(part).members
         ):
             stopped = outer.name
     return stopped
@@ -93,7 +119,7 @@ def _stopping(component: ComponentSide) -> Iterator[CompositeGroup]:
 
 
 def _line(composite: CompositeGroup | None) -> Iterator[CompositeGroup]:
-    """A composite and those it runs with, from the innermost out."""
+    """A composite and those that an error of it concerns, from the innermost out."""
     while composite is not None:
         yield composite
-        composite = None if composite.own_schedule else composite.outer
+        composite = composite.next_out

@@ -98,7 +98,7 @@ async def reset_whole(composite: CompositeGroup) -> None:
     """Reset all members that are in error, and activate the composite again."""
     from aiorts.composites import transition
 
-    if composite.context is not None:
+    if composite.state is not None:
         await transition(composite, Event.RESET, 5.0)
         await transition(composite, Event.ACTIVATE, 5.0)
 

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from aiorts import Component, Composite, ExternalContext, InPort, Kernel, LifecycleState, OutPort, SimulatedClock
+from aiorts import (
+    Component,
+    Composite,
+    ExternalContext,
+    InPort,
+    Kernel,
+    LifecycleState,
+    OutPort,
+    SimulatedClock,
+    ThreadContext,
+)
 from aiorts.errors import StateError, WiringError
+from aiorts.kernel.loop.bus import StateChanged
 from aiorts.testing.simulation import simulate
 from aiorts.types import TimedDouble
 
@@ -76,6 +87,46 @@ def test_one_with_its_own_schedule_runs_apart() -> None:
             await fast.tick(2)
             assert diary == ["a", "c", "b", "b"]
             assert (slow.members, fast.members, list(outer.ports)) == ((a, c), (b,), ["output"])
+
+    simulate(main)
+
+
+@pytest.mark.row(30, 98, 100)
+@pytest.mark.parametrize("errors", ["stop", "report", "isolate"])
+def test_one_whose_members_all_run_apart_is_what_they_are_together(errors: str) -> None:
+    async def main(clock: SimulatedClock) -> None:
+        async with Kernel() as kernel:
+            a, b, c = (Part(name, []) for name in "abc")
+            left, right = Composite("left", a, own_schedule=True), Composite("right", b, c, own_schedule=True)
+            outer = await kernel.add(Composite("outer", left, right, errors=errors))
+            seen: list[tuple[str, LifecycleState]] = []
+            kernel.bus.subscribe(
+                StateChanged,
+                lambda event: seen.append((event.context, event.new)) if event.component == "outer" else None,
+            )
+            assert (outer.state, dict(outer.states)) == (None, {})
+            with pytest.raises(
+                StateError, match="outer: each member has a schedule of its own; start left, right, each"
+            ):
+                await kernel.start(ExternalContext(), outer)
+            one = await kernel.start(ExternalContext(name="one"), left, activate=True)
+            two = await kernel.start(ThreadContext(10.0, name="two"), right, activate=True)
+            assert (outer.state, seen) == (A, [("one", A)])
+            await outer.deactivate()
+            assert [part.state for part in (outer, a, b, c)] == [I, I, I, I]
+            await outer.activate()
+            a.fails = True
+            await one.tick()
+            await kernel.sleep(1.0)
+            whole, others = {"stop": (E, I), "report": (E, A), "isolate": (A, A)}[errors]
+            assert [part.state for part in (outer, a, b, c)] == [whole, E, others, others]
+            assert (dict(outer.states), seen[-1][1]) == ({"one": whole, "two": whole}, whole)
+            a.fails = False
+            await outer.reset()
+            await outer.activate()
+            assert [part.state for part in (outer, a, b, c)] == [A, A, A, A]
+            await two.stop()
+            assert (outer.state, dict(outer.states)) == (A, {"one": A})
 
     simulate(main)
 

@@ -12,10 +12,13 @@ import pytest
 
 from aiorts import EventContext, Kernel, LifecycleState
 from aiorts.composites import Composite
+from aiorts.errors import StateError
+from aiorts.kernel.loop.bus import StateChanged
+from aiorts.supervision import Supervision
 from aiorts.types import TimedLong
 from isolation.composite_parts import Digger, Pair, Stage
 from isolation.isolated_parts import Sink, Source
-from isolation.test_isolated import answer
+from isolation.test_isolated import answer, until
 
 pytestmark = [pytest.mark.anyio, pytest.mark.row(30)]
 ACTIVE, INACTIVE, ERROR = LifecycleState.ACTIVE, LifecycleState.INACTIVE, LifecycleState.ERROR
@@ -52,12 +55,13 @@ async def asked(kernel: Kernel, group: str, value: int) -> int:
     """What a group answers."""
     source: Any = kernel.components[f"{group}_source"]
     sink: Any = kernel.components[f"{group}_sink"]
-    return await answer(source, sink, value)
+    return int(await answer(source, sink, value))
 
 
 async def test_its_ports_lead_to_members_in_two_processes() -> None:
     async with Kernel() as kernel:
-        left, right = await kernel.create_isolated(Stage, "stage"), await kernel.create_isolated(Pair, "pair")
+        left: Any = await kernel.create_isolated(Stage, "stage")
+        right: Any = await kernel.create_isolated(Pair, "pair")
         both = await whole(kernel, left, right)
         assert list(both.ports) == ["left_inp", "left_out", "right_inp", "right_out"]
         assert (left.pid != right.pid, left.state, right.state) == (True, ACTIVE, ACTIVE)
@@ -107,3 +111,69 @@ async def test_their_work_takes_as_long_as_in_two_bare_processes() -> None:
         finally:
             for one in bare:
                 one.communicate(timeout=30)
+
+
+async def test_it_is_activated_and_deactivated_as_a_whole() -> None:
+    async with Kernel() as kernel:
+        left, right = await kernel.create_isolated(Stage, "one"), await kernel.create_isolated(Stage, "two")
+        both = await whole(kernel, left, right)
+        assert (both.state, dict(both.states)) == (ACTIVE, {"of_left": ACTIVE, "of_right": ACTIVE})
+        assert kernel.profile().components["whole"].states == {"of_left": "active", "of_right": "active"}
+        await both.deactivate()
+        assert (both.state, left.state, right.state) == (INACTIVE, INACTIVE, INACTIVE)
+        await both.activate()
+        assert (both.state, await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (ACTIVE, 2, 2)
+        with pytest.raises(StateError, match=r"whole: each member has a schedule of its own; start left, right, each"):
+            await kernel.start(EventContext(name="of_both"), both)
+
+
+def changes_of(kernel: Kernel, name: str) -> list[LifecycleState]:
+    """The states that this one is said to have from now on; the list grows."""
+    states: list[LifecycleState] = []
+    kernel.bus.subscribe(StateChanged, lambda event: states.append(event.new) if event.component == name else None)
+    return states
+
+
+@pytest.mark.parametrize(
+    ("errors", "state", "other"), [("stop", ERROR, INACTIVE), ("report", ERROR, ACTIVE), ("isolate", ACTIVE, ACTIVE)]
+)
+async def test_the_policy_of_errors_holds_for_a_process_that_is_lost(errors: str, state: Any, other: Any) -> None:
+    async with Kernel() as kernel:
+        left, right = await kernel.create_isolated(Stage, "one"), await kernel.create_isolated(Stage, "two")
+        both = await whole(kernel, left, right, errors)
+        changes = changes_of(kernel, "whole")
+        source: Any = kernel.components["left_source"]
+        source.out.write_nowait(TimedLong(0, -3))
+        await until(lambda: left.state is ERROR and both.state is state and right.state is other)
+        assert set(changes) == ({ERROR} if state is ERROR else set())
+        assert "one: its process has ended: exit status 3" in str(both.last_error)
+        if other is ACTIVE:
+            assert await asked(kernel, "right", 1) == 2
+        await both.reset()
+        await both.activate()
+        assert (both.state, await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (ACTIVE, 2, 2)
+
+
+@pytest.mark.parametrize("restart", ["reset", "restart"])
+async def test_a_group_that_is_supervised_comes_back_and_the_other_with_it(restart: Any) -> None:
+    async with Kernel() as kernel:
+        left, right = await kernel.create_isolated(Stage, "one"), await kernel.create_isolated(Stage, "two")
+        both = await whole(kernel, left, right)
+        kernel.supervise(left, Supervision(restart=restart))
+        stopped = changes_of(kernel, "two")
+        source: Any = kernel.components["left_source"]
+        source.out.write_nowait(TimedLong(0, -3))
+        await until(lambda: stopped[-1:] == [ACTIVE] and both.state is ACTIVE)
+        assert stopped == [INACTIVE, ACTIVE]
+        assert (await asked(kernel, "left", 1), await asked(kernel, "right", 1)) == (2, 2)
+
+
+async def test_one_activation_that_fails_takes_the_others_back() -> None:
+    async with Kernel() as kernel:
+        left, right = await kernel.create_isolated(Stage, "one"), await kernel.create_isolated(Stage, "two")
+        both = await whole(kernel, left, right)
+        await both.deactivate()
+        await kernel.contexts["of_right"].stop()
+        with pytest.raises(StateError, match=r"right: is in no context"):
+            await both.activate()
+        assert (left.state, both.state) == (INACTIVE, INACTIVE)
