@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from aiorts.kernel.microkernel import Microkernel
 
 _LOG: Final = KernelLog()
+_STARTS: Final = 2 * (os.cpu_count() or 1)
+"""Processes that come up at the same time; the time of each begins when it is its turn."""
 
 
 class Isolation(KernelService):
@@ -49,6 +51,7 @@ class Isolation(KernelService):
         self._processes: dict[str, Process] = {}
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
+        self._starts = asyncio.Semaphore(_STARTS)
         self._said = False
         kernel.bus.subscribe(Connected, self._rewired)
         kernel.bus.subscribe(Disconnected, self._rewired)
@@ -109,6 +112,7 @@ class Isolation(KernelService):
             self._transport,
             component.name,
             Limits(**component.limits),
+            starts=self._starts,
             ended=component.process_ended,
             line=partial(_log_line, component),
             counted=partial(_count, component),

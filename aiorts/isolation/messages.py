@@ -24,6 +24,8 @@ REPORT: Final = "report"
 MARK: Final = "\x1e"
 """Begins a line of standard error that is a record of the log: this, the level's number, a blank, the text."""
 _LENGTH: Final = struct.Struct("<I")
+_LONGEST: Final = 10_000
+"""Letters of the text of an error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,7 @@ class Report:
 
     def to_bytes(self) -> bytes:
         """The report as a body."""
-        return json.dumps(asdict(self)).encode()
+        return json.dumps(asdict(self) | {"error": _short(self.error)}).encode()
 
     @classmethod
     def from_bytes(cls, body: bytes) -> Report:
@@ -110,7 +112,7 @@ def done(value: Any) -> bytes:
 
 def refused(error: AiortsError) -> bytes:
     """The answer to a request that was not carried out."""
-    return json.dumps({"code": error.code, "text": str(error)}).encode()
+    return json.dumps({"code": error.code, "text": _short(str(error))}).encode()
 
 
 def value_of(body: bytes) -> Any:
@@ -123,3 +125,7 @@ def value_of(body: bytes) -> Any:
     if "code" in answer:
         raise error_of_code(answer["code"], answer["text"]) or ControlError(answer["text"])
     return answer["value"]
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text):,} letters)"

@@ -28,6 +28,8 @@ _BUSY_BEYOND: Final = 2.0
 """Seconds beyond its deadline that a hook may hold its process."""
 _ENDS: Final = 1.2
 """Seconds that a process has to end by itself: with the request for it less than the 2 s of the hook that waits."""
+_KILLED: Final = 0.25
+"""Seconds for which the end of a process that was killed is waited for."""
 
 
 class Process:
@@ -35,6 +37,7 @@ class Process:
 
     Args:
         name: the component's.
+        starts: how many may come up at the same time.
         ended: called once, when it has ended without being asked to, with how and its last lines.
         line: called with a level of the log and a line that it wrote.
         counted: called with the statistics of its contexts, as plain values, about twice a second.
@@ -48,13 +51,14 @@ class Process:
         name: str,
         limits: Limits,
         *,
+        starts: asyncio.Semaphore,
         ended: Callable[[str, tuple[str, ...]], None],
         line: Callable[[int, str], None],
         counted: Callable[[list[Any]], None],
     ) -> None:
         self._kernel, self._launcher, self._transport = kernel, launcher, transport
         self.name, self._limits = name, limits
-        self._ended, self._line, self._counted = ended, line, counted
+        self._starts, self._ended, self._line, self._counted = starts, ended, line, counted
         self._links = kernel.service(Links)
         self.kernel = f"{self._links.reached_as}-{name}"
         """The name of its kernel."""
@@ -90,6 +94,10 @@ class Process:
             ProcessError: it cannot be started, or has not come up in time.
             AiortsError: what refused the component.
         """
+        async with self._starts:
+            await self._start(text, params)
+
+    async def _start(self, text: str, params: dict[str, Any]) -> None:
         ours, theirs = socket.socketpair()
         self._ending, self._peer, self._killed = False, None, ""
         try:
@@ -180,7 +188,7 @@ class Process:
                 await asyncio.wait((child.ended,), timeout=_ENDS)
         finally:
             child.kill()  # also where nobody waits for it any more
-        await asyncio.wait((child.ended,), timeout=_ENDS)
+        await asyncio.wait((child.ended,), timeout=_KILLED)
 
     def _over(self, ended: asyncio.Future[Ending]) -> None:
         if self._looking is not None:

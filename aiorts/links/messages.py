@@ -10,7 +10,8 @@ from aiorts.errors import LinkError, WireError
 from aiorts.late import dataclass
 from aiorts.wire import LINK, count_values
 
-_LARGEST: Final = 1_048_576
+LARGEST: Final = 1_048_576
+"""Bytes of a message of another program."""
 _LONGEST: Final = 2_000
 
 
@@ -82,10 +83,10 @@ def packed(values: list[Any]) -> bytes:
     return frame
 
 
-def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False) -> list[Any]:
+def fields(body: bytes, kinds: tuple[type, ...], *, longer: bool = False, largest: int = LARGEST) -> list[Any]:
     """The values of a frame, as `checked`. LinkError: they are others, or it is no frame."""
-    if len(body) > _LARGEST:
-        raise LinkError(f"a message of {len(body)} bytes; at most {_LARGEST} are allowed")
+    if len(body) > largest:
+        raise LinkError(f"a message of {len(body)} bytes; at most {largest} are allowed")
     try:
         count_values(body, LINK)
         values = msgpack.unpackb(body, strict_map_key=False, max_ext_len=0)

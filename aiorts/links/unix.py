@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from aiorts.control import private_folder
 from aiorts.errors import AiortsError, InvalidNameError, LinkError, LinkTimeout
-from aiorts.links.messages import fields, packed
+from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
 from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts.model.links import Buffer
@@ -39,6 +39,8 @@ _ACCEPT_AGAIN_SECONDS: Final = 0.2
 _ASKED: Final = 1_000
 """Questions of one peer that are being answered at the same time, at the most."""
 _LONGEST: Final = 2_000
+_OF_ONE_PROGRAM: Final = 64 << 20
+"""Bytes of a question between kernels of one program: the state of a component that moves is one."""
 
 Handler = Callable[[bytes, Caller], Awaitable[bytes]]
 
@@ -59,6 +61,8 @@ class UnixTransport:
 
     def __init__(self, *, listens: bool = True) -> None:
         self._listens = listens
+        self.largest = LARGEST if listens else _OF_ONE_PROGRAM
+        """Bytes of a question, at the most."""
         self._handlers: dict[str, Handler] = {}
         self._tells: list[Callable[[Peer, bool], None]] = []
         self._peers: dict[Peer, list[_Connection]] = {}
@@ -389,7 +393,7 @@ class _Connection:
         elif kind in _RINGED:
             raise LinkError("it speaks of a ring that there is not")
         elif kind == _ASK:
-            what, question = fields(body, (str, bytes))
+            what, question = fields(body, (str, bytes), largest=self._transport.largest)
             if self._answering >= _ASKED:
                 self.stream.send(_REFUSAL, number, b"too many questions at the same time")
                 return
@@ -447,11 +451,14 @@ class _Connection:
 
     async def ask(self, what: str, body: bytes, within: float) -> bytes:
         """See `UnixTransport.ask`."""
+        question, largest = packed([what, body]), self._transport.largest
+        if len(question) > largest:
+            raise LinkError(f"{what}: {len(question)} bytes; a question has {largest} at the most")
         self._last = number = self._last % 0xFFFFFFFF + 1
         future: asyncio.Future[bytes] = self._transport.loop.create_future()
         self._asked[number] = future
         try:
-            if not self.stream.send(_ASK, number, packed([what, body])):
+            if not self.stream.send(_ASK, number, question):
                 raise LinkError(f"{self._name}: takes nothing any more")
             async with asyncio.timeout(within):
                 return await future

@@ -79,9 +79,11 @@ def misbehave(what: int) -> None:
         case -9:
             subprocess.run([sys.executable, "-c", BOMB], check=False, timeout=60)
         case -10:
-            os.execv("/bin/sleep", ["sleep", "60"])  # noqa: S606 - another program has the process from now on
+            os.execv("/bin/sleep", ["sleep", "60"])
         case -11:
             raise KeyboardInterrupt
+        case -12:
+            raise ValueError("long " * 600_000)
 
 
 class SlowStart(Scale):

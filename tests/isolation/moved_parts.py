@@ -40,6 +40,13 @@ class Clockwork(Component):
             self.out.write_nowait(TimedLong(0, self.written))
 
 
+class Heavy(Component):
+    """Has much to take along."""
+
+    def on_initialize(self) -> None:
+        self.map, self.text = np.zeros(400_000), ""
+
+
 class Log(Component):
     """Keeps what it gets until it is read."""
 

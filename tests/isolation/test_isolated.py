@@ -121,7 +121,10 @@ async def test_parameters_and_sets_are_in_force_there_or_refused() -> None:
         assert (scale.factor, await answer(source, sink, 2)) == (1000, 2000)
 
 
-@pytest.mark.parametrize(("value", "said"), [(-1, "ValueError: negative"), (-11, "KeyboardInterrupt")])
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(-1, "ValueError: negative"), (-11, "KeyboardInterrupt"), (-12, "long long ... (3,000,019 letters)")],
+)
 async def test_what_it_raises_is_its_error_here_and_a_reset_helps(value: int, said: str) -> None:
     async with Kernel() as kernel:
         source, scale, sink, context = await chain(kernel)

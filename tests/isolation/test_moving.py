@@ -8,6 +8,7 @@ import time
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import pytest
 from anyio import fail_after, sleep
 
@@ -24,7 +25,7 @@ from aiorts.errors import ComponentError, DeclarationError, StateError
 from aiorts.supervision import Supervision
 from aiorts.testing import simulate
 from aiorts.types import Point2D, TimedLong
-from isolation.moved_parts import Careful, Clockwork, Closed, Controller, Counter, Echo, Feed, Holder, Log, Seen
+from isolation.moved_parts import Careful, Clockwork, Closed, Controller, Counter, Echo, Feed, Heavy, Holder, Log, Seen
 from isolation.test_isolated import until
 
 pytestmark = pytest.mark.anyio
@@ -255,3 +256,13 @@ def test_on_a_simulated_clock_it_stays_in_this_process() -> None:
             assert await kernel.move(echo, "process") is echo
 
     simulate(run())
+
+
+async def test_a_state_of_megabytes_goes_along() -> None:
+    async with Kernel() as kernel:
+        heavy = await kernel.create(Heavy, "heavy")
+        context = await kernel.start(EventContext(), heavy, activate=True)
+        heavy.map, heavy.text = np.arange(400_000.0), "x" * 3_000_000
+        with fail_after(60):
+            back: Any = await kernel.move(await kernel.move(heavy, "process"), context)
+        assert (back.map.sum(), len(back.text)) == (np.arange(400_000.0).sum(), 3_000_000)
