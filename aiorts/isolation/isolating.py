@@ -12,6 +12,7 @@ from aiorts.clock import SimulatedClock
 from aiorts.errors import DeclarationError, LinkError
 from aiorts.isolation.messages import REPORT, Report
 from aiorts.isolation.placing import RemoteContext
+from aiorts.isolation.printing import Printing
 from aiorts.isolation.process import Process
 from aiorts.isolation.stand_in import RemoteComponent, stand_in_of
 from aiorts.kernel.component import Component
@@ -52,14 +53,17 @@ class Isolation(KernelService):
         """By the name of the process's kernel."""
         self._components: dict[Process, RemoteComponent] = {}
         self._starts = asyncio.Semaphore(_STARTS)
+        self._printing = Printing()
         self._said = False
         kernel.bus.subscribe(Connected, self._rewired)
         kernel.bus.subscribe(Disconnected, self._rewired)
 
     def report(self) -> Mapping[str, Any]:
-        """Of each component its process, and for how many seconds a hook has held it."""
+        """Of each component its process, for how many seconds a hook has held it, and lines that were not printed."""
+        lost = self._printing.left_out
         return {
-            one.name: {"pid": one.pid, "runs": one.runs, "busy": round(one.busy, 1)} for one in self._processes.values()
+            one.name: {"pid": one.pid, "runs": one.runs, "busy": round(one.busy, 1), "unprinted": lost[one.name]}
+            for one in self._processes.values()
         }
 
     async def create(
@@ -115,6 +119,7 @@ class Isolation(KernelService):
             starts=self._starts,
             ended=component.process_ended,
             line=partial(_log_line, component),
+            printed=partial(self._printing.put, component),
             counted=partial(_count, component),
         )
         self._processes[process.kernel] = process
@@ -128,9 +133,11 @@ class Isolation(KernelService):
             return
         del self._components[process]
         await process.end()
+        await self._printing.flush(component)
         if self._processes.get(process.kernel) is process:
             del self._processes[process.kernel]
         if not self._components and self._launcher is not None:
+            self._printing.end()
             launcher, self._launcher = self._launcher, None
             await launcher.close()
 

@@ -39,7 +39,8 @@ class Process:
         name: the component's.
         starts: how many may come up at the same time.
         ended: called once, when it has ended without being asked to, with how and its last lines.
-        line: called with a level of the log and a line that it wrote.
+        line: called with a level of the log and a line that it logged or wrote to standard error.
+        printed: called with a line that it wrote to standard output.
         counted: called with the statistics of its contexts, as plain values, about twice a second.
     """
 
@@ -54,11 +55,13 @@ class Process:
         starts: asyncio.Semaphore,
         ended: Callable[[str, tuple[str, ...]], None],
         line: Callable[[int, str], None],
+        printed: Callable[[str], None],
         counted: Callable[[list[Any]], None],
     ) -> None:
         self._kernel, self._launcher, self._transport = kernel, launcher, transport
         self.name, self._limits = name, limits
-        self._starts, self._ended, self._line, self._counted = starts, ended, line, counted
+        self._starts, self._ended, self._line = starts, ended, line
+        self._printed, self._counted = printed, counted
         self._links = kernel.service(Links)
         self.kernel = f"{self._links.reached_as}-{name}"
         """The name of its kernel."""
@@ -222,11 +225,13 @@ class Process:
             self._child.kill()
 
     def _wrote(self, stream: str, line: str) -> None:
-        if line.startswith(messages.MARK):
+        if stream == "stdout":
+            self._printed(line)
+        elif line.startswith(messages.MARK):
             level, _, text = line[1:].partition(" ")
             self._line(int(level) if level.isdecimal() else logging.INFO, text)
         else:
-            self._line(logging.WARNING if stream == "stderr" else logging.INFO, line)
+            self._line(logging.WARNING, line)
 
 
 def text_of(line: str) -> str:

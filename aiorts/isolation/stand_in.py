@@ -146,6 +146,16 @@ class RemoteComponent(Component, kind=RemoteKind()):
         self._there = LifecycleState.ERROR
         self._fail(ProcessError(f"{self.name}: its process has ended: {how}{lines}"))
 
+    def unprinted(self, error: Exception) -> None:
+        """Standard output takes nothing that it prints: that is its failure, as it is here, and its process ends."""
+        if self._there is not LifecycleState.ERROR:
+            self._there = LifecycleState.ERROR
+            self.kernel.service(Links).run(self._end_with(error), f"aiorts end {self.name}")
+
+    async def _end_with(self, error: Exception) -> None:
+        await self._running.end()
+        self._fail(error)
+
     def reported(self, report: Report) -> None:
         """The process says what has become of the component."""
         if report.ports is not None:

@@ -8,6 +8,7 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.kernel.component import construct
+    from aiorts.kernel.loop.line_stream import LineStream
     from aiorts.model.wanted.entries import (
         ClockEntry,
         ComponentEntry,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from aiorts.system.stdio.frames import FrameInput, FrameOutput
     from aiorts.system.stdio.live import LiveInput
     from aiorts.system.stdio.pipes import StandardInput, StandardOutput
-    from aiorts.system.stdio.stream import LineStream
     from aiorts.system.wanting import wanted
 
 __all__ = (
@@ -99,7 +99,7 @@ _late(
         "aiorts.system.stdio.frames": "FrameInput FrameOutput",
         "aiorts.system.stdio.live": "LiveInput",
         "aiorts.system.stdio.pipes": "StandardInput StandardOutput",
-        "aiorts.system.stdio.stream": "LineStream",
+        "aiorts.kernel.loop.line_stream": "LineStream",
         "aiorts.system.wanting": "wanted",
     },
 )

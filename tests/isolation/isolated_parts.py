@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import logging
 import os
 import subprocess
 import sys
@@ -66,7 +67,9 @@ def misbehave(what: int) -> None:
             while True:
                 pass
         case -5:
-            print("word\n" * 50)
+            print("word\n" * 49 + "word")
+            print("to standard error", file=sys.stderr)
+            logging.getLogger("camera").info("to the log")
         case -6:
             keep = [np.ones(1 << 20) for _ in range(10_000)]
             del keep

@@ -267,15 +267,6 @@ async def test_arrays_go_there_and_back() -> None:
             await until(lambda: Path("/proc/self/maps").read_text().count("memfd:") >= 2)
 
 
-async def test_what_it_prints_and_logs_is_in_the_log_here(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO")
-    async with Kernel() as kernel:
-        source, _scale, sink, _ = await chain(kernel)
-        assert await answer(source, sink, -5) == -10
-        await until(lambda: any(one.getMessage() == "word" for one in caplog.records))
-        assert {one.name for one in caplog.records if one.getMessage() == "word"} == {"aiorts.component"}
-
-
 async def test_a_component_that_refuses_to_come_in_leaves_no_process() -> None:
     async with Kernel() as kernel:
         with pytest.raises(ComponentError, match="no camera there"):

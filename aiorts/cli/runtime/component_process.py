@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
+import io
 import logging
 import socket
 import sys
@@ -56,6 +57,8 @@ def main() -> None:
     first = First.receive(sock)
     sys.path[:] = first.path
     _log_to_stderr(first.log_level)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(line_buffering=True)  # what it prints is seen at once, also when it crashes next
     run(_Process(first, sock).serve(), loop=first.loop)
 
 

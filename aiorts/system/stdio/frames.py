@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from aiorts.errors import AiortsError, RecordError, WireError
 from aiorts.kernel.component import Component
+from aiorts.kernel.loop.line_stream import SURE, has_room, put, slow
 from aiorts.kernel.ports import InPort
 from aiorts.system.stdio.pipes import Incoming, Notify, _next_chunk
-from aiorts.system.stdio.stream import _SURE, _has_room, _slow, put
 
 if TYPE_CHECKING:
     from aiorts.wire.codec import Codec
@@ -125,8 +125,8 @@ class FrameOutput(Component):
 
 def _takes(stream: BinaryIO, size: int) -> bool:
     """Whether the stream takes that much without blocking."""
-    descriptor = _slow(stream)
-    return descriptor is None or (size <= _SURE and _has_room(descriptor))
+    descriptor = slow(stream)
+    return descriptor is None or (size <= SURE and has_room(descriptor))
 
 
 async def _frames(descriptor: int | None) -> AsyncIterator[tuple[bytes, bytes]]:

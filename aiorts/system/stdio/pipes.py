@@ -20,9 +20,9 @@ from anyio import WouldBlock
 
 from aiorts.errors import RecordError, WriteTimeout
 from aiorts.kernel.component import Component
+from aiorts.kernel.loop.line_stream import LineStream
 from aiorts.kernel.ports import InPort, OutPort
 from aiorts.kernel.ports.connector import unread_at
-from aiorts.system.stdio.stream import LineStream
 from aiorts.wire.lines import LineReader, LineWriter
 
 _CHUNK: Final = 1 << 16

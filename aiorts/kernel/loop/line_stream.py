@@ -18,7 +18,7 @@ from typing import IO, Any, Final, TextIO
 
 from aiorts.errors import AiortsError
 
-_SURE: Final = 4096
+SURE: Final = 4096
 """Bytes that a ready pipe takes without blocking (PIPE_BUF on Linux)."""
 _LOOK_MS: Final = 100
 """Milliseconds between two checks of a thread that waits for room, whether its task still waits."""
@@ -49,11 +49,11 @@ class LineStream:
                 raise OutputError("standard output is closed; redirect it, to /dev/null for one")
             return
         for part in _parts(lines, getattr(stream, "encoding", None) or "utf-8"):
-            descriptor = _slow(stream)
+            descriptor = slow(stream)
             if descriptor is None:
                 put(stream, part)
             elif _is_short(part):
-                while not _has_room(descriptor):
+                while not has_room(descriptor):
                     await _room(descriptor)
                 put(stream, part)
             else:
@@ -94,7 +94,7 @@ def _own_descriptor(stream: Any) -> int | None:
         try:
             stream.flush()
         except BlockingIOError:  # what had no room is still in the buffer
-            _has_room(descriptor, _LOOK_MS)
+            has_room(descriptor, _LOOK_MS)
         else:
             return descriptor
 
@@ -105,11 +105,11 @@ def _put_all(descriptor: int, data: bytes) -> None:
         try:
             left = left[os.write(descriptor, left) :]
         except BlockingIOError:
-            _has_room(descriptor, _LOOK_MS)
+            has_room(descriptor, _LOOK_MS)
 
 
 def _parts(lines: Iterable[str], encoding: str) -> Iterator[str]:
-    """The lines in parts of at most `_SURE` bytes, a longer line alone; characters outside the encoding are escaped."""
+    """The lines in parts of at most `SURE` bytes, a longer line alone; characters outside the encoding are escaped."""
     part: list[str] = []
     size = 0
     narrow = len("\n".encode(encoding)) == 1
@@ -118,7 +118,7 @@ def _parts(lines: Iterable[str], encoding: str) -> Iterator[str]:
         if not (narrow and text.isascii()):
             data = text.encode(encoding, "backslashreplace")
             text, length = data.decode(encoding), len(data)
-        if part and size + length > _SURE:
+        if part and size + length > SURE:
             yield "".join(part)
             part, size = [], 0
         part.append(text)
@@ -127,7 +127,7 @@ def _parts(lines: Iterable[str], encoding: str) -> Iterator[str]:
         yield "".join(part)
 
 
-def _slow(stream: IO[Any]) -> int | None:
+def slow(stream: IO[Any]) -> int | None:
     """The descriptor of a stream that may block its writer; None for files, memory and closed streams."""
     try:
         descriptor = stream.fileno()
@@ -138,10 +138,10 @@ def _slow(stream: IO[Any]) -> int | None:
 
 
 def _is_short(text: str) -> bool:
-    return len(text) * 4 <= _SURE or len(text.encode("utf-8", "replace")) <= _SURE
+    return len(text) * 4 <= SURE or len(text.encode("utf-8", "replace")) <= SURE
 
 
-def _has_room(descriptor: int, wait_ms: int = 0) -> bool:
+def has_room(descriptor: int, wait_ms: int = 0) -> bool:
     """Whether a short text can be written, or writing it would only raise an error."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
@@ -156,7 +156,7 @@ async def _room(descriptor: int) -> None:
     given_up = threading.Event()
 
     def wait() -> None:
-        while not given_up.is_set() and not _has_room(descriptor, _LOOK_MS):
+        while not given_up.is_set() and not has_room(descriptor, _LOOK_MS):
             pass
 
     try:
