@@ -46,6 +46,8 @@ TABLES = {"aiorts/types/extended.py": 800, "aiorts/types/interface.py": 800}
 # plugin, a component file, an observer, a timer's callback); there it is reported and contained. A new line here needs
 # a reason.
 BROAD_EXCEPT = {
+    # Round standard output, which may be an application's own: whatever it fails with is the failure of who prints.
+    "aiorts/isolation/printing.py:_write",
     # Round what a kernel asks of the process of a component: whatever it fails with is the answer.
     "aiorts/cli/runtime/component_process.py:_operate",
     # Round a plugin's transport while it is made.
