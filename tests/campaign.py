@@ -20,7 +20,7 @@ def cases(full: int) -> int:
     if CAMPAIGN:
         return full
     some = max(1, full // 50)
-    return max(full // 250, min(some, 25)) if _quick else some
+    return max(full // 500, min(some, 20)) if _quick else some
 
 
 def be_quick() -> None:

@@ -57,8 +57,9 @@ for _signal, _handler in ((signal.SIGINT, signal.default_int_handler), *((s, sig
 # Where bytecode is not to be written, that of the tests goes to pytest's own folder while they are collected: compiling
 # them again would take three times as long as all the rest of it.
 _AS_ASKED_FOR = sys.dont_write_bytecode, sys.pycache_prefix
+BYTECODE = Path(__file__).parents[1] / ".pytest_cache" / "bytecode"
 if sys.dont_write_bytecode:
-    sys.dont_write_bytecode, sys.pycache_prefix = False, str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode, sys.pycache_prefix = False, str(BYTECODE)
 
 # The runs of the tests have a folder of their own for their sockets: no other run is seen or disturbed.
 RUNTIME = tempfile.mkdtemp(prefix="aiorts-")
@@ -67,7 +68,7 @@ atexit.register(shutil.rmtree, RUNTIME, ignore_errors=True)
 
 settings.register_profile("aiorts", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, print_blob=True, derandomize=True)
-settings.register_profile("quick", deadline=None, print_blob=True, max_examples=30)
+settings.register_profile("quick", deadline=None, print_blob=True, max_examples=20)
 settings.load_profile("ci" if os.environ.get("CI") else "aiorts")
 
 # An `aiorts run` in this process unfreezes what was frozen when all tests were collected: then every full collection
@@ -193,17 +194,20 @@ def anyio_backend(request: pytest.FixtureRequest) -> Any:
 
 @pytest.fixture(scope="session", autouse=True)
 def _bytecode_is_kept() -> Iterator[None]:
-    """Where bytecode is not to be written, let the processes of the tests write theirs to a folder of ours.
+    """Where bytecode is not to be written, let the processes of the tests use the folder that ours is in.
 
-    There are hundreds of them, and without it each takes half of its time to compile the same modules.
+    There are hundreds of them, and without it each takes half of its time to compile the same modules. What comes of
+    files that a test made is of no use to any other run.
     """
     if not os.environ.get("PYTHONDONTWRITEBYTECODE"):
         yield
         return
-    with tempfile.TemporaryDirectory(prefix="aiorts-bytecode-") as folder, pytest.MonkeyPatch.context() as patch:
+    temporary = Path(tempfile.gettempdir()).resolve()
+    with pytest.MonkeyPatch.context() as patch:
         patch.delenv("PYTHONDONTWRITEBYTECODE")
-        patch.setenv("PYTHONPYCACHEPREFIX", folder)
+        patch.setenv("PYTHONPYCACHEPREFIX", str(BYTECODE))
         yield
+    shutil.rmtree(BYTECODE / temporary.relative_to(temporary.anchor), ignore_errors=True)
 
 
 @pytest.fixture(scope="session", autouse=True)
