@@ -7,7 +7,6 @@ import os
 from aiorts import Component, InPort, OutPort, Param
 from aiorts.composites import Composite
 from aiorts.types import TimedLong
-from isolation.digging import dig
 
 
 class Stage(Component):
@@ -24,17 +23,6 @@ class Stage(Component):
             if sample.data < 0:
                 raise ValueError(f"{self.name}: negative")
             self.out.write_nowait(TimedLong(sample.tm, sample.data + self.plus))
-
-
-class Digger(Component):
-    """Works in pure Python, as long as each sample says."""
-
-    inp = InPort(TimedLong)
-    out = OutPort(TimedLong)
-
-    def on_execute(self) -> None:
-        for sample in self.inp.drain():
-            self.out.write_nowait(TimedLong(sample.tm, dig(sample.data)))
 
 
 class Pair(Composite):

@@ -15,8 +15,10 @@ from aiorts.composites import Composite
 from aiorts.errors import StateError
 from aiorts.kernel.loop.bus import StateChanged
 from aiorts.supervision import Supervision
+from aiorts.system import build, check, load, prepare, wanted
 from aiorts.types import TimedLong
-from isolation.composite_parts import Digger, Pair, Stage
+from isolation.composite_parts import Pair, Stage
+from isolation.digging import Digger
 from isolation.isolated_parts import Sink, Source
 from isolation.test_isolated import answer, until
 
@@ -177,3 +179,111 @@ async def test_one_activation_that_fails_takes_the_others_back() -> None:
         with pytest.raises(StateError, match=r"right: is in no context"):
             await both.activate()
         assert (left.state, both.state) == (INACTIVE, INACTIVE)
+
+
+FILE = """
+schema = 1
+
+[components.source]
+type = "isolated_parts.py:Source"
+
+[components.one]
+type = "composite_parts.py:Stage"
+isolation = "process"
+
+[components.two]
+type = "composite_parts.py:Stage"
+isolation = "process"
+
+[components.sink]
+type = "isolated_parts.py:Sink"
+
+[composites.left]
+members = ["one"]
+own_schedule = true
+exported = ["*.*"]
+
+[composites.right]
+members = ["two"]
+own_schedule = true
+exported = ["*.*"]
+
+[composites.whole]
+members = ["left", "right"]
+exported = {"*.inp" = "{component}_inp", "*.out" = "{component}_out"}
+
+[[connections]]
+from = "source.out"
+to = "whole.left_inp"
+
+[[connections]]
+from = "whole.left_out"
+to = "whole.right_inp"
+
+[[connections]]
+from = "whole.right_out"
+to = "sink.inp"
+
+[contexts.of_left]
+kind = "event"
+members = ["left"]
+
+[contexts.of_right]
+kind = "event"
+members = ["right"]
+
+[contexts.here]
+kind = "event"
+members = ["source", "sink"]
+"""
+
+
+def file_of(folder: Path, text: str) -> Path:
+    """A system file with this text, in this folder, with the parts that it names."""
+    for part in ("isolated_parts.py", "composite_parts.py"):
+        (folder / part).write_text((Path(__file__).parent / part).read_text())
+    (folder / "robot.toml").write_text(text)
+    return folder / "robot.toml"
+
+
+async def test_a_system_file_has_them_and_is_saved_and_planned_with_them(tmp_path: Path) -> None:
+    file = file_of(tmp_path, FILE)
+    assert [one for one in check(file) if one.severity != "note"] == []
+    async with Kernel() as kernel:
+        await build(kernel, load(file))
+        there: Any = kernel.components
+        assert (there["whole"].state, there["one"].pid != there["two"].pid) == (ACTIVE, True)
+        assert await answer(there["source"], there["sink"], 5) == 7
+        await kernel.save(tmp_path / "saved.toml")
+        for name in ("robot.toml", "saved.toml"):
+            applied = await kernel.apply(wanted(prepare(load(tmp_path / name))), dry_run=True)
+            assert applied.plan.steps == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            'members = ["left"]\n\n[contexts.of_right]\nkind = "event"\nmembers = ["right"]',
+            'members = ["left", "right"]',
+            "45:11: contexts.of_left.members: one has a process of its own, and two has one, too: a context runs where "
+            "its members are; give each one of its own, and in left as a composite with own_schedule = true",
+        ),
+        (
+            'members = ["left"]',
+            'members = ["whole"]',
+            "45:12: contexts.of_left.members[1]: each member of whole has own_schedule; name left, right, each in its",
+        ),
+        (
+            'members = ["left", "right"]',
+            'members = ["left", "right"]\nisolation = "process"\nlimits = {cpu = 0.5}',
+            "29:1: composites.whole.isolation: members that a file lists have no process together; write a class "
+            'derived from Composite, and make it a component: [components.whole], type = "FILE.py:Class"',
+        ),
+    ],
+    ids=["two in one context", "the whole in one context", "isolation of a composite"],
+)
+def test_what_a_file_cannot_say_is_an_error_with_its_place(tmp_path: Path, old: str, new: str, said: str) -> None:
+    found = check(file_of(tmp_path, FILE.strip().replace(old, new)))
+    errors = [one for one in found if one.severity == "error"]
+    assert [f"{one.line}:{one.column}: {one.where}: {one.cause}; {one.remedy}"[: len(said)] for one in errors] == [said]

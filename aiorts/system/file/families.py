@@ -76,7 +76,10 @@ def misplaced(
         for number, member in enumerate(context.members):
             key: Key = ("contexts", context.name, "members", number)
             outer = root(composites, member)
-            if member in composites and outer != member:
+            inner = composites[member].members if member in composites else ()
+            if inner and all(one in composites and composites[one].own_schedule for one in inner):
+                yield key, f"each member of {member} has own_schedule; name {', '.join(inner)}, each in its context"
+            elif member in composites and outer != member:
                 yield key, f"{member!r} is a member of {of[member]} and runs with it; give it own_schedule = true"
             elif outer != member and outer in homes:
                 yield key, f"{member!r} runs in {homes[outer]} already, as a part of {outer}; take it away here"
@@ -110,18 +113,20 @@ def unstartable(system: SystemFile) -> Iterator[tuple[Key, str]]:
 
 
 def _apart(system: SystemFile) -> Iterator[tuple[Key, str]]:
-    """Contexts and composites that have one with a process of its own among other members."""
+    """Contexts that would run what has a process of its own beside others."""
+    of = owners(system.composites)
     isolated = {name for name, entry in system.components.items() if entry.isolation}
-    for kind, entries in (("contexts", system.contexts), ("composites", system.composites)):
-        for name, entry in entries.items() if isolated else ():
-            alone = next((member for member in entry.members if member in isolated), None)
-            other = next((member for member in entry.members if member != alone), None)
-            if alone is not None and kind == "composites":
-                yield (kind, name, "members"), f"{alone} has a process of its own and cannot be part of a composite"
-            elif alone is not None and other is not None:
-                where = "one, too" if other in isolated else "none"
-                what = f"{alone} has a process of its own, and {other} has {where}"
-                yield (kind, name, "members"), f"{what}: a context runs where its members are; give each one of its own"
+    for name, entry in system.contexts.items():
+        line = [part for member in entry.members for part in parts(system.composites, member)]
+        alone = next((part for part in line if part in isolated), None)
+        other = next((part for part in line if part != alone), None)
+        if alone is not None and other is not None:
+            where = "one, too" if other in isolated else "none"
+            what = f"{alone} has a process of its own, and {other} has {where}"
+            advice = "a context runs where its members are; give each one of its own"
+            if alone in of:
+                advice += f", and in {of[alone]} as a composite with own_schedule = true"
+            yield ("contexts", name, "members"), f"{what}: {advice}"
 
 
 def readers_first(names: Sequence[str], edges: Iterable[tuple[str, str]]) -> list[str]:

@@ -453,6 +453,11 @@ class _Reader(Reading):
 
     def _composite(self, name: str, table: dict[str, Any], known: Mapping[str, Any]) -> CompositeEntry:
         key: Key = ("composites", name)
+        if "isolation" in table:
+            what = f"write a class derived from Composite, and make it a component: [components.{name}]"
+            what += ', type = "FILE.py:Class", isolation = "process"; or give single members a process each'
+            self._say((*key, "isolation"), f"members that a file lists have no process together; {what}", of_key=True)
+            table = {word: value for word, value in table.items() if word not in ("isolation", "limits")}
         self._only(key, table, _COMPOSITE)
         members = self._members(key, self._get(key, table, "members", list, missing=[]), known)
         options: dict[str, Any] = {
