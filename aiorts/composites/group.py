@@ -20,6 +20,7 @@ from aiorts.kernel.declarations import Kind
 from aiorts.kernel.execution.cell import cell
 from aiorts.kernel.loop.bus import Event, PortAdded, PortRemoved, StateChanged
 from aiorts.late import dataclass
+from aiorts.model.lifecycle import Event as LifeEvent
 from aiorts.model.lifecycle import LifecycleState
 
 if TYPE_CHECKING:
@@ -337,6 +338,10 @@ class CompositeGroup:
     async def leave(context: Context, components: Sequence[Component], timeout: float | None) -> None:
         """Remove components, composites among them, from a running context."""
         await membership.leave(context, components, timeout)
+
+    async def request(self, what: str, timeout: float | None) -> None:
+        """Have all its members activated, deactivated or reset."""
+        await membership.transition(self, LifeEvent(what), timeout)
 
     def check_startable(self) -> None:
         """Raise StateError when it runs already, or never does itself."""

@@ -543,22 +543,19 @@ class Microkernel:
             StateError: the component is in no context, or in several and none is named, or not inactive.
                 What `Context.activate` raises.
         """
-        one, where = start_context.target(self, "activate", component, context)
-        await where.activate(one, timeout=timeout)
+        await start_context.request(self, "activate", component, context, timeout)
 
     async def deactivate(
         self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
     ) -> None:
         """Deactivate a component, given as for `activate`: see `Context.deactivate`."""
-        one, where = start_context.target(self, "deactivate", component, context)
-        await where.deactivate(one, timeout=timeout)
+        await start_context.request(self, "deactivate", component, context, timeout)
 
     async def reset(
         self, component: Component | str, *, context: Context | str | None = None, timeout: float | None = 5.0
     ) -> None:
         """Take a component, given as for `activate`, out of error into inactive: see `Context.reset`."""
-        one, where = start_context.target(self, "reset", component, context)
-        await where.reset(one, timeout=timeout)
+        await start_context.request(self, "reset", component, context, timeout)
 
     async def sleep(self, seconds: float) -> None:
         """Wait on the kernel's clock; a negative time is 0. ValueError for NaN and infinities."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from aiorts.errors import ConfigurationError, DeclarationError, InvalidNameError, StateError
 from aiorts.kernel.component import Component
@@ -103,10 +103,14 @@ def _forget_unless_running(kernel: Microkernel, context: Context) -> None:
         kernel._context_ended(context)
 
 
-def target(
-    kernel: Microkernel, what: str, component: Component | str, context: Context | str | None
-) -> tuple[Component, Context]:
-    """The component, and the context in which it is; `what` names the request.
+async def request(
+    kernel: Microkernel,
+    what: Literal["activate", "deactivate", "reset"],
+    component: Component | str,
+    context: Context | str | None,
+    timeout: float | None,
+) -> None:
+    """Ask for a transition of a component in the context in which it is; a composite that is in none asks its members.
 
     Raises:
         InvalidNameError: a text is no path.
@@ -122,7 +126,12 @@ def target(
     name = found.name
     if kernel.components.get(name) is not found:
         raise StateError(kernel.registry.stranger(found, name, kernel.name))
-    return found, _context(kernel, what, found) if context is None else _named(kernel, context)
+    group = as_group(found)
+    if group is not None and group.is_spread and context is None:
+        await group.request(what, timeout)
+        return
+    where = _context(kernel, what, found) if context is None else _named(kernel, context)
+    await getattr(where, what)(found, timeout=timeout)
 
 
 def _context(kernel: Microkernel, what: str, component: Component) -> Context:

@@ -114,7 +114,7 @@ def test_one_whose_members_all_run_apart_is_what_they_are_together(errors: str) 
             assert (outer.state, seen) == (A, [("one", A)])
             await outer.deactivate()
             assert [part.state for part in (outer, a, b, c)] == [I, I, I, I]
-            await outer.activate()
+            await kernel.activate("outer")
             a.fails = True
             await one.tick()
             await kernel.sleep(1.0)

@@ -287,6 +287,14 @@ class Group(Protocol):
 
     """Whether this member of it is a group with a schedule of its own."""
 
+    @property
+    def is_spread(self) -> bool: ...
+
+    """Whether each member has a schedule of its own, so that it is in no context itself."""
+
+    async def request(self, what: str, timeout: float | None) -> None:
+        """Have all its members activated, deactivated or reset."""
+
     async def added(self) -> None:
         """It is being added to the kernel."""
 
