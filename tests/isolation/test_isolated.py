@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -429,3 +431,10 @@ def test_what_a_file_says_wrongly_of_isolation_is_found_before_anything_runs(
     other = '[components.other]\ntype = "isolated_parts.py:Source"\n\n[[connections]]'
     file.write_text(FILE.replace(old, new).replace("[[connections]]", other))
     assert any(said in f"{one.cause}; {one.remedy}" for one in check(file) if one.severity == "error"), check(file)
+
+
+def test_its_process_imports_the_operations_that_it_is_asked_for_alone() -> None:
+    text = "import sys, aiorts.cli.runtime.component_process\nprint(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=60, check=True)
+    found = {name.rpartition(".")[2] for name in done.stdout.split() if name.startswith("aiorts.control.operations.")}
+    assert {"components", "lifecycle"} <= found <= {"components", "configuration", "contexts", "lifecycle", "known"}

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from aiorts.assembly import Kernel
 from aiorts.control import Right, Session
-from aiorts.control.operations import OPERATIONS
+from aiorts.control.operations import operations_of
 from aiorts.errors import AiortsError, ComponentError, LinkError, format_error
 from aiorts.isolation import (
     MARK,
@@ -49,6 +49,8 @@ from aiorts.running import run
 from aiorts.services import ServiceConnector, ServicePort
 
 _REPORT_SECONDS: Final = 5.0
+_ASKED: Final = operations_of("components", "configuration", "contexts", "lifecycle")
+"""The operations that every process is asked for; the whole table would be a part of its start."""
 
 
 def main() -> None:
@@ -125,7 +127,10 @@ class _Process:
             return refused(ComponentError(format_error(error)))
 
     async def _run(self, name: str, given: dict[str, Any]) -> Any:
-        operation = OPERATIONS[name]
+        if (operation := _ASKED.get(name)) is None:
+            from aiorts.control.operations import OPERATIONS  # late: few are asked for another one
+
+            operation = OPERATIONS[name]
         with self._links.making() if name == "create" and self._first.awaited else contextlib.nullcontext():
             value = operation.run(self._session, from_plain(operation.arguments, given))
             if inspect.isawaitable(value):

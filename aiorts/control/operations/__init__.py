@@ -1,51 +1,24 @@
-"""The one table of operations: what a kernel can be asked for, by name, whatever carries the call.
+"""What a kernel can be asked for, by name, whatever carries the call: a file for each subject, all in one `table.py`.
 
-Each file has the rows of one subject. A row is added here and nowhere else; carriers go by the table.
+The whole table is imported at its first use: a process that needs a few operations takes them from their files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
-from typing import Final
+from importlib import import_module
 
-from aiorts.control.operation import Operation
-from aiorts.control.operations import (
-    components,
-    configuration,
-    contexts,
-    events,
-    lifecycle,
-    logs,
-    look,
-    machines,
-    parts,
-    planning,
-    reloading,
-    samples,
-    saving,
-    services,
-    statistics,
-    wiring,
-)
+from aiorts.late import TYPE_CHECKING
+from aiorts.late import late as _late
 
-_ROWS: Final = (
-    *components.ROWS,
-    *configuration.ROWS,
-    *contexts.ROWS,
-    *events.ROWS,
-    *lifecycle.ROWS,
-    *logs.ROWS,
-    *look.ROWS,
-    *machines.ROWS,
-    *parts.ROWS,
-    *planning.ROWS,
-    *reloading.ROWS,
-    *samples.ROWS,
-    *saving.ROWS,
-    *services.ROWS,
-    *statistics.ROWS,
-    *wiring.ROWS,
-)
-OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})
-"""By name."""
+if TYPE_CHECKING:
+    from aiorts.control.operation import Operation
+    from aiorts.control.operations.table import OPERATIONS
+
+__all__ = ("OPERATIONS", "operations_of")
+
+_late(globals(), {"aiorts.control.operations.table": "OPERATIONS"})
+
+
+def operations_of(*subjects: str) -> dict[str, Operation]:
+    """The operations of these files alone, by name."""
+    return {row.name: row for one in subjects for row in import_module(f"{__name__}.{one}").ROWS}

@@ -1,0 +1,51 @@
+"""The one table of operations: what a kernel can be asked for, by name, whatever carries the call.
+
+Each file has the rows of one subject. A row is added here and nowhere else; carriers go by the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from aiorts.control.operation import Operation
+from aiorts.control.operations import (
+    components,
+    configuration,
+    contexts,
+    events,
+    lifecycle,
+    logs,
+    look,
+    machines,
+    parts,
+    planning,
+    reloading,
+    samples,
+    saving,
+    services,
+    statistics,
+    wiring,
+)
+
+_ROWS: Final = (
+    *components.ROWS,
+    *configuration.ROWS,
+    *contexts.ROWS,
+    *events.ROWS,
+    *lifecycle.ROWS,
+    *logs.ROWS,
+    *look.ROWS,
+    *machines.ROWS,
+    *parts.ROWS,
+    *planning.ROWS,
+    *reloading.ROWS,
+    *samples.ROWS,
+    *saving.ROWS,
+    *services.ROWS,
+    *statistics.ROWS,
+    *wiring.ROWS,
+)
+OPERATIONS: Final[Mapping[str, Operation]] = MappingProxyType({row.name: row for row in _ROWS})
+"""By name."""
