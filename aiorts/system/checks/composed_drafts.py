@@ -48,7 +48,12 @@ def leaf_paths(system: SystemFile, drafts: Mapping[str, Draft]) -> SystemFile:
     """The system with the members' own ports in the place of those that composites show, as far as they are known."""
     if not system.composites:
         return system
-    own = {port: port.path for name in system.components if name in drafts for port in drafts[name].ports.values()}
+    own = {
+        port: f"{name}.{shown_as}" if entry.isolation else port.path  # the members of an isolated one are not there
+        for name, entry in system.components.items()
+        if name in drafts
+        for shown_as, port in drafts[name].ports.items()
+    }
 
     def leaf(path: str) -> str:
         name, _, port = path.partition(".")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from aiorts.composites import group_of, shown
 from aiorts.errors import AiortsError, ComponentError
 from aiorts.kernel.component import Component
 from aiorts.kernel.loop.origins import located
@@ -59,5 +60,21 @@ def draft(cls: type[Component], name: str, setting: Setting) -> Draft:
             raise
         what = ComponentError(f"{cls.__name__} cannot be constructed: {located(error)}")
         return Draft(None, {}, complete=False, error=what)
-    untouched = cls.on_initialize is Component.on_initialize
-    return Draft(component, dict(component.ports), complete=make is not None or untouched)
+    try:
+        return _of(component)
+    except AiortsError as error:
+        return Draft(None, {}, complete=False, error=error)
+
+
+def _of(component: Component) -> Draft:
+    """What is known of a component; a composite whose class makes its members will show ports of them."""
+    cls = type(component)
+    complete = hasattr(cls, "make_ports") or cls.on_initialize is Component.on_initialize
+    group = group_of(component)
+    if group is None:
+        return Draft(component, dict(component.ports), complete=complete)
+    members = {one.name: _of(one) for one in group.given if isinstance(one, Component)}
+    every = {(name, port): made for name, one in members.items() for port, made in one.ports.items()}
+    ports = {name: every[place] for name, place in shown(group.exports, every, component.name).items()}
+    complete = complete and len(members) == len(group.given) and all(one.complete for one in members.values())
+    return Draft(component, ports, complete=complete)
