@@ -12,7 +12,7 @@ from aiorts import EventContext, Kernel, LifecycleState
 from aiorts.composites import Composite
 from aiorts.errors import StateError
 from aiorts.supervision import Supervision
-from aiorts.system import build, check, load
+from aiorts.system import build, check, load, prepare, wanted
 from aiorts.types import TimedLong
 from isolation.composite_parts import Neighbours, Pair, Stage
 from isolation.isolated_parts import Sink, Source
@@ -143,11 +143,14 @@ members = ["source", "sink"]
 """
 
 
-async def test_a_system_file_says_it_in_one_line_and_is_saved_with_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("kind", "inp", "out"), [("Pair", "inp", "out"), ("Neighbours", "first_inp", "first_out")])
+async def test_a_system_file_says_it_in_one_line_and_is_saved_with_it(
+    tmp_path: Path, kind: str, inp: str, out: str
+) -> None:
     for part in ("isolated_parts.py", "composite_parts.py"):
         (tmp_path / part).write_text((Path(__file__).parent / part).read_text())
     file = tmp_path / "robot.toml"
-    file.write_text(FILE)
+    file.write_text(FILE.replace("Pair", kind).replace("pair.inp", f"pair.{inp}").replace("pair.out", f"pair.{out}"))
     assert [one for one in check(file) if one.severity != "note"] == []
     async with Kernel() as kernel:
         await build(kernel, load(file))
@@ -160,3 +163,5 @@ async def test_a_system_file_says_it_in_one_line_and_is_saved_with_it(tmp_path: 
         await kernel.save(tmp_path / "saved.toml")
         text = (tmp_path / "saved.toml").read_text()
         assert ('isolation = "process"' in text, "composites" in text) == (True, False)
+        for saved in (file, tmp_path / "saved.toml"):
+            assert (await kernel.apply(wanted(prepare(load(saved))), dry_run=True)).plan.steps == ()

@@ -7,7 +7,6 @@ is a part of the system like any other: it is in `Kernel.connectors`, in profile
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 from aiorts.errors import StateError, WiringError
@@ -177,7 +176,7 @@ def _far_end(kernel: KernelSide, like: InPort[Any] | OutPort[Any], given: str | 
             return port
     if isinstance(given, str):
         return far_port(kernel, like, path, like.unit, like.shape)
-    made = far_port(kernel, like, path, given.unit, given.shape, given.path.rpartition(".")[0])
+    made = far_port(kernel, like, path, given.unit, given.shape, given.path)
     return _as_long(made, given)
 
 
@@ -195,22 +194,22 @@ def far_port(
     path: Path,
     unit: str | None,
     shape: tuple[int, ...] | None,
-    owner: str = "",
+    shown: str = "",
 ) -> FarInPort | FarOutPort:
     """What stands for the port of this path at the other end of a connector of `like`, a port of this kernel.
 
     Args:
-        owner: the component of this kernel whose port it looks like; "" where it is that of another kernel.
+        shown: the path of the port of this kernel that it looks like; "" where it is one of another kernel.
     """
     kind = FarInPort if isinstance(like, OutPort) else FarOutPort
-    return _made(kernel, kind(like.type, unit=unit, shape=shape), path, owner or str(replace(path, port="")))
+    return _made(kernel, kind(like.type, unit=unit, shape=shape), path, shown or str(path))
 
 
 def stand_in(kernel: KernelSide, port: Port[Any]) -> FarInPort | FarOutPort:
     """What stands for a port of a component that runs in another kernel, where its other end is there, too."""
     kind = FarInPort if isinstance(port, InPort) else FarOutPort
     made = kind(port.type, unit=port.unit, shape=port.shape)
-    return _as_long(_made(kernel, made, _path(port), port.path.rpartition(".")[0]), port)
+    return _as_long(_made(kernel, made, _path(port), port.path), port)
 
 
 def _as_long(made: FarInPort | FarOutPort, port: Port[Any]) -> FarInPort | FarOutPort:
@@ -220,14 +219,15 @@ def _as_long(made: FarInPort | FarOutPort, port: Port[Any]) -> FarInPort | FarOu
     return made
 
 
-def _made(kernel: KernelSide, port: FarInPort | FarOutPort, path: Path, owner: str) -> FarInPort | FarOutPort:
+def _made(kernel: KernelSide, port: FarInPort | FarOutPort, path: Path, shown: str) -> FarInPort | FarOutPort:
+    owner, _, name = shown.rpartition(".")
     host = PortHost(owner, Turns())
     host.kernel = kernel
-    host.ports[path.port] = port
+    host.ports[name] = port
     port.far = path
     if isinstance(port, FarOutPort):
         port.held = _nothing
-    port._attach(host, path.port)
+    port._attach(host, name)
     port._refresh()
     return port
 
