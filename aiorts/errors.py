@@ -30,6 +30,8 @@ __all__ = (
     "InterfaceMismatch",
     "InvalidNameError",
     "LimitError",
+    "LinkError",
+    "LinkTimeout",
     "MissingExtra",
     "NoAnswerError",
     "Place",

@@ -22,7 +22,14 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
             *("choose-policy", "records", "slow-reader", "quality-of-service", "convert", "synchronize", "camera"),
             *("real-time", "supervise", "deploy", "ros-bag", "openrtm-files"),
             *("missed-deadline", "functions", "services", "goals", "state-machines", "composites"),
-            *("dynamic-ports", "connect-by-rules", "connect-processes", "isolate-components", "one-file"),
+            *(
+                "dynamic-ports",
+                "connect-by-rules",
+                "connect-processes",
+                "connect-hosts",
+                "isolate-components",
+                "one-file",
+            ),
             *(
                 "replace-code",
                 "move",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         Peer,
         Transport,
         answer_of,
+        checked_peer,
     )
     from aiorts.links.unix import UnixTransport
 
@@ -37,6 +38,7 @@ __all__ = (
     "Transport",
     "UnixTransport",
     "answer_of",
+    "checked_peer",
     "find_transport",
 )
 
@@ -46,7 +48,9 @@ _late(
         "aiorts.links.calls": "FarProvider",
         "aiorts.links.connecting": "Links LinksSettings",
         "aiorts.links.ledgers": "LinkLedger",
-        "aiorts.links.transport": "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of",
+        "aiorts.links.transport": (
+            "Caller Channel ChannelEvents KernelFace LinkOffer Peer Transport answer_of checked_peer"
+        ),
         "aiorts.links.reaching": "find_transport",
         "aiorts.links.unix": "UnixTransport",
     },

@@ -29,7 +29,7 @@ _NEEDED: Final = ("open", "close", "presence", "channel", "ask", "answer")
 class Reach:
     """The transports of one kernel, and the other kernels that they have found.
 
-    One transport reaches kernels in general, and is opened when it is needed first; others reach certain kernels alone.
+    One transport reaches kernels in general, and is opened when it is needed first; others are opened beside it.
 
     Args:
         handlers: gives what other kernels may ask.
@@ -50,11 +50,13 @@ class Reach:
         self._opening: asyncio.Future[None] | None = None
         """Done when kernels can be reached in general, or with why they cannot; then it is tried again."""
         self._carriers: list[Transport] = []
-        """Those that reach certain kernels alone, such as those in processes of this program."""
+        """Those that reach further kernels, such as those in processes of this program, or of other hosts."""
         self.carried: set[str] = set()
         """The names of those kernels; they connect what this kernel tells them to."""
         self.peers: dict[Peer, Transport] = {}
         """The other kernels that are there, and what carries links to them."""
+        self._ways: dict[Peer, list[Transport]] = {}
+        """All transports that reach each of them; the one that found it first carries its links."""
         self._closing = False
 
     # -- transports ------------------------------------------------------------------------------------------------
@@ -64,7 +66,10 @@ class Reach:
         self._transport = transport
 
     async def carry(self, transport: Transport) -> None:
-        """Open a transport that reaches the kernels named in `carried` alone. LinkError: it cannot be opened."""
+        """Open a transport beside the general one, such as for other hosts. LinkError: it cannot be opened.
+
+        The kernels named in `carried` are reached by it alone, and the general one is not opened for their sake.
+        """
         self._carriers.append(transport)
         await self._use(transport)
 
@@ -99,7 +104,7 @@ class Reach:
 
     async def opened_for(self, path: Path) -> None:
         """Wait until it is known whether the kernel of a path is there. LinkError: it cannot be."""
-        if path.kernel not in self.carried:
+        if path.kernel not in self.carried and self.peer_of(path) is None:
             await self.opened()
 
     async def _open(self) -> None:
@@ -151,11 +156,22 @@ class Reach:
     # -- other kernels ---------------------------------------------------------------------------------------------
 
     def _present(self, transport: Transport, peer: Peer, up: bool) -> None:
+        ways = self._ways.setdefault(peer, [])
         if up:
-            self.peers[peer] = transport
+            ways.append(transport)
+            if len(ways) > 1:
+                return
         else:
-            self.peers.pop(peer, None)
-        self._tell(peer, up)
+            ways.remove(transport)
+            if self.peers.get(peer) is not transport:
+                return
+        del self._ways[peer]
+        self.peers.pop(peer, None)
+        if not up:
+            self._tell(peer, False)
+        if ways:
+            self._ways[peer], self.peers[peer] = ways, ways[0]
+            self._tell(peer, True)
 
     def peer_of(self, path: Path) -> Peer | None:
         """The kernel of a path, if it is there."""

@@ -11,10 +11,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
-from aiorts.errors import AiortsError, LinkError, WiringError, format_error
+from aiorts.errors import AiortsError, InvalidNameError, LinkError, WiringError, format_error
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
-from aiorts.model.names import Path
+from aiorts.model.names import Path, check_host, check_name
 from aiorts.model.options import chosen_options, connector_profile
 
 if TYPE_CHECKING:
@@ -29,6 +29,16 @@ class Peer:
     host: str
     kernel: str
     epoch: int
+
+
+def checked_peer(host: str, kernel: str, epoch: int) -> Peer:
+    """The kernel of these names, which another one has said. LinkError: they are no names."""
+    try:
+        check_name(kernel, "kernel")
+        check_host(host)
+    except InvalidNameError as error:
+        raise LinkError(str(error)) from None
+    return Peer(host, kernel, epoch)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from aiorts.control import private_folder
-from aiorts.errors import AiortsError, InvalidNameError, LinkError, LinkTimeout
+from aiorts.errors import AiortsError, LinkError, LinkTimeout
 from aiorts.links.messages import LARGEST, fields, packed
 from aiorts.links.stream import Message, Stream
-from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
+from aiorts.links.transport import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of, checked_peer
 from aiorts.model.links import Buffer
-from aiorts.model.names import MAX_HOST_LENGTH, check_name
 from aiorts.rings import OFFERED, REFUSAL, Rings, proof, proves
 
 _HELLO, _ASK, _ANSWER, _REFUSAL, _BY_WRITER, _BY_READER, _PROOF, _RING = range(1, 9)
@@ -485,14 +484,7 @@ class _Connection:
 
 def _peer_of(greeting: bytes) -> Peer:
     """Who a greeting is of. LinkError: it is none, or its names are none."""
-    host, name, epoch = fields(greeting, (str, str, int))
-    try:
-        check_name(name, "kernel")
-    except InvalidNameError as error:
-        raise LinkError(str(error)) from None
-    if len(host) > MAX_HOST_LENGTH or "/" in host:
-        raise LinkError(f"host name {host[:60]!r}: is none")
-    return Peer(host, name, epoch)
+    return checked_peer(*fields(greeting, (str, str, int)))
 
 
 def _is_served(path: Path) -> bool:

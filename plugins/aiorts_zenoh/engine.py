@@ -1,0 +1,218 @@
+"""The engine: one Zenoh session, its callbacks handed over to the loop. Nothing else here imports `zenoh`.
+
+A callback comes in a thread of the engine. It copies what came, puts it into a bounded queue and wakes the loop once;
+it calls nothing of the engine, which can block for ever there (zenoh #1092, #2744).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
+
+from aiorts.errors import LinkError
+
+LOWEST, HIGHEST = (1, 9), (1, 11)
+"""Versions of the engine from the first to the one before the last."""
+_ITEMS: Final = 100_000
+_BYTES: Final = 64 << 20
+_AT_ONCE: Final = 256
+"""Items that are handled before the loop has its turn."""
+
+
+class Inbox:
+    """What callbacks have brought and the loop has not handled yet; what is beyond its bounds is left out, counted."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._items: deque[tuple[Callable[..., None], tuple[Any, ...], int]] = deque()
+        self._lock = threading.Lock()
+        self._bytes = 0
+        self._due = self._closed = False
+        self.dropped = 0
+        """Items that were left out."""
+
+    def put(self, handle: Callable[..., None], *arguments: Any, size: int = 0) -> None:
+        """Have the loop call `handle`; from any thread, and never waiting."""
+        with self._lock:
+            if self._closed:
+                return
+            if len(self._items) >= _ITEMS or self._bytes + size > _BYTES:
+                self.dropped += 1
+                return
+            self._items.append((handle, arguments, size))
+            self._bytes += size
+            if self._due:
+                return
+            self._due = True
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._handle)
+
+    def close(self) -> None:
+        """Handle nothing any more."""
+        with self._lock:
+            self._closed = True
+            self._items.clear()
+
+    def _handle(self) -> None:
+        for _ in range(_AT_ONCE):
+            with self._lock:
+                if not self._items:
+                    self._due = False
+                    return
+                handle, arguments, size = self._items.popleft()
+                self._bytes -= size
+            handle(*arguments)
+        self._loop.call_soon(self._handle)
+
+
+class Engine:
+    """A session. Everything but `put` may wait for the network, and is called in a thread.
+
+    Args:
+        inbox: where what callbacks bring is handed over.
+    """
+
+    def __init__(self, inbox: Inbox) -> None:
+        try:
+            import zenoh  # type: ignore[import-not-found, unused-ignore] # an extra
+        except ImportError:
+            raise LinkError('other hosts need the package eclipse-zenoh: pip install "aiorts[zenoh]"') from None
+        _check_version()
+        self._zenoh: Any = zenoh
+        self._inbox = inbox
+        self._session: Any = None
+        self._kept: list[Any] = []
+        self._tokens: list[Any] = []
+        self._closed = False
+
+    def open(self, settings: Mapping[str, Any]) -> None:
+        """Open the session. LinkError: the engine refuses, such as for a port that is taken."""
+        config = self._zenoh.Config()
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        try:
+            self._session = self._zenoh.open(config)
+        except self._zenoh.ZError as error:
+            raise LinkError(f"zenoh: {error}") from None
+        if self._closed:  # while it was opened
+            self._session.close()
+            raise LinkError("this kernel ends")
+
+    def close(self) -> None:
+        """End the session, and with it all that it has declared."""
+        self._closed = True
+        self._inbox.close()
+        if self._session is not None:
+            for token in self._tokens:
+                token.undeclare()
+            self._session.close()
+
+    def subscribe(self, key: str, arrived: Callable[[str, bytes], None]) -> None:
+        """Have `arrived` called with key and bytes of what comes."""
+        put = self._inbox.put
+
+        def came(sample: Any) -> None:
+            data = sample.payload.to_bytes()
+            put(arrived, str(sample.key_expr), data, size=len(data))
+
+        self._kept.append(self._session.declare_subscriber(key, self._direct(came)))
+
+    def answer(self, key: str, asked: Callable[[str, bytes, bytes, Any], None]) -> None:
+        """Have `asked` called with key, body, attachment and what `reply` takes."""
+        put = self._inbox.put
+
+        def came(query: Any) -> None:
+            body = b"" if query.payload is None else query.payload.to_bytes()
+            beside = b"" if query.attachment is None else query.attachment.to_bytes()
+            put(asked, str(query.key_expr), body, beside, query, size=len(body) + len(beside))
+
+        self._kept.append(self._session.declare_queryable(key, self._direct(came), complete=True))
+
+    def presence(self, key: str, present: Callable[[str, bool], None]) -> None:
+        """Have `present` called with each token that is there, comes or goes."""
+        put = self._inbox.put
+
+        def came(sample: Any) -> None:
+            put(present, str(sample.key_expr), sample.kind == self._zenoh.SampleKind.PUT)
+
+        liveliness = self._session.liveliness()
+        self._kept.append(liveliness.declare_subscriber(key, self._direct(came), history=True))
+
+    def announce(self, token: str) -> None:
+        """Say that this kernel is there."""
+        self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def present(self, key: str, within: float) -> list[str]:
+        """The tokens that are there."""
+        replies = self._session.liveliness().get(key, timeout=within)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+    def publisher(self, key: str, *, urgent: bool = False) -> Any:
+        """What puts bytes at a key at once."""
+        zenoh = self._zenoh
+        return self._session.declare_publisher(
+            key,
+            # What is under way is bounded by credits, so that the engine's queue never is full.
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA,
+            express=True,
+        )
+
+    def ask(self, key: str, body: bytes, beside: bytes, within: float, answered: Callable[..., None]) -> None:
+        """Have `answered` called with True and the answer, or False and a refusal; with None at the end of all."""
+        put = self._inbox.put
+
+        def came(reply: Any) -> None:
+            good = reply.ok is not None
+            data = (reply.ok if good else reply.err).payload.to_bytes()
+            put(answered, good, data, size=len(data))
+
+        handler = self._zenoh.handlers.Callback(came, lambda: put(answered, None, b""), indirect=False)
+        self._session.get(
+            key,
+            handler,
+            payload=body,
+            attachment=beside,
+            timeout=within,
+            priority=self._zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+        )
+
+    def reply(self, query: Any, data: bytes, *, good: bool) -> None:
+        """Answer a question, or refuse to."""
+        with contextlib.suppress(self._zenoh.ZError):  # who asked is gone
+            if good:
+                query.reply(query.key_expr, data, express=True)
+            else:
+                query.reply_err(data)
+        query.drop()
+
+    def _direct(self, callback: Callable[[Any], None]) -> Any:
+        """A callback in the engine's own thread: a further one would only pass it on."""
+        return self._zenoh.handlers.Callback(callback, indirect=False)
+
+
+async def in_thread(work: Callable[[], None]) -> None:
+    """Do what waits for the network in a thread of its own, which ends with it: those of a pool would stay."""
+    executor = ThreadPoolExecutor(1, "aiorts zenoh")  # no daemon: one inside the engine aborts the interpreter's end
+    doing = executor.submit(work)
+    try:
+        await asyncio.wrap_future(doing)
+    finally:
+        executor.shutdown(wait=doing.done())
+
+
+def _check_version() -> None:
+    from importlib.metadata import version
+
+    found = version("eclipse-zenoh")
+    parts = tuple(int(part) for part in found.split(".")[:2] if part.isdecimal())
+    if not LOWEST <= parts < HIGHEST:
+        low, high = (".".join(map(str, one)) for one in (LOWEST, HIGHEST))
+        raise LinkError(f"eclipse-zenoh {found}: aiorts takes versions from {low} to before {high}")

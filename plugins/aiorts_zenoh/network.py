@@ -1,0 +1,117 @@
+"""The service `zenoh`: other hosts are reached with a Zenoh session, where the user has asked for it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import platform
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from aiorts import KernelService, setting
+from aiorts.errors import ConfigurationError, LinkError
+from aiorts.late import dataclass
+from aiorts.links import Links, checked_peer
+from aiorts_zenoh.transport import ZenohTransport
+
+if TYPE_CHECKING:
+    from aiorts import Microkernel
+
+_LOG: Final = logging.getLogger("aiorts.zenoh")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSettings:
+    """How kernels of other hosts are reached. Nothing is looked for by itself, and nothing listens without `listen`."""
+
+    listen: str = setting(
+        "", "host:port that kernels of other hosts connect to; several with commas between them.", option="--listen"
+    )
+    connect: str = setting(
+        "", "host:port of kernels or routers of other hosts; several with commas between them.", option="--connect"
+    )
+    host: str = setting("", "The name by which others know this machine; by default its own.", option="--host")
+    domain: str = setting("default", "Kernels of different domains do not see each other.")
+    insecure: bool = setting(
+        False,
+        "Plain TCP without certificates: whoever reaches the port sees and does all.",
+        option="--insecure-network",
+    )
+
+    def __post_init__(self) -> None:
+        for key in ("listen", "connect"):
+            for endpoint in _listed(getattr(self, key)):
+                host, colon, port = endpoint.rpartition(":")
+                if not (host and colon and port.isdecimal() and int(port) < 65_536):
+                    raise ConfigurationError(f"{key}: expected host:port, got {endpoint!r:.80}")
+        if (self.listen or self.connect) and not self.insecure:
+            raise ConfigurationError(
+                "insecure: certificates are not there yet, so what goes to other hosts is plain TCP; say insecure = "
+                "true where nobody else is in the network"
+            )
+        for key, names in (("host", (self.host or platform.node(), "any")), ("domain", ("any", self.domain))):
+            try:
+                checked_peer(*names, 0)
+            except LinkError as error:
+                raise ConfigurationError(f"{key}: {error}") from None
+
+
+class Network(KernelService):
+    """The kernels of other hosts. Its transport carries links beside that of this host."""
+
+    name = "zenoh"
+    settings = NetworkSettings
+
+    def __init__(self, kernel: Microkernel) -> None:
+        super().__init__(kernel)
+        self._opening: asyncio.Task[None] | None = None
+        self._transport: ZenohTransport | None = None
+
+    def configure(self, settings: NetworkSettings) -> None:
+        host = settings.host or platform.node()
+        self._transport = ZenohTransport(host, settings.domain, engine_settings(settings))
+        opening = self.kernel.service(Links).reach.carry(self._transport)
+        self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
+        self._opening.add_done_callback(_report)
+
+    async def opened(self) -> None:
+        """Wait until other hosts can be reached. LinkError: they cannot."""
+        if self._opening is not None:
+            await asyncio.shield(self._opening)
+
+    def report(self) -> Mapping[str, Any]:
+        """The host and the domain, and the kernels that are seen there."""
+        transport = self._transport
+        if transport is None:
+            return {}
+        seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
+        return {"host": transport.host, "domain": transport.domain, "kernels": seen}
+
+    def stopped(self) -> None:
+        if self._opening is not None:
+            self._opening.cancel()
+
+
+def engine_settings(settings: NetworkSettings) -> Mapping[str, Any]:
+    """What the engine is told: nothing but what was asked for listens, connects or looks around."""
+    return {
+        "mode": "peer",
+        "listen/endpoints": [f"tcp/{endpoint}" for endpoint in _listed(settings.listen)],
+        "connect/endpoints": [f"tcp/{endpoint}" for endpoint in _listed(settings.connect)],
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {"period_init_ms": 200, "period_max_ms": 1_000, "period_increase_factor": 2},
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "transport/link/tx/queue/size/data": 16,
+    }
+
+
+def _listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _report(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _LOG.error("zenoh: other hosts cannot be reached: %s", error)

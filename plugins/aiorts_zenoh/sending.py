@@ -1,0 +1,140 @@
+"""How much may be under way to another kernel. It knows no engine and no loop.
+
+The engine has a queue of 16 batches of 64 KiB for each neighbour and priority. What is put beyond it blocks or is lost,
+and neither is to decide about a sample: so less than a queue is under way to a neighbour, over all channels, and the
+rest waits here, where it is bounded and the link hears of it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from aiorts_zenoh.envelope import FRAME, LOOK, PIECE, PIECES, message, pieces
+
+UNDER_WAY: Final = 768 * 1024
+"""Bytes on their way to one kernel."""
+_FULL: Final = 1 << 20
+"""Bytes that wait at one channel beyond which it takes no more."""
+
+
+class Budget:
+    """What is under way to one kernel, over all of its channels."""
+
+    def __init__(self) -> None:
+        self.used = 0
+        self.senders: list[Sender] = []
+
+    @property
+    def has_room(self) -> bool:
+        """Whether more may be sent."""
+        return self.used < UNDER_WAY
+
+    def look(self) -> None:
+        """Ask at all channels how far the other kernel has come."""
+        for sender in self.senders:
+            sender.look()
+
+    def pump(self) -> None:
+        """Send at all channels what there is room for, one message at each in turn."""
+        sent = [True]
+        while any(sent):
+            sent = [sender.send_next() for sender in self.senders if self.has_room]
+
+
+class Sender:
+    """What one end of a channel sends.
+
+    Args:
+        put: gives a message to the engine.
+        epoch: of the link; goes with each message.
+        now: ns since 1970.
+    """
+
+    def __init__(self, budget: Budget, put: Callable[[bytes], None], epoch: int, now: Callable[[], int]) -> None:
+        self._budget, self._put, self._epoch, self._now = budget, put, epoch, now
+        self._queue: deque[tuple[int, Sequence[bytes | memoryview]]] = deque()
+        self._waits = 0
+        self._refused = False
+        self._sent = self._taken = 0
+        self._looked = -1
+        """How much was sent when it was asked last how far the other end has come."""
+        budget.senders.append(self)
+
+    def send(self, blocks: Sequence[bytes | memoryview]) -> bool:
+        """Send a frame, or keep it until there is room; False: too much waits."""
+        if self._waits >= _FULL:
+            self._refused = True
+            return False
+        size = sum(map(len, blocks))
+        if size <= PIECES:
+            self._queue.append((FRAME, blocks))
+        else:
+            self._queue.extend((PIECE, piece) for piece in pieces(blocks))
+        self._waits += size
+        while self._budget.has_room and self.send_next():
+            pass
+        if self._queue:
+            self._budget.look()
+        return True
+
+    def send_next(self) -> bool:
+        """Send one message that waits; False: none does."""
+        if not self._queue:
+            return False
+        kind, blocks = self._queue.popleft()
+        data = message(kind, self._epoch, self._sent, self._now(), blocks)
+        self._waits = self._waits - sum(map(len, blocks)) if self._queue else 0
+        self._put(data)
+        self._sent += len(data)
+        self._budget.used += len(data)
+        return True
+
+    def look(self) -> None:
+        """Ask how far the other end has come, unless nothing was sent since it was asked last."""
+        if self._sent > max(self._taken, self._looked):
+            self._looked = self._sent
+            self._put(message(LOOK, self._epoch, self._sent, self._now()))
+
+    def look_again(self) -> None:
+        """Ask once more, if there was no answer: it may have been lost."""
+        self._looked = -1
+        self.look()
+
+    def came(self, taken: int) -> None:
+        """The other end has taken so many bytes, or they were lost."""
+        if self._taken < taken <= self._sent:
+            self._budget.used -= taken - self._taken
+            self._taken = taken
+
+    def room_made(self) -> bool:
+        """Whether a frame was refused, and would be taken now; once."""
+        if not self._refused or self._waits >= _FULL // 2:
+            return False
+        self._refused = False
+        return True
+
+    def close(self) -> None:
+        """Send nothing any more."""
+        if self in self._budget.senders:
+            self._budget.senders.remove(self)
+            self._budget.used -= self._sent - self._taken
+        self._queue.clear()
+
+
+class Receiver:
+    """How far one end of a channel has come with what the other sends."""
+
+    def __init__(self) -> None:
+        self._taken = self._told = 0
+
+    def took(self, first: int, size: int) -> bool:
+        """A message has come that begins with this number; whether its sender is to hear how far this end is."""
+        self._taken = max(self._taken, first + size)
+        return self._taken - self._told >= UNDER_WAY // 8
+
+    def tell(self) -> int:
+        """The number to tell the sender."""
+        self._told = self._taken
+        return self._taken

@@ -1,0 +1,369 @@
+"""Carries links between kernels of several hosts. See `aiorts.links.Transport`."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+from aiorts.errors import LinkError, LinkTimeout
+from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
+from aiorts_zenoh.engine import Engine, Inbox, in_thread
+from aiorts_zenoh.envelope import FRAME, LOOK, TAKEN, Whole, message, read
+from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked, peer_of
+from aiorts_zenoh.sending import Budget, Receiver, Sender
+
+_LOOK_AGAIN: Final = 0.5
+"""Seconds until it is asked once more how far the other end has come."""
+_ASK_AGAIN: Final = 0.05
+"""Seconds until a question is asked again that found nobody: who answers may not be known everywhere yet."""
+_ASKED: Final = 1_000
+"""Questions of one kernel that are being answered, or were last, at the most."""
+_KEPT: Final = 65_536
+"""Bytes of an answer up to which it is kept, for a question that comes twice."""
+_NAMESAKES: Final = 0.5
+"""Seconds that a kernel which opens looks for another of its name."""
+_CLOSES: Final = 3.0
+_MARGIN: Final = 1.0
+"""Seconds that the engine keeps a question longer than who asks waits."""
+_LONGEST: Final = 2_000
+
+Handler = Callable[[bytes, Caller], Awaitable[bytes]]
+
+
+class ZenohTransport:
+    """Carries links to kernels that a Zenoh session reaches.
+
+    Args:
+        host: by which others know this machine.
+        domain: kernels of different domains do not see each other.
+        engine: settings of the engine by their keys; `aiorts_zenoh.network` makes them.
+    """
+
+    def __init__(self, host: str, domain: str = "default", engine: Mapping[str, Any] | None = None) -> None:
+        self.host, self.domain = host, domain
+        self._settings = dict(engine or {})
+        self._handlers: dict[str, Handler] = {}
+        self._tells: list[Callable[[Peer, bool], None]] = []
+        self._peers: dict[Peer, Budget] = {}
+        self._channels: dict[str, _ZenohChannel] = {}
+        """By the key under which the other end sends."""
+        self._asked: dict[int, tuple[Peer, asyncio.Future[bytes]]] = {}
+        self._last = 0
+        self._answers: dict[tuple[bytes, int], asyncio.Task[tuple[bool, bytes]]] = {}
+        """What was asked last, by who asks and its number: a question that comes twice is answered once."""
+        self._looking: asyncio.TimerHandle | None = None
+        self._closed = False
+        self.kernel: KernelFace
+        self.loop: asyncio.AbstractEventLoop
+        self.keys: Keys
+
+    async def open(self, kernel: KernelFace) -> None:
+        """Open the session, and say that this kernel is there.
+
+        Raises:
+            LinkError: a kernel of that name is there on this host, or the engine refuses.
+        """
+        self.kernel, self.loop = kernel, asyncio.get_running_loop()
+        self.keys = Keys(self.domain, Peer(self.host, kernel.name, kernel.epoch), time.time_ns())
+        self._inbox = Inbox(self.loop)
+        self.engine = Engine(self._inbox)
+        try:
+            await in_thread(self._declare)
+        except BaseException:
+            await self.close()
+            raise
+
+    def _declare(self) -> None:
+        engine, keys = self.engine, self.keys
+        engine.open(self._settings)
+        if engine.present(keys.namesakes, _NAMESAKES):
+            raise LinkError(
+                f"a kernel named {self.kernel.name!r} runs already on {self.host}; give this one another name"
+            )
+        # Who sees the token may ask at once: so it comes last.
+        for key in keys.frames:
+            engine.subscribe(key, self._arrived)
+        engine.answer(keys.questions, self._was_asked)
+        engine.presence(keys.tokens, self._present)
+        engine.announce(keys.token)
+
+    async def close(self) -> None:
+        """Give up everything."""
+        if self._closed:
+            return
+        self._closed = True
+        self._tells.clear()
+        for channel in tuple(self._channels.values()):
+            channel.close()
+        for task in self._answers.values():
+            task.cancel()
+        for _, future in self._asked.values():
+            if not future.done():
+                future.set_exception(LinkError("this kernel ends"))
+        self._asked.clear()
+        self._peers.clear()
+        if self._looking is not None:
+            self._looking.cancel()
+        try:
+            await asyncio.wait_for(in_thread(self.engine.close), _CLOSES)
+        except TimeoutError:
+            self.kernel.report(f"zenoh: the session has not ended within {_CLOSES:g} s")
+
+    # -- other kernels ---------------------------------------------------------------------------------------------
+
+    def presence(self, tell: Callable[[Peer, bool], None]) -> Callable[[], None]:
+        """Tell of each kernel that is there or comes, and of each that goes; until the returned function is called."""
+        self._tells.append(tell)
+        for peer in tuple(self._peers):
+            tell(peer, True)
+        return lambda: self._tells.remove(tell)
+
+    @property
+    def peers(self) -> tuple[Peer, ...]:
+        """The kernels that are there."""
+        return tuple(self._peers)
+
+    def _present(self, token: str, up: bool) -> None:
+        peer = peer_of(token)
+        if peer is None or peer == self.keys.own or up == (peer in self._peers):
+            return
+        if up:
+            self._peers[peer] = Budget()
+        else:
+            del self._peers[peer]
+        for tell in tuple(self._tells):
+            tell(peer, up)
+        if not up:
+            self._gone(peer)
+
+    def _gone(self, peer: Peer) -> None:
+        error = LinkError(f"{peer.kernel}: is gone")
+        for whom, future in tuple(self._asked.values()):
+            if whom == peer and not future.done():
+                future.set_exception(error)
+        for channel in [one for one in self._channels.values() if one.peer == peer]:
+            channel.close()
+            channel.events.on_state(False, str(error))
+
+    def _peer_at(self, host: str, kernel: str) -> Peer:
+        found = [one for one in self._peers if one.kernel == kernel and host in ("", one.host)]
+        if not found:
+            raise LinkError(f"{kernel}: is gone")
+        return found[-1]
+
+    # -- channels --------------------------------------------------------------------------------------------------
+
+    async def channel(self, offer: LinkOffer, events: ChannelEvents) -> Channel:
+        """The channel of an offer, which both ends have agreed on.
+
+        Raises:
+            LinkError: the other kernel is gone.
+        """
+        writes = offer.writer.kernel == self.kernel.name
+        far, own = offer.reader if writes else offer.writer, self.keys.own
+        peer = self._peer_at(far.host, far.kernel)
+        ends = (own, peer) if writes else (peer, own)
+        # The reader has given the number: the same one may be that of another link with another kernel.
+        mine, theirs = (BY_WRITER, BY_READER) if writes else (BY_READER, BY_WRITER)
+        at, of = (self.keys.link(*ends, str(offer.number), sender) for sender in (mine, theirs))
+        if (old := self._channels.get(of)) is not None:
+            old.close()
+        channel = self._channels[of] = _ZenohChannel(
+            self.engine,
+            self._peers[peer],
+            peer,
+            at,
+            offer.writer_epoch & 0xFFFFFFFF,
+            events,
+            partial(self._forget, of),
+        )
+        if self._looking is None:
+            self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again)
+        return channel
+
+    def _forget(self, key: str, channel: _ZenohChannel) -> None:
+        if self._channels.get(key) is channel:
+            del self._channels[key]
+
+    def _arrived(self, key: str, data: bytes) -> None:
+        channel = self._channels.get(key)
+        if channel is None or self._closed:
+            return
+        try:
+            room = channel.arrived(data)
+        except ValueError as error:
+            self.kernel.report(f"zenoh: {channel.peer.kernel} sent what is no message: {error}")
+            return
+        if room:
+            self._pump(channel.peer)
+
+    def _pump(self, peer: Peer) -> None:
+        budget = self._peers.get(peer)
+        if budget is None:
+            return
+        budget.pump()
+        if not budget.has_room:
+            budget.look()
+        for channel in tuple(self._channels.values()):
+            if channel.peer == peer and channel.sender.room_made():
+                channel.events.on_room()
+
+    def _look_again(self) -> None:
+        """What waits for room must not wait for an answer that was lost."""
+        self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again) if self._channels else None
+        for peer, budget in self._peers.items():
+            if not budget.has_room:
+                for channel in self._channels.values():
+                    if channel.peer == peer:
+                        channel.sender.look_again()
+
+    # -- questions -------------------------------------------------------------------------------------------------
+
+    async def ask(self, peer: Peer, what: str, body: bytes, *, within: float) -> bytes:
+        """The answer of another kernel.
+
+        Raises:
+            LinkTimeout: there was none within so many seconds.
+            LinkError: the kernel is gone, or refuses to answer.
+        """
+        if peer not in self._peers:
+            raise LinkError(f"{peer.kernel}: is gone")
+        self._last = number = self._last + 1
+        future: asyncio.Future[bytes] = self.loop.create_future()
+        self._asked[number] = peer, future
+        until = self.loop.time() + within
+        key, own = self.keys.question(peer, what), self.keys.own
+        beside = own.epoch.to_bytes(8, "little") + number.to_bytes(8, "little") + f"{own.host}/{own.kernel}".encode()
+
+        def answered(good: bool | None, data: bytes) -> None:
+            if future.done():
+                return
+            if good is None:  # nobody has answered: who will may not be known here yet
+                if (left := until - self.loop.time()) > _ASK_AGAIN:
+                    self.loop.call_later(_ASK_AGAIN, again, left)
+            elif good:
+                future.set_result(data)
+            else:
+                future.set_exception(LinkError(f"{peer.kernel}: {data[:_LONGEST].decode(errors='replace')}"))
+
+        def again(left: float) -> None:
+            if not future.done() and not self._closed:
+                self.engine.ask(key, body, beside, left + _MARGIN, answered)
+
+        try:
+            again(within)
+            async with asyncio.timeout(within):
+                return await future
+        except TimeoutError:
+            raise LinkTimeout(f"{peer.kernel}: no answer within {within:g} s") from None
+        finally:
+            self._asked.pop(number, None)
+
+    def answer(self, what: str, handler: Handler) -> None:
+        """Answer such questions with `handler` from now on."""
+        self._handlers[what] = handler
+
+    def _was_asked(self, key: str, body: bytes, beside: bytes, query: Any) -> None:
+        if self._closed:
+            return
+        self.kernel.run_in_background(self._answer(key, body, beside, query), "aiorts answer")
+
+    async def _answer(self, key: str, body: bytes, beside: bytes, query: Any) -> None:
+        name, what = asked(key)
+        who, number = beside[:8] + beside[16:], int.from_bytes(beside[8:16], "little")
+        task = self._answers.get((who, number))
+        if task is None:
+            task = self._answers[who, number] = asyncio.ensure_future(self._answer_of(name, what, body, who))
+            if len(self._answers) > _ASKED:
+                self._forget_answers()
+        good, data = await asyncio.shield(task)
+        self.engine.reply(query, data, good=good)
+        if len(data) > _KEPT:
+            self._answers.pop((who, number), None)
+
+    async def _answer_of(self, name: str, what: str, body: bytes, who: bytes) -> tuple[bool, bytes]:
+        until = self.loop.time() + _MARGIN
+        while (peer := self._who(name, who)) is None:
+            if self.loop.time() > until:
+                return False, b"who asks is not known here"
+            await asyncio.sleep(_ASK_AGAIN)  # its token is on the way
+        if len(self._answers) > _ASKED:
+            return False, b"too many questions at the same time"
+        try:
+            caller = Caller(peer, f"kernel {peer.host}/{peer.kernel}")
+            return True, await answer_of(self._handlers.get(what), what, body, caller, self.kernel)
+        except LinkError as error:
+            return False, str(error).encode()[:_LONGEST]
+
+    def _forget_answers(self) -> None:
+        """Forget the oldest that were given."""
+        for key in [key for key, task in self._answers.items() if task.done()][: _ASKED // 2]:
+            del self._answers[key]
+
+    def _who(self, name: str, who: bytes) -> Peer | None:
+        """The kernel that asks: its name is in the key, where it cannot be another's."""
+        host, _, kernel = who[8:].decode(errors="replace").partition("/")
+        peer = Peer(host, kernel, int.from_bytes(who[:8], "little"))
+        return peer if kernel == name and peer in self._peers else None
+
+
+class _ZenohChannel:
+    """One end of a link."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        budget: Budget,
+        peer: Peer,
+        key: str,
+        epoch: int,
+        events: ChannelEvents,
+        closed: Callable[[_ZenohChannel], None],
+    ) -> None:
+        self.peer, self.events = peer, events
+        self._epoch, self._closed = epoch, closed
+        self._publisher = engine.publisher(key)
+        self._urgent = engine.publisher(key, urgent=True)
+        self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns)
+        self._receiver, self._whole = Receiver(), Whole()
+        self._is_open = True
+
+    def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
+        if not self._is_open:
+            return False
+        flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
+        return self.sender.send([head, *flat])
+
+    def arrived(self, data: bytes) -> bool:
+        """A message has come; whether others may be sent now. ValueError: it is none."""
+        kind, epoch, first, _, blocks = read(data)
+        if epoch != self._epoch:
+            return False
+        if kind == TAKEN:
+            self.sender.came(first)
+            return True
+        if kind == LOOK:
+            self._receiver.took(first, 0)
+            self._tell()
+            return False
+        if self._receiver.took(first, len(data)):
+            self._tell()
+        frame = blocks if kind == FRAME else self._whole.add(blocks)
+        if frame:
+            self.events.on_frames([(frame[0], frame[1:])])
+        return False
+
+    def _tell(self) -> None:
+        self._urgent.put(message(TAKEN, self._epoch, self._receiver.tell(), time.time_ns()))
+
+    def close(self) -> None:
+        if not self._is_open:
+            return
+        self._is_open = False
+        self._closed(self)
+        self.sender.close()
+        for publisher in (self._publisher, self._urgent):
+            publisher.undeclare()

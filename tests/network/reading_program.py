@@ -1,0 +1,23 @@
+"""A process of its own whose kernel prints what it reads: `python reading_program.py HOST:PORT`; nobody ends it."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+
+from aiorts import Component, InPort, Kernel
+from aiorts.types import TimedLong
+
+
+class Sink(Component):
+    inp = InPort(TimedLong, length=1_000)
+
+
+async def main(address: str) -> None:
+    async with Kernel("reader", services={"zenoh": {"listen": address, "host": "far", "insecure": True}}) as kernel:
+        sink = await kernel.add(Sink("sink"))
+        while True:
+            print((await sink.inp.read(timeout=60.0)).tm, flush=True)
+
+
+asyncio.run(main(sys.argv[1]))

@@ -1,0 +1,233 @@
+"""The service `zenoh`: nothing listens unless it is asked for, and kernels of two hosts are linked."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import Component, InPort, Kernel, OutPort
+from aiorts.errors import AiortsError, ConfigurationError, LinkError
+from aiorts.links import Links
+from aiorts.types import TimedLong, TimedOctetSeq
+
+pytest.importorskip("zenoh")
+
+from aiorts_zenoh import Network, NetworkSettings
+from network.network_parts import free_port
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "roomba"
+
+
+class Source(Component):
+    out = OutPort(TimedOctetSeq)
+
+
+class Number(Component):
+    out = OutPort(TimedLong)
+
+
+class Sink(Component):
+    inp = InPort(TimedOctetSeq, length=10)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"listen": "127.0.0.1:7447"}, "insecure: certificates are not there yet"),
+        ({"connect": "robot", "insecure": True}, "connect: expected host:port, got 'robot'"),
+        ({"listen": ":70000", "insecure": True}, "listen: expected host:port, got ':70000'"),
+        ({"listen": "a:1, :2", "insecure": True}, "listen: expected host:port, got ':2'"),
+        ({"host": "a/b"}, "host: "),
+        ({"domain": "a*"}, "domain: "),
+    ],
+)
+def test_settings_that_cannot_be_meant_are_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigurationError, match=said.replace("(", r"\(")):
+        NetworkSettings(**given)
+
+
+def _listening() -> set[str]:
+    """Sockets of this process at which something listens, or that take datagrams from anywhere."""
+    own = {os.readlink(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd") if _is_there(name)}
+    found = set()
+    for table, states in (("tcp", {"0A"}), ("tcp6", {"0A"}), ("udp", {"07"}), ("udp6", {"07"})):
+        for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] in states and f"socket:[{fields[9]}]" in own:
+                found.add(f"{table} {fields[1]}")
+    return found
+
+
+def _is_there(name: str) -> bool:
+    return os.path.islink(f"/proc/self/fd/{name}")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_switched_on_alone_it_listens_nowhere() -> None:
+    async def main() -> set[str]:
+        async with Kernel("alone", services={"zenoh": {}}) as kernel:
+            await kernel.service(Network).opened()
+            return _listening()
+
+    assert asyncio.run(main()) == set()
+
+
+async def _all(sink: Any, count: int) -> list[int]:
+    return [(await sink.inp.read(timeout=20.0)).tm for _ in range(count)]
+
+
+def test_two_kernels_of_two_hosts_lose_nothing() -> None:
+    async def main() -> None:
+        address = f"127.0.0.1:{free_port()}"
+        far = {"zenoh": {"listen": address, "host": "far", "insecure": True}}
+        near = {"zenoh": {"connect": address, "host": "near", "insecure": True}}
+        async with Kernel("reader", services=far) as reader, Kernel("writer", services=near) as writer:
+            await asyncio.gather(reader.service(Network).opened(), writer.service(Network).opened())
+            sink, source = await reader.add(Sink("sink")), await writer.add(Source("source"))
+            connector = await writer.connect(source.out, "far/reader/sink.inp", full="block", timeout=None)
+            reading = asyncio.ensure_future(_all(sink, 200))
+            for number in range(200):
+                await source.out.write(TimedOctetSeq(number, bytes(300_000 if number % 50 == 0 else 10)))
+            assert await reading == list(range(200))
+            ledger = await writer.service(Links).ledger(connector)
+            assert (ledger.written, ledger.delivered, ledger.unexplained) == (200, 200, 0)
+
+    asyncio.run(main())
+
+
+@pytest.mark.fault("E01")
+def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Path) -> None:
+    address, program = f"127.0.0.1:{free_port()}", Path(__file__).with_name("reading_program.py")
+    seen = tmp_path / "seen.txt"
+
+    def start() -> subprocess.Popen[bytes]:
+        with seen.open("ab") as output:
+            return subprocess.Popen([sys.executable, str(program), address], stdout=output)
+
+    async def main() -> Any:
+        near = {"zenoh": {"connect": address, "host": "near", "insecure": True}}
+        async with Kernel("writer", services=near) as kernel:
+            source = await kernel.add(Number("source"))
+            connector = await kernel.connect(source.out, "far/reader/sink.inp", length=20_000)
+            links, number = kernel.service(Links), 0
+            for _ in range(2):
+                reader = start()
+                try:
+                    async with asyncio.timeout(20.0):
+                        before = connector.statistics.acknowledged or 0
+                        while (connector.statistics.acknowledged or 0) < before + 100:
+                            source.out.write_nowait(TimedLong(number, number))
+                            number += 1
+                            await asyncio.sleep(0.005)
+                finally:
+                    reader.kill()
+                    reader.wait(10)
+                killed = time.monotonic()
+                while links.peers:
+                    assert time.monotonic() - killed < 5.0, "a killed kernel is still there"
+                    await asyncio.sleep(0.01)
+            return number, connector.statistics
+
+    number, ledger = asyncio.run(main())
+    came = [int(line) for line in seen.read_text().split()]
+    assert (ledger.written, ledger.balanced, set(ledger.dropped) <= {"unknown_fate"}) == (number, True, True)
+    assert came == sorted(set(came)), "doubled, or in another order"
+    assert ledger.acknowledged <= len(came) <= ledger.acknowledged + ledger.dropped.get("unknown_fate", 0)
+    assert len(came) > 100
+
+
+def test_a_name_that_is_taken_on_its_host_is_refused() -> None:
+    async def main() -> None:
+        address = f"127.0.0.1:{free_port()}"
+        far = {"zenoh": {"listen": address, "host": "same", "insecure": True}}
+        near = {"zenoh": {"connect": address, "host": "same", "insecure": True}}
+        async with Kernel("robot", services=far) as one:
+            await one.service(Network).opened()
+            async with Kernel("robot", services=near) as two:
+                with pytest.raises(LinkError, match=r"a kernel named 'robot' runs already on same"):
+                    await two.service(Network).opened()
+
+    asyncio.run(main())
+
+
+@pytest.fixture
+def hosts() -> Iterator[tuple[list[str], list[str]]]:
+    """What runs a command on each of two hosts with a network between them: 10.77.0.1 and 10.77.0.2."""
+    if shutil.which("ip") is None or os.geteuid() != 0:
+        pytest.skip("not run: network namespaces need `ip` and root")
+    names = [f"aiorts-{os.getpid()}-{one}" for one in "ab"]
+    wires = [f"ai{os.getpid() % 100_000}{one}" for one in "ab"]
+    made: list[str] = []
+    folders: list[str] = []
+    try:
+        for name in names:
+            done = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False, timeout=10)
+            if done.returncode:
+                pytest.skip(f"not run: no network namespaces here: {done.stderr.strip()[:200]}")
+            made.append(name)
+        steps = [["link", "add", wires[0], "type", "veth", "peer", "name", wires[1]]]
+        steps += [["link", "set", wire, "netns", name] for wire, name in zip(wires, names, strict=True)]
+        for number, (wire, name) in enumerate(zip(wires, names, strict=True), 1):
+            steps += [
+                ["-n", name, "addr", "add", f"10.77.0.{number}/24", "dev", wire],
+                ["-n", name, "link", "set", "lo", "up"],
+                ["-n", name, "link", "set", wire, "up"],
+            ]
+        for step in steps:
+            subprocess.run(["ip", *step], check=True, timeout=10)
+        commands = []
+        for name in names:
+            folders.append(folder := tempfile.mkdtemp(prefix="ai"))  # short: a socket's path has 107 letters
+            commands.append(["ip", "netns", "exec", name, "env", f"XDG_RUNTIME_DIR={folder}"])
+        yield commands[0], commands[1]
+    finally:
+        for name in made:
+            subprocess.run(["ip", "netns", "del", name], check=False, timeout=10)
+        for folder in folders:
+            shutil.rmtree(folder)
+
+
+def test_a_real_drive_is_computed_on_two_hosts(hosts: tuple[list[str], list[str]], tmp_path: Path) -> None:
+    here, there = hosts
+    run = [sys.executable, "-m", "aiorts", "run"]
+    near = ["--host", "one", "--connect", "10.77.0.2:7447", "--insecure-network"]
+    far = ["--host", "two", "--listen", "10.77.0.2:7447", "--insecure-network"]
+    said = tmp_path / "said.txt"
+    with said.open("w") as output:
+        started = [
+            subprocess.Popen([*there, *run, str(EXAMPLE / "odometry.toml"), *far], stdout=output, stderr=output),
+            subprocess.Popen([*here, *run, str(EXAMPLE / "monitor.toml"), *near], stdout=output, stderr=output),
+        ]
+        try:
+            robot = [*here, *run, str(EXAMPLE / "robot.toml"), "--set", "imu.speed=20", *near]
+            played = subprocess.run(robot, capture_output=True, text=True, check=False, timeout=100)
+            assert played.returncode == 0, played.stderr[-2000:]
+            until = time.monotonic() + 20.0
+            while "TimedPose2D 18." not in said.read_text() and time.monotonic() < until:
+                time.sleep(0.1)
+            time.sleep(1.0)  # the last of what is computed is on its way
+        finally:
+            for one in started:
+                one.terminate()
+            for one in started:
+                one.wait(20)
+    assert "heading verified: 1216 of 1216 within 1e-6 rad" in said.read_text(), said.read_text()[-2000:]
+
+
+def test_what_the_engine_refuses_is_said() -> None:
+    async def main() -> None:
+        async with Kernel("one", services={"zenoh": {"listen": "10.255.255.1:1", "insecure": True}}) as kernel:
+            with pytest.raises(AiortsError, match="zenoh: "):
+                await kernel.service(Network).opened()
+
+    asyncio.run(main())

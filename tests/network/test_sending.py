@@ -1,0 +1,111 @@
+"""How much is under way to another host is bounded, whatever is sent; nothing waits for ever."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("zenoh")
+
+from aiorts_zenoh.envelope import FRAME, LOOK, PIECE, PIECES, Whole, read
+from aiorts_zenoh.sending import UNDER_WAY, Budget, Receiver, Sender
+
+
+class Way:
+    """One direction of a channel: what was sent and has not come, and what the receiver made of it."""
+
+    def __init__(self, budget: Budget) -> None:
+        self.under_way: deque[bytes] = deque()
+        self.sender = Sender(budget, self.under_way.append, 1, lambda: 0)
+        self.receiver, self.whole = Receiver(), Whole()
+        self.came: list[bytes] = []
+
+    def step(self, *, lost: bool = False) -> None:
+        """Let the oldest message arrive, or lose it."""
+        if not self.under_way:
+            return
+        data = self.under_way.popleft()
+        if lost:
+            return
+        kind, _, first, _, blocks = read(data)
+        if kind == LOOK:
+            self.receiver.took(first, 0)
+            self.sender.came(self.receiver.tell())
+            return
+        if self.receiver.took(first, len(data)):
+            self.sender.came(self.receiver.tell())
+        frame = blocks if kind == FRAME else self.whole.add(blocks)
+        assert kind in (FRAME, PIECE)
+        if frame:
+            self.came.append(bytes(frame[0]))
+
+
+SIZES = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 3 * PIECES), st.integers(0, 3)), max_size=60)
+
+
+@given(SIZES)
+def test_less_than_a_queue_is_under_way_and_all_comes_in_order(steps: list[tuple[int, int, int]]) -> None:
+    budget = Budget()
+    ways, sent = (Way(budget), Way(budget)), ([], [])  # type: tuple[Way, Way], tuple[list[bytes], list[bytes]]
+    for number, (which, size, arrive) in enumerate(steps):
+        frame = number.to_bytes(4, "little") + bytes(size)
+        if ways[which].sender.send([frame]):
+            sent[which].append(frame)
+        assert budget.used < UNDER_WAY + 2 * PIECES
+        for way in ways[:arrive]:
+            way.step()
+        budget.pump()
+    for _ in range(10_000):
+        if not any(way.under_way for way in ways):
+            break
+        for way in ways:
+            way.step()
+        budget.pump()
+        if not budget.has_room:
+            budget.look()
+    assert (ways[0].came, ways[1].came) == sent
+
+
+def test_what_a_lost_message_took_up_is_free_again() -> None:
+    way = Way(budget := Budget())
+    while budget.has_room:
+        way.sender.send([bytes(PIECES)])
+    way.sender.send([b"last"])
+    while way.under_way:
+        way.step(lost=True)
+    way.sender.look_again()
+    way.step()
+    budget.pump()
+    way.step()
+    assert way.came == [b"last"]
+
+
+def test_a_channel_that_closes_leaves_its_share_to_the_others() -> None:
+    budget = Budget()
+    one, other = Way(budget), Way(budget)
+    while budget.has_room:
+        one.sender.send([bytes(PIECES)])
+    assert other.sender.send([b"waits"])
+    one.sender.close()
+    budget.pump()
+    other.step()  # what looked how far it is
+    other.step()
+    assert (budget.has_room, other.came) == (True, [b"waits"])
+
+
+def test_too_much_that_waits_is_refused_until_half_of_it_is_gone() -> None:
+    way = Way(budget := Budget())
+    sent = 0
+    while way.sender.send([bytes(PIECES)]):
+        sent += 1
+        assert sent < 100
+    assert not way.sender.room_made()
+    for _ in range(200):
+        way.step()
+        budget.pump()
+        if not budget.has_room:
+            budget.look()
+    assert (way.sender.room_made(), way.sender.room_made(), len(way.came)) == (True, False, sent)
