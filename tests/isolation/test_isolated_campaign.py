@@ -285,11 +285,11 @@ def processes_are_refused() -> str:
 MISBEHAVIOUR = {
     "segfault": (-2, "killed by SIGSEGV (signal 11)"),
     "exit": (-3, "exit status 3"),
-    "busy": (-4, "killed by SIGKILL (signal 9)"),
+    "busy": (-4, "its process has ended: killed: a hook has held it for"),
     "memory": (-6, "Unable to allocate"),
     "setsid": (-7, ""),
     "output": (-8, ""),
-    "fork bomb": (-9, "killed by SIGKILL (signal 9)"),
+    "fork bomb": (-9, "its process has ended: killed"),
 }
 
 
