@@ -34,7 +34,7 @@ class NetworkSettings:
     domain: str = setting("default", "Kernels of different domains do not see each other.")
     insecure: bool = setting(
         False,
-        "Plain TCP without certificates: whoever reaches the port sees and does all.",
+        "Plain TCP without certificates: all that reach the port see and do everything.",
         option="--insecure-network",
     )
 
@@ -47,7 +47,7 @@ class NetworkSettings:
         if (self.listen or self.connect) and not self.insecure:
             raise ConfigurationError(
                 "insecure: certificates are not there yet, so what goes to other hosts is plain TCP; say insecure = "
-                "true where nobody else is in the network"
+                "true in a network that is yours alone"
             )
         for key, names in (("host", (self.host or platform.node(), "any")), ("domain", ("any", self.domain))):
             try:

@@ -67,16 +67,22 @@ async def test_ports_that_it_makes_itself_are_here_and_go_when_it_removes_them()
 
 
 async def test_components_that_are_made_by_options_run_in_processes_of_their_own(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    caplog.set_level("INFO")
     path = tmp_path / "system.toml"
     path.write_text(SYSTEM)
     checked = here("check", path)
     assert checked.returncode == 0, checked.stdout + checked.stderr
     async with Kernel() as kernel:
         await build(kernel, load(path))
-        await until(lambda: any("input0 TimedDouble" in one.getMessage() for one in caplog.records))
+        printed = ""
+
+        def is_dumped() -> bool:
+            nonlocal printed
+            printed += capsys.readouterr().out
+            return "input0 TimedDouble" in printed
+
+        await until(is_dumped)
         twice: Any = kernel.components["twice"]
         assert {name: port.type.__name__ for name, port in twice.ports.items()} == {
             "input0": "TimedLong",
