@@ -157,20 +157,15 @@ class Reach:
 
     def _present(self, transport: Transport, peer: Peer, up: bool) -> None:
         ways = self._ways.setdefault(peer, [])
-        if up:
-            ways.append(transport)
-            if len(ways) > 1:
-                return
+        (ways.append if up else ways.remove)(transport)
+        before, now = self.peers.pop(peer, None), ways[0] if ways else None
+        if now is None:
+            del self._ways[peer]
         else:
-            ways.remove(transport)
-            if self.peers.get(peer) is not transport:
-                return
-        del self._ways[peer]
-        self.peers.pop(peer, None)
-        if not up:
+            self.peers[peer] = now
+        if before is not None and before is not now:
             self._tell(peer, False)
-        if ways:
-            self._ways[peer], self.peers[peer] = ways, ways[0]
+        if now is not None and before is not now:
             self._tell(peer, True)
 
     def peer_of(self, path: Path) -> Peer | None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from aiorts.errors import AiortsError, InvalidNameError, LinkError, WiringError, format_error
 from aiorts.late import dataclass
 from aiorts.links.messages import checked, fields, packed
-from aiorts.model.names import Path, check_host, check_name
+from aiorts.model.names import MAX_HOST_LENGTH, Path, check_name
 from aiorts.model.options import chosen_options, connector_profile
 
 if TYPE_CHECKING:
@@ -35,9 +35,10 @@ def checked_peer(host: str, kernel: str, epoch: int) -> Peer:
     """The kernel of these names, which another one has said. LinkError: they are no names."""
     try:
         check_name(kernel, "kernel")
-        check_host(host)
     except InvalidNameError as error:
         raise LinkError(str(error)) from None
+    if len(host) > MAX_HOST_LENGTH or "/" in host:  # what a machine calls itself may have other characters than a path
+        raise LinkError(f"host name {host[:60]!r}: is none")
     return Peer(host, kernel, epoch)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import re
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -21,6 +22,8 @@ LOWEST, HIGHEST = (1, 9), (1, 11)
 """Versions of the engine from the first to the one before the last."""
 _ITEMS: Final = 100_000
 _BYTES: Final = 64 << 20
+_PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
+"""Where an error of the engine was made in its own sources."""
 _AT_ONCE: Final = 256
 """Items that are handled before the loop has its turn."""
 
@@ -99,7 +102,7 @@ class Engine:
         try:
             self._session = self._zenoh.open(config)
         except self._zenoh.ZError as error:
-            raise LinkError(f"zenoh: {error}") from None
+            raise LinkError(f"zenoh: {_PLACE.sub('', str(error))}") from None
         if self._closed:  # while it was opened
             self._session.close()
             raise LinkError("this kernel ends")

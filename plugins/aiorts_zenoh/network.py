@@ -5,19 +5,22 @@ from __future__ import annotations
 import asyncio
 import logging
 import platform
+import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import KernelService, setting
-from aiorts.errors import ConfigurationError, LinkError
+from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
-from aiorts.links import Links, checked_peer
+from aiorts.links import Links
 from aiorts_zenoh.transport import ZenohTransport
 
 if TYPE_CHECKING:
     from aiorts import Microkernel
 
 _LOG: Final = logging.getLogger("aiorts.zenoh")
+_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
+"""One part of a key: of a host that calls itself otherwise the user says the name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,13 +50,11 @@ class NetworkSettings:
         if (self.listen or self.connect) and not self.insecure:
             raise ConfigurationError(
                 "insecure: certificates are not there yet, so what goes to other hosts is plain TCP; say insecure = "
-                "true in a network that is yours alone"
+                "true (--insecure-network) in a network that is yours alone"
             )
-        for key, names in (("host", (self.host or platform.node(), "any")), ("domain", ("any", self.domain))):
-            try:
-                checked_peer(*names, 0)
-            except LinkError as error:
-                raise ConfigurationError(f"{key}: {error}") from None
+        _check_name("domain", self.domain)
+        if self.host:
+            _check_name("host", self.host)
 
 
 class Network(KernelService):
@@ -69,6 +70,7 @@ class Network(KernelService):
 
     def configure(self, settings: NetworkSettings) -> None:
         host = settings.host or platform.node()
+        _check_name("host", host)
         self._transport = ZenohTransport(host, settings.domain, engine_settings(settings))
         opening = self.kernel.service(Links).reach.carry(self._transport)
         self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
@@ -80,12 +82,12 @@ class Network(KernelService):
             await asyncio.shield(self._opening)
 
     def report(self) -> Mapping[str, Any]:
-        """The host and the domain, and the kernels that are seen there."""
+        """The host, the domain, the kernels that are seen there, and messages that found no room here."""
         transport = self._transport
         if transport is None:
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
-        return {"host": transport.host, "domain": transport.domain, "kernels": seen}
+        return {"host": transport.host, "domain": transport.domain, "kernels": seen, "left_out": transport.left_out}
 
     def stopped(self) -> None:
         if self._opening is not None:
@@ -106,6 +108,12 @@ def engine_settings(settings: NetworkSettings) -> Mapping[str, Any]:
         "transport/shared_memory/enabled": False,
         "transport/link/tx/queue/size/data": 16,
     }
+
+
+def _check_name(key: str, name: str) -> None:
+    """ConfigurationError: it cannot be a part of a key of the engine."""
+    if not _NAME.fullmatch(name):
+        raise ConfigurationError(f"{key}: expected letters, digits, '_', '-' and '.', got {name!r:.80}")
 
 
 def _listed(text: str) -> list[str]:

@@ -56,6 +56,7 @@ class ZenohTransport:
         """What was asked last, by who asks and its number: a question that comes twice is answered once."""
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
+        self._inbox: Inbox | None = None
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
@@ -125,6 +126,11 @@ class ZenohTransport:
     def peers(self) -> tuple[Peer, ...]:
         """The kernels that are there."""
         return tuple(self._peers)
+
+    @property
+    def left_out(self) -> int:
+        """Messages that came while too much waited for the loop already: the ends of their links send them again."""
+        return 0 if self._inbox is None else self._inbox.dropped
 
     def _present(self, token: str, up: bool) -> None:
         peer = peer_of(token)

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aiorts.links import Transport
+from aiorts.errors import LinkError
+from aiorts.links import Transport, checked_peer
 from aiorts.links.stream import Message, Stream
 from aiorts.links.unix import UnixTransport
 from aiorts.testing import TRANSPORT_CHECKS, check_transport
@@ -115,3 +116,10 @@ asyncio.run(main())
 def test_without_descriptors_a_kernel_does_not_spin_and_greets_later() -> None:
     done = subprocess.run([sys.executable, "-c", _WITHOUT_DESCRIPTORS], capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.stderr) == ("True True\n", "")
+
+
+def test_a_machine_may_call_itself_what_it_likes_but_for_what_parts_a_path() -> None:
+    assert checked_peer("Büro 2", "robot", 7).host == "Büro 2"
+    for host, kernel in (("a/b", "robot"), ("h" * 254, "robot"), ("host", "a/b"), ("host", "")):
+        with pytest.raises(LinkError, match="name"):
+            checked_peer(host, kernel, 7)
