@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
-from aiorts.errors import LinkError
+from aiorts.errors import LinkError, MissingExtra, PluginError
 
 LOWEST, HIGHEST = (1, 9), (1, 11)
 """Versions of the engine from the first to the one before the last."""
@@ -70,32 +70,37 @@ class Inbox:
                     return
                 handle, arguments, size = self._items.popleft()
                 self._bytes -= size
-            handle(*arguments)
+            try:
+                handle(*arguments)
+            except BaseException:
+                self._loop.call_soon(self._handle)  # what came behind it is handled all the same
+                raise
         self._loop.call_soon(self._handle)
 
 
 class Engine:
-    """A session. Everything but `put` may wait for the network, and is called in a thread.
+    """A session. What opens, declares and closes may wait for the network, and is called in a thread."""
 
-    Args:
-        inbox: where what callbacks bring is handed over.
-    """
-
-    def __init__(self, inbox: Inbox) -> None:
+    def __init__(self) -> None:
         try:
             import zenoh  # type: ignore[import-not-found, unused-ignore] # an extra
         except ImportError:
-            raise LinkError('other hosts need the package eclipse-zenoh: pip install "aiorts[zenoh]"') from None
+            raise MissingExtra("links to other hosts", "eclipse-zenoh", "zenoh") from None
         _check_version()
         self._zenoh: Any = zenoh
-        self._inbox = inbox
+        self._inbox: Inbox
         self._session: Any = None
         self._kept: list[Any] = []
         self._tokens: list[Any] = []
         self._closed = False
 
-    def open(self, settings: Mapping[str, Any]) -> None:
-        """Open the session. LinkError: the engine refuses, such as for a port that is taken."""
+    def open(self, settings: Mapping[str, Any], inbox: Inbox) -> None:
+        """Open the session. LinkError: the engine refuses, such as for a port that is taken.
+
+        Args:
+            inbox: what hands over what callbacks bring.
+        """
+        self._inbox = inbox
         config = self._zenoh.Config()
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
@@ -110,7 +115,6 @@ class Engine:
     def close(self) -> None:
         """End the session, and with it all that it has declared."""
         self._closed = True
-        self._inbox.close()
         if self._session is not None:
             for token in self._tokens:
                 token.undeclare()
@@ -218,4 +222,4 @@ def _check_version() -> None:
     parts = tuple(int(part) for part in found.split(".")[:2] if part.isdecimal())
     if not LOWEST <= parts < HIGHEST:
         low, high = (".".join(map(str, one)) for one in (LOWEST, HIGHEST))
-        raise LinkError(f"eclipse-zenoh {found}: aiorts takes versions from {low} to before {high}")
+        raise PluginError(f"eclipse-zenoh {found}: aiorts takes versions from {low} to before {high}")

@@ -40,11 +40,15 @@ class ZenohTransport:
         host: by which others know this machine.
         domain: kernels of different domains do not see each other.
         engine: settings of the engine by their keys; `aiorts_zenoh.network` makes them.
+
+    Raises:
+        MissingExtra: the engine is not installed.
+        PluginError: it is of a version that is not known here.
     """
 
     def __init__(self, host: str, domain: str = "default", engine: Mapping[str, Any] | None = None) -> None:
         self.host, self.domain = host, domain
-        self._settings = dict(engine or {})
+        self._settings, self.engine = dict(engine or {}), Engine()
         self._handlers: dict[str, Handler] = {}
         self._tells: list[Callable[[Peer, bool], None]] = []
         self._peers: dict[Peer, Budget] = {}
@@ -70,7 +74,6 @@ class ZenohTransport:
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
         self.keys = Keys(self.domain, Peer(self.host, kernel.name, kernel.epoch), time.time_ns())
         self._inbox = Inbox(self.loop)
-        self.engine = Engine(self._inbox)
         try:
             await in_thread(self._declare)
         except BaseException:
@@ -79,7 +82,8 @@ class ZenohTransport:
 
     def _declare(self) -> None:
         engine, keys = self.engine, self.keys
-        engine.open(self._settings)
+        assert self._inbox is not None  # noqa: S101 - it was made just before
+        engine.open(self._settings, self._inbox)
         if engine.present(keys.namesakes, _NAMESAKES):
             raise LinkError(
                 f"a kernel named {self.kernel.name!r} runs already on {self.host}; give this one another name"
@@ -108,6 +112,8 @@ class ZenohTransport:
         self._peers.clear()
         if self._looking is not None:
             self._looking.cancel()
+        if self._inbox is not None:
+            self._inbox.close()
         try:
             await asyncio.wait_for(in_thread(self.engine.close), _CLOSES)
         except TimeoutError:
@@ -151,8 +157,9 @@ class ZenohTransport:
             if whom == peer and not future.done():
                 future.set_exception(error)
         for channel in [one for one in self._channels.values() if one.peer == peer]:
-            channel.close()
-            channel.events.on_state(False, str(error))
+            if channel.is_open:  # what is called for one may close another
+                channel.close()
+                channel.events.on_state(False, str(error))
 
     def _peer_at(self, host: str, kernel: str) -> Peer:
         found = [one for one in self._peers if one.kernel == kernel and host in ("", one.host)]
@@ -335,10 +342,10 @@ class _ZenohChannel:
         self._urgent = engine.publisher(key, urgent=True)
         self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns)
         self._receiver, self._whole = Receiver(), Whole()
-        self._is_open = True
+        self.is_open = True
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
-        if not self._is_open:
+        if not self.is_open:
             return False
         flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
         return self.sender.send([head, *flat])
@@ -366,9 +373,9 @@ class _ZenohChannel:
         self._urgent.put(message(TAKEN, self._epoch, self._receiver.tell(), time.time_ns()))
 
     def close(self) -> None:
-        if not self._is_open:
+        if not self.is_open:
             return
-        self._is_open = False
+        self.is_open = False
         self._closed(self)
         self.sender.close()
         for publisher in (self._publisher, self._urgent):
