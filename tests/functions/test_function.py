@@ -694,7 +694,7 @@ def test_in_a_thread_a_source_and_several_inputs_work_as_well() -> None:
             await kernel.start(ThreadContext(), adder, activate=True)
             await kernel.start(ThreadContext(), numbers, activate=True)
             async with asyncio.timeout(20):
-                while len(got) < 20:
+                while len(got) < 20 or not numbers.has_finished:  # its thread sees the end in a cycle of its own
                     await asyncio.sleep(0.01)
             assert got == [2.0 * number for number in range(20)]
             assert numbers.has_finished

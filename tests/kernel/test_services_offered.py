@@ -87,9 +87,9 @@ async def test_a_kernel_attaches_what_it_was_given_by_name(catalogue: Catalogue)
     [
         ({"fense": {}}, PluginError, "no service named 'fense'; did you mean fence?"),
         (
-            {"zenoh": {}},
+            {"mqtt": {}},
             PluginError,
-            "named 'zenoh'; there are control, fence, links, openrtm, record, rules, supervision, watch_loop",
+            "named 'mqtt'; there are control, fence, links, openrtm, record, rules, supervision, watch_loop, zenoh",
         ),
         ({"fence": {"lo": 1}}, ConfigurationError, "service 'fence': lo: unknown key 'lo'; did you mean 'low'?"),
         ({"fence": {"low": "x"}}, ConfigurationError, "service 'fence': low: expected a number, got 'x'"),

