@@ -48,12 +48,12 @@ class Keys:
     def questions(self) -> str:
         """What others ask this kernel."""
         own = self.own
-        return f"{_VERSION}/{self.domain}/ask/{own.host}/{own.kernel}/{own.epoch:016x}/**"
+        return f"{_VERSION}/{self.domain}/svc/{own.host}/{own.kernel}/{own.epoch:016x}/**"
 
     def question(self, peer: Peer, what: str) -> str:
         """What this kernel asks another; the part before the last is who asks."""
         whom = f"{peer.host}/{peer.kernel}/{peer.epoch:016x}"
-        return f"{_VERSION}/{self.domain}/ask/{whom}/{self.own.kernel}/{what}"
+        return f"{_VERSION}/{self.domain}/svc/{whom}/{self.own.kernel}/{what}"
 
     @property
     def frames(self) -> tuple[str, str]:
