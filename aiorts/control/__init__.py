@@ -11,8 +11,10 @@ from aiorts.late import late as _late
 
 if TYPE_CHECKING:
     from aiorts.control.client import END, TIMEOUT, Client, CutOff, Silent, Stream, open_all
-    from aiorts.control.folder import Entry, entries, private_folder
+    from aiorts.control.folder import FURTHER, Claim, Entry, entries, private_folder
     from aiorts.control.operation import Right
+    from aiorts.control.protocol import NEWEST, OLDEST, answer_in, framed, frames
+    from aiorts.control.server.service import Control
     from aiorts.control.session import Session
     from aiorts.control.target import (
         FILES,
@@ -32,9 +34,14 @@ if TYPE_CHECKING:
 __all__ = (
     "END",
     "FILES",
+    "FURTHER",
+    "NEWEST",
+    "OLDEST",
     "PATIENCE",
     "TIMEOUT",
+    "Claim",
     "Client",
+    "Control",
     "CutOff",
     "Entry",
     "Found",
@@ -44,7 +51,10 @@ __all__ = (
     "Session",
     "Silent",
     "Stream",
+    "answer_in",
     "entries",
+    "framed",
+    "frames",
     "is_file",
     "is_glob",
     "kernels",
@@ -60,8 +70,10 @@ _late(
     globals(),
     {
         "aiorts.control.client": "END TIMEOUT Client CutOff Silent Stream open_all",
-        "aiorts.control.folder": "Entry entries private_folder",
+        "aiorts.control.folder": "FURTHER Claim Entry entries private_folder",
         "aiorts.control.operation": "Right",
+        "aiorts.control.protocol": "NEWEST OLDEST answer_in framed frames",
+        "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
         "aiorts.control.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"

@@ -2,7 +2,8 @@
 
 An entry is a socket, named by a hash of the kernel's address, and a small file beside it that says whose it is. The
 folder is refused when it is a link, belongs to another user, or lets others in. An entry without a listener was left
-by a process that is gone: the next reader removes it.
+by a process that is gone: the next reader removes it. The variable AIORTS_FOLDERS names further folders of that kind,
+with ":" between them: what carries sessions to other hosts has its sockets there.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from aiorts.late import dataclass
 
 LONGEST_PATH: Final = 107
 """Bytes of a socket's path that the system takes."""
+FURTHER: Final = "AIORTS_FOLDERS"
 _PRIVATE: Final = 0o700
 _LARGEST_FILE: Final = 4096
 _SUFFIXES: Final = (".json", ".part", ".sock")
@@ -102,19 +104,24 @@ def entries() -> tuple[Entry, ...]:
     Raises:
         ControlError: the folder is not safe.
     """
-    folder = place()
+    further = [Path(one) for one in os.environ.get(FURTHER, "").split(os.pathsep) if one]
+    every = [entry for folder in (place(), *further) for entry in _entries(folder)]
+    return tuple(sorted(every, key=lambda one: one.address))
+
+
+def _entries(folder: Path) -> list[Entry]:
     try:
         check(folder)
         files = {file.with_suffix(".json") for file in folder.iterdir() if file.suffix in _SUFFIXES}
     except FileNotFoundError:
-        return ()
+        return []
     found = {file: _read(file) for file in files}
     if None in found.values():
         with contextlib.suppress(OSError, ControlError), _locked(folder, (0.0,)):
             for file, entry in found.items():
                 if entry is None and _read(file) is None and _is_dead(str(file.with_suffix(".sock"))):
                     _remove(str(file.with_suffix(".sock")))
-    return tuple(sorted((one for one in found.values() if one is not None), key=lambda one: one.address))
+    return [one for one in found.values() if one is not None]
 
 
 def discard(entry: Entry) -> None:
@@ -187,13 +194,17 @@ def _locked(folder: Path, waits: tuple[float, ...] = (0.001, 0.01, 0.1, 0.5, 0.5
 class Claim:
     """An entry of this process: a listening socket under an address, until it is withdrawn and closed.
 
+    Args:
+        folder: where; the user's own by default.
+
     Raises:
         ControlError: the folder is not safe, the address is taken (says by whom), or its path is too long.
         OSError: the socket cannot be made.
     """
 
-    def __init__(self, address: str, epoch: str) -> None:
-        folder = private_folder()
+    def __init__(self, address: str, epoch: str, folder: Path | None = None) -> None:
+        if folder is None:
+            folder = private_folder()
         name = hashlib.sha256(address.encode()).hexdigest()[:16]
         path = str(folder / f"{name}.sock")
         if len(os.fsencode(path)) > LONGEST_PATH:

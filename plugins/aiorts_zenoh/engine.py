@@ -117,12 +117,13 @@ class Engine:
         self._closed = True
         if self._session is not None:
             for token in self._tokens:
-                token.undeclare()
+                with contextlib.suppress(self._zenoh.ZError):  # of a session that has ended before
+                    token.undeclare()
             self._session.close()
 
-    def subscribe(self, key: str, arrived: Callable[[str, bytes], None]) -> None:
-        """Have `arrived` called with key and bytes of what comes."""
-        put = self._inbox.put
+    def subscribe(self, key: str, arrived: Callable[[str, bytes], None], inbox: Inbox | None = None) -> None:
+        """Have `arrived` called with key and bytes of what comes, by the general inbox or another."""
+        put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
             data = sample.payload.to_bytes()
@@ -130,9 +131,9 @@ class Engine:
 
         self._kept.append(self._session.declare_subscriber(key, self._direct(came)))
 
-    def answer(self, key: str, asked: Callable[[str, bytes, bytes, Any], None]) -> None:
+    def answer(self, key: str, asked: Callable[[str, bytes, bytes, Any], None], inbox: Inbox | None = None) -> None:
         """Have `asked` called with key, body, attachment and what `reply` takes."""
-        put = self._inbox.put
+        put = (inbox or self._inbox).put
 
         def came(query: Any) -> None:
             body = b"" if query.payload is None else query.payload.to_bytes()
@@ -141,9 +142,9 @@ class Engine:
 
         self._kept.append(self._session.declare_queryable(key, self._direct(came), complete=True))
 
-    def presence(self, key: str, present: Callable[[str, bool], None]) -> None:
+    def presence(self, key: str, present: Callable[[str, bool], None], inbox: Inbox | None = None) -> None:
         """Have `present` called with each token that is there, comes or goes."""
-        put = self._inbox.put
+        put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
             put(present, str(sample.key_expr), sample.kind == self._zenoh.SampleKind.PUT)
@@ -151,9 +152,23 @@ class Engine:
         liveliness = self._session.liveliness()
         self._kept.append(liveliness.declare_subscriber(key, self._direct(came), history=True))
 
-    def announce(self, token: str) -> None:
-        """Say that this kernel is there."""
-        self._tokens.append(self._session.liveliness().declare_token(token))
+    def announce(self, token: str) -> Any:
+        """Say that this kernel, or a session of this client, is there, until the returned token's `undeclare`."""
+        declared = self._session.liveliness().declare_token(token)
+        self._tokens.append(declared)
+        return declared
+
+    def withdraw(self, token: Any) -> None:
+        """Say no more what a token says."""
+        if token in self._tokens and not self._closed:
+            self._tokens.remove(token)
+            token.undeclare()
+
+    def gather(self, key: str, within: float) -> list[tuple[str, bytes]]:
+        """The answers of all that answer a question, each with its key; waits for them."""
+        target = self._zenoh.QueryTarget.ALL
+        replies = self._session.get(key, target=target, timeout=within, express=True)
+        return [(str(one.ok.key_expr), one.ok.payload.to_bytes()) for one in replies if one.ok is not None]
 
     def present(self, key: str, within: float) -> list[str]:
         """The tokens that are there."""
@@ -191,11 +206,22 @@ class Engine:
             express=True,
         )
 
-    def reply(self, query: Any, data: bytes, *, good: bool) -> None:
-        """Answer a question, or refuse to."""
+    def put(self, key: str, data: bytes, *, urgent: bool = False) -> None:
+        """Put bytes at a key at once, for which `publisher` would not be worth while."""
+        zenoh = self._zenoh
+        self._session.put(
+            key,
+            data,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA,
+            express=True,
+        )
+
+    def reply(self, query: Any, data: bytes, *, good: bool, key: str | None = None) -> None:
+        """Answer a question, or refuse to; with a key of its own where the question goes to several kernels."""
         with contextlib.suppress(self._zenoh.ZError):  # who asked is gone
             if good:
-                query.reply(query.key_expr, data, express=True)
+                query.reply(key or query.key_expr, data, express=True)
             else:
                 query.reply_err(data)
         query.drop()

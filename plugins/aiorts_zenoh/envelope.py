@@ -21,6 +21,10 @@ TAKEN: Final = 3
 """How far the receiver has come; the first number is that of the bytes which it has taken."""
 LOOK: Final = 4
 """Asks for TAKEN; the first number is that of the bytes which were sent until now."""
+END: Final = 5
+"""Of a session with a kernel: nothing comes any more."""
+HAVE: Final = 6
+"""Of a session: asks for all that was sent from the first number on once more."""
 PIECES: Final = 48 * 1024
 """Bytes of one message: less than a batch of the engine (64 KiB), which is written in one go."""
 LARGEST: Final = 64 << 20
@@ -52,7 +56,7 @@ def read(data: bytes) -> Message:
     if len(data) < _HEAD.size:
         raise ValueError(f"a message of {len(data)} bytes")
     version, kind, count, epoch, first, sent_ns = _HEAD.unpack_from(data)
-    if version != VERSION or not FRAME <= kind <= LOOK:
+    if version != VERSION or not FRAME <= kind <= HAVE:
         raise ValueError(f"a message of version {version} and kind {kind}")
     return Message(kind, epoch, first, sent_ns, tuple(_blocks(memoryview(data)[_HEAD.size :], count)))
 

@@ -12,6 +12,11 @@ _VERSION: Final = "aiorts/1"
 BY_WRITER: Final = "w"
 BY_READER: Final = "r"
 """The last part of a link's key: who sends."""
+INFO: Final = "info"
+CTL: Final = "ctl"
+"""Below which clients look into a kernel, and operate it."""
+HELLO: Final = "hello"
+"""The call that every kernel answers with what it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,16 +71,78 @@ class Keys:
         ends = f"{writer.host}/{writer.kernel}/{reader.host}/{reader.kernel}"
         return f"{_VERSION}/{self.domain}/link/{ends}/{name}/{sender}"
 
+    # -- control ---------------------------------------------------------------------------------------------------
 
-def peer_of(token: str) -> Peer | None:
-    """Who is there by this token; None: it is none of ours."""
-    parts = token.split("/")
-    if len(parts) != 7 or parts[3] != "live":
+    def sessions(self, branch: str) -> str:
+        """What clients send to this kernel in their sessions."""
+        return f"{self._control(branch)}/*/*/c"
+
+    def session_tokens(self, branch: str) -> str:
+        """That clients are there whose sessions are with this kernel."""
+        return f"{self._control(branch)}/*/*/live"
+
+    def session(self, branch: str, caller: str, session: str) -> str:
+        """What this kernel sends to a client in its session."""
+        return f"{self._control(branch)}/{caller}/{session}/s"
+
+    def calls(self, branch: str) -> str:
+        """Calls without a session that clients make in this kernel."""
+        return f"{self._control(branch)}/*/*"
+
+    def call(self, branch: str, caller: str, operation: str) -> str:
+        """One such call of a client."""
+        return f"{self._control(branch)}/{caller}/{operation}"
+
+    def _control(self, branch: str) -> str:
+        peer = self.own
+        return f"{_VERSION}/{self.domain}/{branch}/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+
+
+@dataclass(frozen=True, slots=True)
+class ClientKeys:
+    """The keys of one client in a domain, which looks into kernels and operates them.
+
+    Args:
+        domain: whose kernels it sees.
+        caller: its name.
+    """
+
+    domain: str
+    caller: str
+
+    @property
+    def tokens(self) -> str:
+        """That any kernel is there."""
+        return f"{_VERSION}/{self.domain}/live/*/*/*"
+
+    def answers(self, branch: str) -> str:
+        """What kernels send to this client in its sessions."""
+        return f"{_VERSION}/{self.domain}/{branch}/*/*/*/{self.caller}/*/s"
+
+    def every(self, branch: str, operation: str) -> str:
+        """A call of this client in all kernels."""
+        return f"{_VERSION}/{self.domain}/{branch}/*/*/*/{self.caller}/{operation}"
+
+    def session(self, branch: str, peer: Peer, session: str) -> str:
+        """Where a session of this client with a kernel lies."""
+        at = f"{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+        return f"{_VERSION}/{self.domain}/{branch}/{at}/{self.caller}/{session}"
+
+
+def session_in(key: str) -> tuple[str, str]:
+    """The caller and the session that a key of a session names."""
+    caller, session, _ = key.split("/")[-3:]
+    return caller, session
+
+
+def peer_of(key: str) -> Peer | None:
+    """The kernel whose token or answer this is; None: it is none of ours."""
+    parts = key.split("/")
+    if len(parts) < 7 or (len(parts) > 7 and parts[3] == "live"):
         return None
-    host, name, start = parts[4:]
-    _, _, epoch = start.partition("-")
+    host, name, start = parts[4:7]
     try:
-        return checked_peer(host, name, int(epoch, 16))
+        return checked_peer(host, name, int(start.rpartition("-")[2], 16))
     except (LinkError, ValueError):
         return None
 

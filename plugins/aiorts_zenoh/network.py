@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import KernelService, setting
+from aiorts.control import Control
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
 from aiorts.links import Links
+from aiorts_zenoh.serving import Serving
 from aiorts_zenoh.transport import ZenohTransport
 
 if TYPE_CHECKING:
@@ -39,6 +41,9 @@ class NetworkSettings:
         False,
         "Plain TCP without certificates: all that reach the port see and do everything.",
         option="--insecure-network",
+    )
+    allow_control: bool = setting(
+        False, "Let clients of other hosts change what runs, not only look at it.", option="--allow-control"
     )
 
     def __post_init__(self) -> None:
@@ -67,14 +72,22 @@ class Network(KernelService):
         super().__init__(kernel)
         self._opening: asyncio.Task[None] | None = None
         self._transport: ZenohTransport | None = None
+        self._serving: Serving | None = None
 
     def configure(self, settings: NetworkSettings) -> None:
         host = settings.host or platform.node()
         _check_name("host", host)
         self._transport = ZenohTransport(host, settings.domain, engine_settings(settings))
-        opening = self.kernel.service(Links).reach.carry(self._transport)
+        opening = self._open(self._transport, operate=settings.allow_control)
         self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
         self._opening.add_done_callback(_report)
+
+    async def _open(self, transport: ZenohTransport, *, operate: bool) -> None:
+        control = self.kernel.attached(Control)
+        if control is not None and control.hello:
+            self._serving = Serving(control, operate=operate, report=_LOG.warning)
+            transport.beside.append(self._serving.declare)
+        await self.kernel.service(Links).reach.carry(transport)
 
     async def opened(self) -> None:
         """Wait until other hosts can be reached. LinkError: they cannot."""
@@ -92,6 +105,10 @@ class Network(KernelService):
     def stopped(self) -> None:
         if self._opening is not None:
             self._opening.cancel()
+
+    def closed(self) -> None:
+        if self._serving is not None:
+            self._serving.close()
 
 
 def engine_settings(settings: NetworkSettings) -> Mapping[str, Any]:

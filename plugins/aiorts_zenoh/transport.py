@@ -61,6 +61,8 @@ class ZenohTransport:
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
         self._inbox: Inbox | None = None
+        self.beside: list[Callable[[Engine, Keys], None]] = []
+        """What is declared beside links, before others see this kernel; called in a thread."""
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
@@ -93,6 +95,8 @@ class ZenohTransport:
             engine.subscribe(key, self._arrived)
         engine.answer(keys.questions, self._was_asked)
         engine.presence(keys.tokens, self._present)
+        for declare in self.beside:
+            declare(engine, keys)
         engine.announce(keys.token)
 
     async def close(self) -> None:

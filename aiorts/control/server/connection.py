@@ -61,8 +61,9 @@ class Call:
 class Connection:
     """One client. Everything here is called in the thread of the socket, `put` and `has_room` excepted."""
 
-    def __init__(self, listener: Listener, connected: socket.socket) -> None:
+    def __init__(self, listener: Listener, connected: socket.socket, right: Right, where: str) -> None:
         self.socket = connected
+        self.right = right
         self.since = time.monotonic()
         self.session: Session | None = None
         self.closed = False
@@ -83,7 +84,7 @@ class Connection:
         self._filled_at = self.since
         self._used = 0.0
         self._used_at = self.since
-        self._process = _peer(connected)
+        self._where = where
 
     # -- in --------------------------------------------------------------------------------------------------------
 
@@ -191,7 +192,7 @@ class Connection:
         if not isinstance(hello, dict):
             raise ControlError("expected hello first; what connects is no client of aiorts")
         client = "".join(one if one.isprintable() else " " for one in f"{hello.get('who', ''):.100}")
-        who = f"{client} [{self._process}]"
+        who = f"{client} [{self._where}]"
         try:
             protocol = agreed(hello.get("oldest"), hello.get("newest"), who)
         except ControlError as error:
@@ -199,7 +200,7 @@ class Connection:
             raise
         self.session = self._listener.greeted(self, who)
         self._over_at.pop("hello", None)
-        self._answer({"hello": {"protocol": protocol, **self._listener.hello}})
+        self._answer({"hello": {"protocol": protocol, **self._listener.hello, "right": self.right.value}})
 
     def _checked(self, number: int, request: dict[Any, Any]) -> tuple[Operation, Any]:
         """What is called, and with what; raises when it may not be."""
@@ -215,7 +216,7 @@ class Connection:
         arguments = from_plain(operation.arguments, request.get("args", {}), unknown=unknown)
         if unknown:
             raise ControlError(f"{name}: no argument {', '.join(unknown)[:200]}; this kernel is of another release")
-        needed, right = operation.needed(arguments), self._listener.right
+        needed, right = operation.needed(arguments), self.right
         if not right.allows(needed):
             raise DeniedError(f"{name}: needs the right {needed.value!r}, and this kernel allows {right.value!r}")
         if number in self._open:
@@ -299,11 +300,6 @@ class Connection:
         self.unsent = 0
         while self._out:
             self._out.popleft()[1]()
-
-
-def _peer(connected: socket.socket) -> str:
-    credentials = peer_credentials(connected)
-    return "a process" if credentials is None else f"process {credentials[0]}"
 
 
 def peer_credentials(connected: socket.socket) -> tuple[int, int] | None:

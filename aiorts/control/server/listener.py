@@ -23,7 +23,7 @@ from aiorts.control.operation import Operation, Right
 from aiorts.control.server.connection import Call, Connection, peer_credentials
 from aiorts.control.server.pace import Pace
 from aiorts.control.session import LOG, Session
-from aiorts.errors import BusyError, format_error
+from aiorts.errors import BusyError, ControlError, format_error
 from aiorts.wire.limits import MIB
 
 if TYPE_CHECKING:
@@ -87,6 +87,7 @@ class Listener:
         self._outbox: deque[tuple[Connection, Mapping[str, Any], Callable[[], None]]] = deque()
         self._awake = False
         """Whether the thread has been told to look."""
+        self._admitted: deque[Connection] = deque()
         self._ended = False
         self._wake_in, self._wake_out = socket.socketpair()
         self._wake_in.setblocking(False)
@@ -118,6 +119,28 @@ class Listener:
         self._outbox.append((connection, message, sent))
         self._wake()
 
+    def admit(self, right: Right, where: str) -> socket.socket:
+        """Let in a client whom another carrier has checked, such as one of another host; from any thread.
+
+        Args:
+            right: what it may do, as far as clients of this kernel may.
+            where: where it is, for the log.
+
+        Returns:
+            The client's end of its connection.
+
+        Raises:
+            ControlError: the kernel ends.
+        """
+        if self._ended:
+            raise ControlError(f"{self.hello['address']}: ends")
+        theirs, ours = socket.socketpair()
+        ours.setblocking(False)
+        allowed = right if self.right.allows(right) else self.right
+        self._admitted.append(Connection(self, ours, allowed, where))
+        self._wake()
+        return theirs
+
     def end_sessions(self) -> None:
         """Undo what lasts as long as sessions do. On the loop."""
         for connection in tuple(self._connections):
@@ -134,7 +157,12 @@ class Listener:
 
     def leave(self) -> None:
         """A child that was forked has nothing to do with it: close what it inherited, or it would keep it open."""
-        for one in (self._listener, self._wake_in, self._wake_out, *(one.socket for one in self._connections)):
+        for one in (
+            self._listener,
+            self._wake_in,
+            self._wake_out,
+            *(one.socket for one in (*self._connections, *self._admitted)),
+        ):
             one.close()
         self._selector.close()
 
@@ -199,7 +227,7 @@ class Listener:
 
     def greeted(self, connection: Connection, who: str) -> Session:
         """A client has said hello: its session."""
-        return Session(self._kernel, self.right, who, connection.put, connection.has_room)
+        return Session(self._kernel, connection.right, who, connection.put, connection.has_room)
 
     def _serve(self) -> None:
         try:
@@ -213,7 +241,7 @@ class Listener:
         except Exception as error:  # noqa: BLE001 - the system goes on without it
             LOG.error("the socket is served no longer: %s", format_error(error), exc_info=error)
         finally:
-            for connection in tuple(self._connections):
+            for connection in (*self._connections, *self._admitted):
                 self._end(connection)
             self._wake_in.close()
             self._wake_out.close()
@@ -312,6 +340,8 @@ class Listener:
         with contextlib.suppress(BlockingIOError):
             self._wake_out.recv(64)
         self._awake = False  # what is put from here on wakes again; what was put before is delivered in this turn
+        while self._admitted:
+            self._take_in(self._admitted.popleft())
 
     def _deliver(self) -> None:
         while self._outbox:
@@ -356,7 +386,10 @@ class Listener:
             connected.close()
             return
         connected.setblocking(False)
-        connection = Connection(self, connected)
+        where = "a process" if credentials is None else f"process {credentials[0]}"
+        self._take_in(Connection(self, connected, self.right, where))
+
+    def _take_in(self, connection: Connection) -> None:
         if len(self._connections) >= _CLIENTS:
             strangers = [one for one in self._connections if one.session is None]
             if strangers:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import platform
 import re
+import socket
 import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from aiorts.control.folder import Claim, TakenError, is_supported
 from aiorts.control.operation import Right
@@ -85,6 +87,29 @@ class Control(KernelService):
         }
         self.kernel.address, self.kernel.epoch = address, epoch
         self._listener = Listener(self.kernel, self._claim, right, hello)
+
+    def admit(self, right: Right, where: str) -> socket.socket:
+        """Let in a client of another host, which its carrier has checked; from any thread.
+
+        Args:
+            right: what it may do, as far as clients of this kernel may.
+            where: where it is, for the log.
+
+        Returns:
+            The client's end of its connection.
+
+        Raises:
+            ControlError: nobody may look into this kernel, or it ends.
+        """
+        listener = self._listener
+        if listener is None:
+            raise ControlError(f"{self.kernel.name}: cannot be looked into")
+        return listener.admit(right, where)
+
+    @property
+    def hello(self) -> Mapping[str, Any]:
+        """What the kernel says of itself to clients; nothing where none can look into it."""
+        return {} if self._listener is None else self._listener.hello
 
     async def ending(self, budget: StopBudget) -> None:
         if self._listener is not None:

@@ -1,0 +1,70 @@
+"""`aiorts at`: run a command with the kernels of other hosts."""
+
+from __future__ import annotations
+
+import asyncio
+import getpass
+import os
+import platform
+import re
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Final
+
+import click
+
+from aiorts.control import FURTHER
+from aiorts_zenoh.gateway import Gateway
+from aiorts_zenoh.keys import ClientKeys
+from aiorts_zenoh.network import NetworkSettings, engine_settings
+
+_CONNECTS: Final = 3_000
+"""Milliseconds within which the other host answers."""
+_UNNAMED: Final = re.compile(r"[^A-Za-z0-9_.-]+")
+
+
+@click.command(
+    short_help="Run a command with the kernels of other hosts.", context_settings={"allow_interspersed_args": False}
+)
+@click.argument("endpoints", metavar="HOST:PORT[,...]")
+@click.argument("command", nargs=-1, metavar="[COMMAND]...", type=click.UNPROCESSED)
+@click.option("--domain", default="default", show_default=True, help="Whose kernels are meant.")
+@click.option("--as", "caller", default="", metavar="NAME", help="Your name there; by default that of user and host.")
+@click.option("--insecure-network", "insecure", is_flag=True, help="Plain TCP without certificates.")
+def at(endpoints: str, command: tuple[str, ...], domain: str, caller: str, insecure: bool) -> int:
+    """Run COMMAND, such as `ls` or `print imu.out`, with the kernels that are reached at HOST:PORT beside those here.
+
+    A kernel or a router listens there (`aiorts run --listen`). Without COMMAND a shell begins in which all commands
+    reach them, until it ends. What they let you do is theirs to say: look, or operate where they run with
+    --allow-control.
+    """
+    settings = NetworkSettings(connect=endpoints, domain=domain, insecure=insecure)
+    name = _UNNAMED.sub("-", caller or f"{getpass.getuser()}-{platform.node()}").strip("-.") or "somebody"
+    return asyncio.run(_at(settings, name, command))
+
+
+async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) -> int:
+    own = {"connect/timeout_ms": _CONNECTS, "connect/exit_on_failure": True}
+    with tempfile.TemporaryDirectory(prefix="aiorts-at-") as folder:
+        gateway = Gateway(Path(folder), ClientKeys(settings.domain, caller), {**engine_settings(settings), **own})
+        await gateway.open()
+        try:
+            return await _run(command, folder)
+        finally:
+            await gateway.close()
+
+
+async def _run(command: tuple[str, ...], folder: str) -> int:
+    """The exit status of the command."""
+    before = os.environ.get(FURTHER)
+    environment = os.environ | {FURTHER: f"{before}{os.pathsep}{folder}" if before else folder}
+    words = (sys.executable, "-m", "aiorts", *command) if command else (os.environ.get("SHELL") or "/bin/sh",)
+    child = await asyncio.create_subprocess_exec(*words, env=environment)
+    loop = asyncio.get_running_loop()
+    loop.add_signal_handler(signal.SIGINT, lambda: None)  # the command has it, too, and ends as it likes
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, child.send_signal, number)
+    status = await child.wait()
+    return status if status >= 0 else 128 - status

@@ -1,0 +1,91 @@
+"""One session with a kernel as one host carries it: a local connection on the one side, messages on the other."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from aiorts_zenoh.envelope import Message
+from aiorts_zenoh.stream import CHUNK, Stream
+
+_LOOK_AGAIN: Final = 0.3
+"""Seconds until it is asked once more how far the other end has come."""
+_REST: Final = 2.0
+"""Seconds that the other end has to take what was sent last."""
+
+
+class Carried:
+    """One end of a session.
+
+    Args:
+        put: gives a message to the engine.
+        number: of the session.
+    """
+
+    def __init__(self, put: Callable[[bytes], None], number: int) -> None:
+        self._stream = Stream(put, number, time.time_ns)
+        self._came: deque[bytes] = deque()
+        self._news = asyncio.Event()
+        """Something has come."""
+        self._closed = asyncio.Event()
+
+    def arrived(self, message: Message) -> None:
+        """A message of the other end has come."""
+        if data := self._stream.arrived(message):
+            self._came.append(data)
+        self._news.set()
+
+    def close(self) -> None:
+        """The other end is gone: end the local connection."""
+        self._closed.set()
+
+    async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Carry what comes from either side to the other, until one ends."""
+        ways = self._out(reader), self._in(writer), self._look(), self._closed.wait()
+        tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(one) for one in ways]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+
+    async def _out(self, reader: asyncio.StreamReader) -> None:
+        stream = self._stream
+        with contextlib.suppress(OSError):
+            while data := await reader.read(CHUNK):
+                while not stream.has_room:
+                    await self._next_news()
+                stream.send(data)
+        stream.end()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_REST):
+                while not stream.is_through:
+                    await self._next_news()
+
+    async def _in(self, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError):
+            while self._came or not self._stream.ended:
+                while self._came:
+                    data = self._came.popleft()
+                    writer.write(data)
+                    await writer.drain()
+                    self._stream.took(len(data))
+                if not self._stream.ended:
+                    await self._next_news()
+
+    async def _next_news(self) -> None:
+        self._news.clear()
+        await self._news.wait()
+
+    async def _look(self) -> None:
+        while True:
+            await asyncio.sleep(_LOOK_AGAIN)
+            self._stream.look()

@@ -1,0 +1,165 @@
+"""A kernel's end of sessions with clients of other hosts, in a thread of its own: a loop that is busy holds up none."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from aiorts.control import NEWEST, OLDEST, Control, Right, answer_in, framed, frames
+from aiorts.errors import AiortsError, ClosedError, ControlError, NoAnswerError
+from aiorts_zenoh.carried import Carried
+from aiorts_zenoh.engine import Engine, Inbox
+from aiorts_zenoh.envelope import FRAME, read
+from aiorts_zenoh.keys import CTL, HELLO, INFO, Keys, session_in
+
+if TYPE_CHECKING:
+    import socket
+
+_ANSWERS: Final = 8 << 20
+"""Bytes of an answer to a question that stands alone."""
+_ANSWER_SECONDS: Final = 30.0
+_SESSIONS: Final = 256
+_STARTS: Final = 5.0
+
+
+class Serving:
+    """Lets clients of other hosts look into a kernel and, if it is allowed, operate it.
+
+    What a client may do follows from the key: under `info` it looks, under `ctl` it operates; it never brings code.
+
+    Args:
+        control: lets the clients in.
+        operate: whether `ctl` is there at all.
+        report: takes a text for the log, from any thread.
+    """
+
+    def __init__(self, control: Control, *, operate: bool, report: Callable[[str], None]) -> None:
+        self._control, self._report = control, report
+        self._branches = {INFO: Right.VIEW} | ({CTL: Right.OPERATE} if operate else {})
+        self._sessions: dict[tuple[str, str, str], Carried] = {}
+        """By branch, caller and session."""
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._engine: Engine
+        self._keys: Keys
+        self._loop: asyncio.AbstractEventLoop
+        self._inbox: Inbox
+        self._stop: asyncio.Event
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._main()), name="aiorts zenoh control")
+
+    def declare(self, engine: Engine, keys: Keys) -> None:
+        """Serve clients from now on. What the engine does here may wait for the network."""
+        self._engine, self._keys = engine, keys
+        self._thread.start()
+        if not self._ready.wait(_STARTS):
+            raise ControlError("the thread that serves other hosts has not begun")
+        for branch in self._branches:
+            engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox)
+            engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox)
+            engine.answer(keys.calls(branch), partial(self._asked, branch), self._inbox)
+
+    def close(self) -> None:
+        """End all sessions. The kernel has told their clients that it ends."""
+        if self._ready.is_set():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(_STARTS)
+
+    async def _main(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._inbox, self._stop = Inbox(self._loop), asyncio.Event()
+        self._ready.set()
+        await self._stop.wait()
+        self._inbox.close()
+        for task in tuple(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    # -- sessions --------------------------------------------------------------------------------------------------
+
+    def _arrived(self, branch: str, key: str, data: bytes) -> None:
+        try:
+            message = read(data)
+        except ValueError as error:
+            self._report(f"zenoh: {key} brought what is no message: {error}")
+            return
+        name = branch, *session_in(key)
+        carried = self._sessions.get(name)
+        if carried is None:
+            if message.first or message.kind != FRAME or len(self._sessions) >= _SESSIONS:
+                return
+            carried = self._sessions[name] = self._begin(name, message.epoch)
+        carried.arrived(message)
+
+    def _begin(self, name: tuple[str, str, str], number: int) -> Carried:
+        carried = Carried(partial(self._engine.put, self._keys.session(*name), urgent=name[0] == CTL), number)
+        self._run(self._carry(name, carried))
+        return carried
+
+    async def _carry(self, name: tuple[str, str, str], carried: Carried) -> None:
+        try:
+            await carried.run(*await self._let_in(*name[:2]))
+        except AiortsError as error:
+            self._report(f"zenoh: {name[1]}: {error}")
+        finally:
+            del self._sessions[name]
+
+    async def _let_in(self, branch: str, caller: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        connected: socket.socket = self._control.admit(self._branches[branch], f"{caller}, another host")
+        return await asyncio.open_connection(sock=connected)
+
+    def _present(self, branch: str, token: str, up: bool) -> None:
+        carried = self._sessions.get((branch, *session_in(token)))
+        if not up and carried is not None:
+            carried.close()
+
+    def _run(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(coroutine)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    # -- calls without a session -----------------------------------------------------------------------------------
+
+    def _asked(self, branch: str, key: str, body: bytes, beside: bytes, query: Any) -> None:
+        self._run(self._answer(branch, key, body, query))
+
+    async def _answer(self, branch: str, key: str, body: bytes, query: Any) -> None:
+        *_, caller, operation = key.split("/")
+        try:
+            answer = await self._call(branch, caller, operation, body)
+        except AiortsError as error:
+            answer = {"error": {"code": error.code, "text": str(error)}}
+        at = self._keys.call(branch, caller, operation)
+        self._engine.reply(query, msgpack.packb(answer), good=True, key=at)
+
+    async def _call(self, branch: str, caller: str, operation: str, body: bytes) -> dict[Any, Any]:
+        """What the kernel says to one call, in a session of its own: "ok" and its value, or "error"."""
+        hello = self._control.hello
+        if operation == HELLO:
+            return {"ok": {**hello, "right": self._branches[branch].value}}
+        arguments = answer_in(body) if body else {}
+        call = {"id": 1, "op": operation, "epoch": hello.get("epoch"), "args": arguments}
+        reader, writer = await self._let_in(branch, caller)
+        try:
+            writer.write(framed({"hello": {"oldest": OLDEST, "newest": NEWEST, "who": "a call"}}) + framed(call))
+            async with asyncio.timeout(_ANSWER_SECONDS):
+                return await _answer_in(reader)
+        except TimeoutError:
+            raise NoAnswerError(f"{operation}: no answer within {_ANSWER_SECONDS:g} s") from None
+        finally:
+            writer.close()
+
+
+async def _answer_in(reader: asyncio.StreamReader) -> dict[Any, Any]:
+    buffer = bytearray()
+    while data := await reader.read(1 << 16):
+        buffer += data
+        for frame in frames(buffer, _ANSWERS):
+            answer = answer_in(frame)
+            if said := {key: answer[key] for key in ("ok", "error") if key in answer}:
+                return said
+    raise ClosedError("the kernel ends")
