@@ -6,10 +6,11 @@ import random
 from collections import deque
 
 import pytest
-from aiorts_zenoh.envelope import END, FRAME, HAVE, message, read
-from aiorts_zenoh.stream import CHUNK, WINDOW, Stream
 from hypothesis import given
 from hypothesis import strategies as st
+
+from aiorts_zenoh.envelope import END, FRAME, HAVE, message, read
+from aiorts_zenoh.stream import CHUNK, WINDOW, Stream
 
 NUMBER = 7
 

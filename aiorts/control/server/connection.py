@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from aiorts.control.operation import Operation, Right
 from aiorts.control.protocol import REQUESTS, STALL_SECONDS, WAITING, agreed, framed, frames, has_frame, request_in
+from aiorts.control.session import LOG
 from aiorts.errors import AiortsError, BusyError, ControlError, DeniedError, StaleError, WireError
 from aiorts.model.reading import from_plain
 
@@ -181,6 +182,8 @@ class Connection:
         try:
             operation, arguments = self._checked(number, request)
         except AiortsError as error:
+            if isinstance(error, DeniedError):
+                LOG.info("%s: %.60s: refused: %s: %s", session.who, request["op"], error.code, error)
             self._answer({"id": number, "error": {"code": error.code, "text": str(error)}})
             return
         self._open[number] = operation.streams

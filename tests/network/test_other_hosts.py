@@ -1,0 +1,190 @@
+"""`aiorts at`: commands look into, and operate, what runs on another host. Each host has a folder of sockets here."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import exits
+
+pytest.importorskip("zenoh")
+
+import msgpack
+import zenoh
+
+from network.network_parts import free_port
+
+WAIT = 20.0
+SYSTEM = """
+schema = 1
+[components.counter]
+type = "parts.py:Counter"
+[contexts.fast]
+members = ["counter"]
+kind = "periodic"
+rate = 50.0
+"""
+PARTS = '''
+import time
+from aiorts import Component, OutPort, Param
+from aiorts.types import TimedLong
+
+class Counter(Component):
+    """Counts."""
+    out = OutPort(TimedLong)
+    step = Param(1)
+    hold = Param(0.0)
+    n = 0
+    def on_execute(self):
+        self.n += self.step
+        self.out.write_nowait(TimedLong(self.n, self.n))
+        if self.hold:
+            time.sleep(self.hold)
+'''
+
+
+class Far:
+    """A run on another host, and what commands of this one do with it."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.address = f"127.0.0.1:{free_port()}"
+        (folder / "system.toml").write_text(SYSTEM)
+        (folder / "parts.py").write_text(PARTS)
+        self.log = folder / "log.txt"
+        self.folders = [tempfile.mkdtemp(prefix="ai") for _ in range(2)]
+        run = [sys.executable, "-m", "aiorts", "run", str(folder / "system.toml"), "--name", "robot", *options]
+        network = ["--host", "far", "--listen", self.address, "--insecure-network"]
+        with self.log.open("w") as output:
+            self.process = subprocess.Popen([*run, *network], env=self._on(1), stdout=output, stderr=output)
+
+    def _on(self, host: int) -> dict[str, str]:
+        return os.environ | {"XDG_RUNTIME_DIR": self.folders[host]}
+
+    def start(self, *words: str, **options: Any) -> subprocess.Popen[str]:
+        at = [sys.executable, "-m", "aiorts", "at", "--as", "tester", "--insecure-network", self.address]
+        return subprocess.Popen(
+            [*at, *words], env=self._on(0), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+        )
+
+    def do(self, *words: str) -> tuple[int, str, str]:
+        """Status, output and errors of a command of this host."""
+        with self.start(*words) as process:
+            try:
+                output, errors = process.communicate(timeout=WAIT)
+            except BaseException:
+                process.kill()
+                raise
+        return process.returncode, output, errors
+
+    def step(self, name: str = "counter") -> int:
+        """The value of that parameter."""
+        words = self.do("conf", name)[1].split()
+        return int(words[words.index("step") + 1])
+
+    def descriptors(self) -> int:
+        """That are open in the run."""
+        return len(os.listdir(f"/proc/{self.process.pid}/fd"))
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait(WAIT)
+        for folder in self.folders:
+            subprocess.run(["rm", "-r", folder], check=False, timeout=WAIT)
+
+
+@pytest.fixture
+def far(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Far]:
+    run = Far(tmp_path, *getattr(request, "param", ("--allow-control", "-v")))
+    until = time.monotonic() + WAIT
+    try:
+        while run.do("ls")[1].split() != ["robot/", "counter"]:
+            assert time.monotonic() < until, run.log.read_text()
+        yield run
+    finally:
+        run.close()
+
+
+def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
+    status, said, _ = far.do("ls", "--json")
+    (kernel,) = json.loads(said)["kernels"]
+    assert (status, kernel["name"], kernel["pid"]) == (exits.DONE, "robot", far.process.pid)
+    assert far.step() == 1
+    assert far.do("conf", "counter", "step=5")[0] == exits.DONE
+    assert far.step("far/robot/counter") == 5
+    status, said, errors = far.do("print", "counter.out", "--count", "3", "--json")
+    values = [json.loads(line)["data"] for line in said.splitlines()]
+    assert (status, [late - early for early, late in pairwise(values)]) == (0, [5, 5]), errors
+    assert far.do("deactivate", "counter")[0] == exits.DONE
+    assert "inactive" in far.do("ls", "-l")[1]
+    assert far.do("stop", "robot")[0] == exits.DONE
+    assert far.process.wait(WAIT) == 0
+    assert "[tester, another host]: configure(" in far.log.read_text()
+
+
+@pytest.mark.parametrize("far", [("-v",)], indirect=True)
+def test_who_may_only_look_changes_nothing(far: Far) -> None:
+    assert far.step() == 1
+    status, _, errors = far.do("conf", "counter", "step=5")
+    assert (status, "E-DENIED" in errors) == (exits.DENIED, True), (status, errors)
+    assert far.step() == 1
+    assert "[tester, another host]: configure: refused: E-DENIED" in far.log.read_text()
+
+
+def test_a_kernel_that_is_killed_ends_the_command(far: Far) -> None:
+    with far.start("print", "counter.out") as printing:
+        assert printing.stdout is not None
+        assert printing.stdout.readline()
+        far.process.kill()
+        killed = time.monotonic()
+        _, errors = printing.communicate(timeout=WAIT)
+        assert time.monotonic() - killed < 5.0
+        assert "robot: has ended" in errors
+
+
+def test_what_a_command_began_ends_with_it_also_where_it_is_killed(far: Far) -> None:
+    before = far.descriptors()
+    with far.start("print", "counter.out", start_new_session=True) as printing:
+        assert printing.stdout is not None
+        assert printing.stdout.readline()
+        assert far.descriptors() > before
+        os.killpg(printing.pid, signal.SIGKILL)
+    until = time.monotonic() + WAIT
+    while far.descriptors() > before:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def test_a_loop_that_is_held_up_says_so(far: Far) -> None:
+    assert far.do("conf", "counter", "hold=60.0")[0] == exits.DONE
+    assert "no answer: its event loop has been busy" in far.do("ls")[1]
+
+
+def test_a_program_without_aiorts_calls_by_one_question(far: Far) -> None:
+    config = zenoh.Config()
+    config.insert_json5("connect/endpoints", json.dumps([f"tcp/{far.address}"]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as session:
+
+        def call(branch: str, operation: str, **arguments: object) -> Any:
+            key = f"aiorts/1/default/{branch}/far/robot/*/stranger/{operation}"
+            replies = session.get(key, payload=msgpack.packb(arguments), timeout=WAIT)
+            (answer,) = [msgpack.unpackb(one.ok.payload.to_bytes()) for one in replies]
+            return answer
+
+        assert call("info", "hello")["ok"]["address"].endswith("/robot")
+        assert list(call("info", "names")["ok"]["components"]) == ["counter"]
+        assert call("info", "deactivate", component="counter")["error"]["code"] == "E-DENIED"
+        assert "ok" in call("ctl", "deactivate", component="counter")
+        assert call("info", "names")["ok"]["components"]["counter"] == {"fast": "inactive"}
+        assert call("info", "nothing")["error"]["code"] == "E-CONTROL"
