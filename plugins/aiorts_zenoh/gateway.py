@@ -102,7 +102,7 @@ class Gateway:
         if peer is None or peer in self._served:
             return
         claim = Claim(f"{peer.host}/{peer.kernel}", f"{peer.epoch:016x}", self._folder)
-        server = await asyncio.start_unix_server(partial(self._connected, peer), sock=claim.listener)
+        server = await asyncio.start_unix_server(lambda *ends: self._run(self._carry(peer, *ends)), sock=claim.listener)
         self._served[peer] = claim, server
 
     def _remove(self, peer: Peer) -> None:
@@ -115,7 +115,7 @@ class Gateway:
 
     # -- sessions --------------------------------------------------------------------------------------------------
 
-    async def _connected(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _carry(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         branch = CTL if peer in self._operable else INFO
         session = secrets.token_hex(8)
         key = self._keys.session(branch, peer, session)

@@ -113,8 +113,10 @@ class Network(KernelService):
 
 def engine_settings(settings: NetworkSettings) -> Mapping[str, Any]:
     """What the engine is told: nothing but what was asked for listens, connects or looks around."""
+    # A client hears all that is behind what it connects to, such as a router; a peer hears its neighbours alone.
+    is_client = len(_listed(settings.connect)) == 1 and not settings.listen
     return {
-        "mode": "peer",
+        "mode": "client" if is_client else "peer",
         "listen/endpoints": [f"tcp/{endpoint}" for endpoint in _listed(settings.listen)],
         "connect/endpoints": [f"tcp/{endpoint}" for endpoint in _listed(settings.connect)],
         "connect/timeout_ms": -1,
