@@ -21,6 +21,10 @@ OWN: Final = {
         "aiorts_bench.interprocess.links",
         "Connectors into another process, beside a socket pair and bare Zenoh.",
     ),
+    "network": (
+        "aiorts_bench.interprocess.network",
+        "Connectors to another host, beside bare Zenoh, ZeroMQ and a bare TCP connection.",
+    ),
     "isolation": (
         "aiorts_bench.interprocess.isolation",
         "Components in processes of their own, beside bare processes, a socket pair and bare Zenoh.",

@@ -60,6 +60,7 @@ PARTS: Final = (
     Part("log"),
     Part("service"),
     Part("links", rounds=7, scale=2.0),
+    Part("network", rounds=7, scale=2.0),
     Part("isolation", rounds=7, scale=2.0),
     Part("scale"),
     Part("startup", rounds=15),

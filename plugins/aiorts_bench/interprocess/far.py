@@ -7,12 +7,14 @@ processor time that it has used.
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import socket
 import sys
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any, Final
 
 from aiorts import Component, InPort, Kernel, OutPort, run
@@ -64,9 +66,9 @@ class Echo(Component):
 
 
 @asynccontextmanager
-async def kernel() -> AsyncIterator[None]:
+async def kernel(services: str = '{"links": {}}') -> AsyncIterator[None]:
     """A kernel with an echo."""
-    async with Kernel(KERNEL, services={"links": {}}) as found:
+    async with Kernel(KERNEL, services=json.loads(services)) as found:
         await found.service(Links).opened()
         echo = await found.add(Echo("echo"))
         works = (echo.echo(), echo.echo_large(), echo.take(), echo.count())
@@ -113,17 +115,10 @@ async def socket_pair(descriptor: str) -> AsyncIterator[None]:
 @asynccontextmanager
 async def zenoh(endpoint: str) -> AsyncIterator[None]:
     """A session that sends back what comes: decoded on the loop and encoded there, as a link's ends do."""
-    from aiorts_bench.interprocess.zenoh import ARRAYS, LARGE, MANY, SMALL, Peer
+    from aiorts_bench.interprocess.zenoh import ARRAYS, LARGE, MANY, SMALL, Peer, opened
 
-    peer = Peer("listen", endpoint)
-    seen = arrays = 0
-
-    def count(sample: TimedDouble) -> None:
-        nonlocal seen
-        seen += 1
-        if sample.data == END:
-            peer.put("back/many", TimedDouble(0, float(seen)))
-            seen = 0
+    peer = Peer(opened("listen", endpoint), asyncio.get_running_loop().call_soon_threadsafe)
+    arrays = 0
 
     def take(array: TimedOctetSeq) -> None:
         nonlocal arrays
@@ -134,7 +129,7 @@ async def zenoh(endpoint: str) -> AsyncIterator[None]:
 
     peer.on(SMALL, TimedDouble, lambda sample: peer.put("back/small", sample))
     peer.on(LARGE, TimedOctetSeq, lambda sample: peer.put("back/large", sample))
-    peer.on(MANY, TimedDouble, count)
+    peer.on(MANY, TimedDouble, _Count(lambda seen: peer.put("back/many", TimedDouble(0, float(seen)))))
     peer.on(ARRAYS, TimedOctetSeq, take)
     try:
         yield
@@ -142,7 +137,64 @@ async def zenoh(endpoint: str) -> AsyncIterator[None]:
         peer.close()
 
 
-KINDS: Final[dict[str, Callable[..., Any]]] = {"kernel": kernel, "socket": socket_pair, "zenoh": zenoh}
+@asynccontextmanager
+async def express(settings: str) -> AsyncIterator[None]:
+    """As `zenoh`, with what a link over Zenoh does: each put at once, and the same hand-over."""
+    from aiorts_bench.interprocess.express import BATCHED, FLOOD, HANDED, Express
+    from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL
+
+    peer = Express(json.loads(settings))
+    peer.on(SMALL, TimedDouble, lambda sample: peer.put("back/small", sample))
+    peer.on(LARGE, TimedOctetSeq, lambda sample: peer.put("back/large", sample))
+    for key in (MANY, BATCHED):
+        peer.on(key, TimedDouble, _Count(lambda seen: peer.put("back/many", TimedDouble(0, float(seen)))))
+    for key in (FLOOD, HANDED):
+        peer.on(key, TimedDouble, partial(peer.flood, f"back/{key}"))
+    try:
+        yield
+    finally:
+        peer.close()
+
+
+class _Count:
+    """Counts samples, and says at the last of a stream how many there were."""
+
+    def __init__(self, say: Callable[[int], None]) -> None:
+        self._say, self._seen = say, 0
+
+    def __call__(self, sample: TimedDouble) -> None:
+        self._seen += 1
+        if sample.data == END:
+            self._say(self._seen)
+            self._seen = 0
+
+
+@asynccontextmanager
+async def zmq(endpoint: str) -> AsyncIterator[None]:
+    """A socket of ZeroMQ that sends back what comes; of a stream the last message alone."""
+    from aiorts_bench.interprocess.zeromq import LAST, STREAM, opened
+
+    with opened("listen", endpoint) as sock:
+
+        async def answer() -> None:
+            while True:
+                data = await sock.recv()
+                if data[:1] != STREAM or data == LAST:
+                    await sock.send(data)
+
+        answering = asyncio.ensure_future(answer())
+        yield
+        answering.cancel()
+        await asyncio.gather(answering, return_exceptions=True)
+
+
+KINDS: Final[dict[str, Callable[..., Any]]] = {
+    "express": express,
+    "kernel": kernel,
+    "socket": socket_pair,
+    "zenoh": zenoh,
+    "zmq": zmq,
+}
 
 
 async def _main(kind: str, words: list[str]) -> None:

@@ -20,7 +20,7 @@ from aiorts.types import TimedDouble, TimedOctetSeq
 from aiorts_bench.harness import child
 from aiorts_bench.harness.case import Ledger, Reading
 from aiorts_bench.interprocess.far import END, KERNEL, PATIENCE
-from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer
+from aiorts_bench.interprocess.zenoh import LARGE, MANY, SMALL, Peer, opened
 from aiorts_bench.push.peers import free_port
 
 FRAME: Final = bytes(24)
@@ -144,13 +144,16 @@ class Ends:
 
     async def _open_socket(self, stack: AsyncExitStack) -> None:
         loop = asyncio.get_running_loop()
-        near, far = socket.socketpair()
+        near, far = self._pair()
         with far:
             await self._start(stack, "socket", str(far.fileno()), descriptors=(far.fileno(),))
         self._socket = stack.enter_context(near)
         near.setblocking(False)
         loop.add_reader(near.fileno(), self._received)
         stack.callback(loop.remove_reader, near.fileno())
+
+    def _pair(self) -> tuple[socket.socket, socket.socket]:
+        return socket.socketpair()
 
     def _received(self) -> None:
         self._wanted -= len(self._socket.recv(1 << 18))
@@ -170,7 +173,7 @@ class Ends:
         """Send 1 MiB there and back."""
         loop = asyncio.get_running_loop()
         pools = []
-        async with _patience(count):
+        async with patience(count):
             for _ in repeat(None, count):
                 self._answer, self._wanted = loop.create_future(), len(BIG)
                 began = perf_counter_ns()
@@ -182,7 +185,7 @@ class Ends:
     async def _there_and_back(self, count: int, send: Callable[[], object]) -> Reading:
         loop = asyncio.get_running_loop()
         pools = []
-        async with _patience(count):
+        async with patience(count):
             for _ in repeat(None, count):
                 self._answer = loop.create_future()
                 began = perf_counter_ns()
@@ -196,7 +199,10 @@ class Ends:
     async def _open_zenoh(self, stack: AsyncExitStack) -> None:
         endpoint = f"tcp/127.0.0.1:{free_port()}"
         await self._start(stack, "zenoh", endpoint)
-        peer = self._peer = Peer("connect", endpoint)
+        await self._meet(stack, Peer(opened("connect", endpoint), asyncio.get_running_loop().call_soon_threadsafe))
+
+    async def _meet(self, stack: AsyncExitStack, peer: Peer) -> None:
+        self._peer = peer
         stack.callback(peer.close)
         for key, cls in (
             ("small", TimedDouble),
@@ -224,16 +230,16 @@ class Ends:
         """Put 1 MiB, which is put back."""
         return await self._there_and_back(count, lambda: self._peer.put(LARGE, TimedOctetSeq(0, BIG)))
 
-    async def zenoh_many(self, count: int) -> Reading:
+    async def zenoh_many(self, count: int, key: str = MANY) -> Reading:
         """Put small samples as fast as they are taken."""
         put = self._peer.put
         self._answer = asyncio.get_running_loop().create_future()
         began = perf_counter_ns()
         for number in range(count):
-            put(MANY, TimedDouble(number, 1.0))
+            put(key, TimedDouble(number, 1.0))
             if not number % 64:
                 await asyncio.sleep(0)
-        put(MANY, TimedDouble(count, END))
+        put(key, TimedDouble(count, END))
         async with asyncio.timeout(PATIENCE):
             answer = await self._answer
         elapsed = perf_counter_ns() - began
@@ -245,17 +251,17 @@ class Ends:
 
     async def _open_kernel(self, stack: AsyncExitStack) -> None:
         self._far = await self._start(stack, "kernel")
-        kernel = await stack.enter_async_context(Kernel("bench-near"))
+        await self._connect(await stack.enter_async_context(Kernel("bench-near")), f"{KERNEL}/echo")
+
+    async def _connect(self, kernel: Kernel, echo: str) -> None:
         near = self._near = await kernel.add(Near("near"))
-        await kernel.connect(near.out, f"{KERNEL}/echo.inp")
-        await kernel.connect(near.inp, f"{KERNEL}/echo.out")
-        await kernel.connect(near.large_out, f"{KERNEL}/echo.large_in")
-        await kernel.connect(near.large_in, f"{KERNEL}/echo.large_out")
-        await kernel.connect(near.counted, f"{KERNEL}/echo.counted")
-        self._confirmed = await kernel.connect(near.confirmed, f"{KERNEL}/echo.confirmed", subscription="flush")
-        self._many = await kernel.connect(
-            near.many, f"{KERNEL}/echo.many", full="block", timeout=PATIENCE, length=1_024
-        )
+        await kernel.connect(near.out, f"{echo}.inp")
+        await kernel.connect(near.inp, f"{echo}.out")
+        await kernel.connect(near.large_out, f"{echo}.large_in")
+        await kernel.connect(near.large_in, f"{echo}.large_out")
+        await kernel.connect(near.counted, f"{echo}.counted")
+        self._confirmed = await kernel.connect(near.confirmed, f"{echo}.confirmed", subscription="flush")
+        self._many = await kernel.connect(near.many, f"{echo}.many", full="block", timeout=PATIENCE, length=1_024)
         async with asyncio.timeout(PATIENCE):
             await near.confirmed.write(TimedDouble(0, 0.0))
             near.out.write_nowait(TimedDouble(0, 0.0))
@@ -273,7 +279,7 @@ class Ends:
 
     async def _echoed(self, out: OutPort[Any], inp: InPort[Any], count: int, make: Callable[[], Any]) -> Reading:
         pools = []
-        async with _patience(count):
+        async with patience(count):
             for _ in repeat(None, count):
                 began = perf_counter_ns()
                 out.write_nowait(make())
@@ -316,7 +322,7 @@ class Ends:
         return Reading({"core": 100 * (await self._far.cpu_seconds() - before) / elapsed}, count)
 
 
-def _patience(count: int) -> asyncio.Timeout:
+def patience(count: int) -> asyncio.Timeout:
     """So many messages take longer than that only where one is lost."""
     return asyncio.timeout(PATIENCE + count / 10)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import struct
 from collections.abc import Callable
 from typing import Any, Final
@@ -22,15 +21,15 @@ class Peer:
     """One session with publishers and subscribers of records; of the running loop.
 
     Args:
-        role: "listen" or "connect", at `endpoint`; nothing is looked for elsewhere.
+        session: of Zenoh; see `opened`.
+        post: hands what has come over to the loop: is given a function and its argument, in a thread of Zenoh.
     """
 
-    def __init__(self, role: str, endpoint: str) -> None:
+    def __init__(self, session: Any, post: Callable[..., object]) -> None:
         import zenoh  # type: ignore[import-not-found, unused-ignore]
 
         self._zenoh: Any = zenoh
-        self._session: Any = zenoh.open(zenoh_config(zenoh, role, endpoint))
-        self._loop = asyncio.get_running_loop()
+        self._session, self._post = session, post
         codec = MsgpackCodec(limits=LINK)
         classes: tuple[type, ...] = (TimedDouble, TimedOctetSeq)
         self._encode = {cls: codec.parts_encoder(cls) for cls in classes}
@@ -43,14 +42,17 @@ class Peer:
         head, parts = self._encode[type(record)](record)
         publisher = self._publishers.get(key)
         if publisher is None:
-            block = self._zenoh.CongestionControl.BLOCK
-            publisher = self._session.declare_publisher(f"aiorts/bench/{key}", congestion_control=block)
-            self._publishers[key] = publisher
+            publisher = self._publishers[key] = self.publisher(key)
         publisher.put(b"".join((_LENGTH.pack(len(head)), head, *parts)))
+
+    def publisher(self, key: str, *, express: bool = False) -> Any:
+        """What puts bytes; `express`: each at once."""
+        block = self._zenoh.CongestionControl.BLOCK
+        return self._session.declare_publisher(f"aiorts/bench/{key}", congestion_control=block, express=express)
 
     def on(self, key: str, cls: type, handler: Callable[[Any], object]) -> None:
         """Call `handler` on the loop with each record of that key."""
-        decode, post = self._decode[cls], self._loop.call_soon_threadsafe
+        decode, post = self._decode[cls], self._post
 
         def take(payload: bytes) -> None:
             start = _LENGTH.size + _LENGTH.unpack_from(payload)[0]
@@ -60,8 +62,19 @@ class Peer:
         def arrived(sample: Any) -> None:
             post(take, sample.payload.to_bytes())
 
+        self.on_sample(key, arrived)
+
+    def on_sample(self, key: str, arrived: Callable[[Any], None]) -> None:
+        """Call `arrived` in a thread of Zenoh with each sample of that key."""
         self._subscribers.append(self._session.declare_subscriber(f"aiorts/bench/{key}", arrived))
 
     def close(self) -> None:
         """End the session."""
         self._session.close()
+
+
+def opened(role: str, endpoint: str) -> Any:
+    """A session that listens or connects (`role`) at an endpoint; nothing is looked for elsewhere."""
+    import zenoh
+
+    return zenoh.open(zenoh_config(zenoh, role, endpoint))
