@@ -35,7 +35,8 @@ class Inbox:
         self._loop = loop
         self._items: deque[tuple[Callable[..., None], tuple[Any, ...], int]] = deque()
         self._lock = threading.Lock()
-        self._bytes = 0
+        self._came = self._left = 0
+        """Bytes of what was ever put in and taken out; each is changed by one side alone."""
         self._due = self._closed = False
         self.dropped = 0
         """Items that were left out."""
@@ -45,11 +46,11 @@ class Inbox:
         with self._lock:
             if self._closed:
                 return
-            if len(self._items) >= _ITEMS or self._bytes + size > _BYTES:
+            if len(self._items) >= _ITEMS or self._came - self._left + size > _BYTES:
                 self.dropped += 1
                 return
             self._items.append((handle, arguments, size))
-            self._bytes += size
+            self._came += size
             if self._due:
                 return
             self._due = True
@@ -63,13 +64,15 @@ class Inbox:
             self._items.clear()
 
     def _handle(self) -> None:
+        items = self._items
         for _ in range(_AT_ONCE):
-            with self._lock:
-                if not self._items:
-                    self._due = False
-                    return
-                handle, arguments, size = self._items.popleft()
-                self._bytes -= size
+            if not items:
+                with self._lock:
+                    if not items:
+                        self._due = False
+                        return
+            handle, arguments, size = items.popleft()  # only this takes, so that it needs no lock
+            self._left += size
             try:
                 handle(*arguments)
             except BaseException:
@@ -175,16 +178,23 @@ class Engine:
         replies = self._session.liveliness().get(key, timeout=within)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
-    def publisher(self, key: str, *, urgent: bool = False) -> Any:
-        """What puts bytes at a key at once."""
+    def publisher(self, key: str, priority: str) -> Any:
+        """What puts bytes at a key, with a priority of the engine by its name.
+
+        What is under way is bounded by credits (`sending`), so that the engine's queue never is full.
+        """
         zenoh = self._zenoh
         return self._session.declare_publisher(
-            key,
-            # What is under way is bounded by credits, so that the engine's queue never is full.
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH if urgent else zenoh.Priority.DATA,
-            express=True,
+            key, congestion_control=zenoh.CongestionControl.DROP, priority=getattr(zenoh.Priority, priority)
         )
+
+    def expect(self, key: str) -> Callable[[], None]:
+        """Have the engine know a key that messages come at, until the returned function is called.
+
+        Of a key that it does not know it looks up for each message who wants it.
+        """
+        known = self._session.declare_keyexpr(key)
+        return lambda: self._session.undeclare(known)
 
     def ask(self, key: str, body: bytes, beside: bytes, within: float, answered: Callable[..., None]) -> None:
         """Have `answered` called with True and the answer, or False and a refusal; with None at the end of all."""

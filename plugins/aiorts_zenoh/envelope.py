@@ -2,15 +2,16 @@
 
     version u8, kind u8, count u16, link epoch u32, first number u64, sent ns i64, then `count` times: length u32, bytes
 
-The numbers count bytes: the first number of a message is that of the bytes which its sender has sent before it on this
-channel. So its receiver can say how far it has come, and what a lost message took up is free again.
+The numbers count what messages cost (`cost`): the first number of a message is what its sender has sent before it on
+this channel has cost. So its receiver can say how far it has come, and what a lost message took up is free again.
 """
 
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 VERSION: Final = 1
 FRAME: Final = 1
@@ -18,21 +19,31 @@ FRAME: Final = 1
 PIECE: Final = 2
 """A part of a frame that is longer than PIECES: where it begins, and its bytes; first the length of the whole."""
 TAKEN: Final = 3
-"""How far the receiver has come; the first number is that of the bytes which it has taken."""
+"""How far the receiver has come; the first number is what it has taken has cost."""
 LOOK: Final = 4
-"""Asks for TAKEN; the first number is that of the bytes which were sent until now."""
+"""Asks for TAKEN; the first number is what was sent until now has cost."""
 END: Final = 5
 """Of a session with a kernel: nothing comes any more."""
 HAVE: Final = 6
 """Of a session: asks for all that was sent from the first number on once more."""
-PIECES: Final = 48 * 1024
-"""Bytes of one message: less than a batch of the engine (64 KiB), which is written in one go."""
+BATCH: Final = 65_536
+"""Bytes that the engine writes in one go; a message that does not fit into what is left of a batch begins another."""
+PIECES: Final = 64_000
+"""Bytes of a frame that goes in one message: with heads and key it fits into one batch."""
+LONG: Final = 260_000
+"""Bytes of a piece that fills four batches: what a message costs besides its bytes is paid a quarter as often."""
 LARGEST: Final = 64 << 20
 """Bytes of a frame that anybody takes."""
 
 _HEAD: Final = struct.Struct("<BBHIQq")
+_HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
+"""A head, and the length of the only block."""
 _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<QQ")
+
+
+Block: TypeAlias = bytes | memoryview | list[memoryview]
+"""What a message carries; the parts of a list follow each other."""
 
 
 class Message(NamedTuple):
@@ -45,27 +56,69 @@ class Message(NamedTuple):
     blocks: tuple[memoryview, ...]
 
 
-def message(kind: int, epoch: int, first: int, sent_ns: int, blocks: Sequence[bytes | memoryview] = ()) -> bytes:
+def message(kind: int, epoch: int, first: int, sent_ns: int, blocks: Sequence[Block] = ()) -> bytes:
     """A message of these blocks."""
+    if len(blocks) == 1 and not isinstance(block := blocks[0], list):
+        return _HEAD_OF_ONE.pack(VERSION, kind, 1, epoch, first, sent_ns, len(block)) + block
     head = _HEAD.pack(VERSION, kind, len(blocks), epoch, first, sent_ns)
     return b"".join((head, *_with_lengths(blocks)))
 
 
+def cost(size: int) -> int:
+    """What a message of so many bytes takes up of the engine's queue at the most, in bytes of its batches.
+
+    Of two batches in a row that short messages are in, more than one is full: else they would be in one. A long message
+    ends the batch before it, whatever is in that, and fills four.
+    """
+    return 2 * size if size < LONG else 5 * BATCH
+
+
+def size_of(blocks: Sequence[Block]) -> int:
+    """Bytes of a message of these blocks, but for its head."""
+    return sum(map(_length, blocks)) + _LENGTH.size * len(blocks)
+
+
 def read(data: bytes) -> Message:
     """The message in these bytes. ValueError: there is none."""
-    if len(data) < _HEAD.size:
-        raise ValueError(f"a message of {len(data)} bytes")
+    size = len(data)
+    if size < _HEAD.size:
+        raise ValueError(f"a message of {size} bytes")
     version, kind, count, epoch, first, sent_ns = _HEAD.unpack_from(data)
     if version != VERSION or not FRAME <= kind <= HAVE:
         raise ValueError(f"a message of version {version} and kind {kind}")
-    return Message(kind, epoch, first, sent_ns, tuple(_blocks(memoryview(data)[_HEAD.size :], count)))
+    view = memoryview(data)
+    if (
+        count == 1
+        and size >= _HEAD_OF_ONE.size
+        and _LENGTH.unpack_from(data, _HEAD.size)[0] == size - _HEAD_OF_ONE.size
+    ):
+        return Message(kind, epoch, first, sent_ns, (view[_HEAD_OF_ONE.size :],))
+    return Message(kind, epoch, first, sent_ns, tuple(_blocks(view[_HEAD.size :], count)))
 
 
-def pieces(blocks: Sequence[bytes | memoryview]) -> Iterator[tuple[bytes, memoryview]]:
-    """The blocks of the messages that carry a long frame, in order."""
-    whole = memoryview(b"".join((_LENGTH.pack(len(blocks)), *_with_lengths(blocks))))
-    for place in range(0, len(whole), PIECES):
-        yield _PLACE.pack(len(whole), place), whole[place : place + PIECES]
+def pieces(blocks: Sequence[bytes | memoryview]) -> Iterator[tuple[bytes, list[memoryview]]]:
+    """The blocks of the messages that carry a long frame, in order; nothing is copied."""
+    total = _LENGTH.size + size_of(blocks)
+    parts = (_LENGTH.pack(len(blocks)), *_with_lengths(blocks))
+    whole = deque(memoryview(part) for part in parts)
+    place = 0
+    while place < total:
+        size = LONG if total - place >= LONG else min(PIECES, total - place)
+        yield _PLACE.pack(total, place), _cut(whole, size)
+        place += size
+
+
+def _cut(whole: deque[memoryview], size: int) -> list[memoryview]:
+    """So many bytes off the front."""
+    found = []
+    while size:
+        view = whole.popleft()
+        if len(view) > size:
+            whole.appendleft(view[size:])
+            view = view[:size]
+        found.append(view)
+        size -= len(view)
+    return found
 
 
 class Whole:
@@ -97,10 +150,17 @@ class Whole:
         return tuple(_blocks(whole[_LENGTH.size :], *_LENGTH.unpack_from(whole)))
 
 
-def _with_lengths(blocks: Sequence[bytes | memoryview]) -> Iterator[bytes | memoryview]:
+def _length(block: Block) -> int:
+    return sum(map(len, block)) if isinstance(block, list) else len(block)
+
+
+def _with_lengths(blocks: Sequence[Block]) -> Iterator[bytes | memoryview]:
     for block in blocks:
-        yield _LENGTH.pack(len(block))
-        yield block
+        yield _LENGTH.pack(_length(block))
+        if isinstance(block, list):
+            yield from block
+        else:
+            yield block
 
 
 def _blocks(data: memoryview, count: int) -> Iterator[memoryview]:

@@ -125,7 +125,7 @@ def engine_settings(settings: NetworkSettings) -> Mapping[str, Any]:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
-        "transport/link/tx/queue/size/data": 16,
+        **{f"transport/link/tx/queue/size/{one}": 16 for one in ("interactive_high", "data", "data_low")},
     }
 
 

@@ -1,8 +1,13 @@
 """How much may be under way to another kernel. It knows no engine and no loop.
 
 The engine has a queue of 16 batches of 64 KiB for each neighbour and priority. What is put beyond it blocks or is lost,
-and neither is to decide about a sample: so less than a queue is under way to a neighbour, over all channels, and the
+and neither is to decide about a sample: so no more than a queue is under way to a neighbour, over all channels, and the
 rest waits here, where it is bounded and the link hears of it.
+
+The figures: what is under way costs at most UNDER_WAY, 11 batches, and one message more, 5 batches: 16 in all. `cost`
+says what a message takes up when nothing is written meanwhile, as for a neighbour that is stopped. Only what is not
+marked as express shares a batch with others: an express message has one of its own, so that 17 small ones would be one
+too many, and with nothing waiting the two are sent in the same time.
 """
 
 from __future__ import annotations
@@ -11,10 +16,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from aiorts_zenoh.envelope import FRAME, LOOK, PIECE, PIECES, message, pieces
+from aiorts_zenoh.envelope import BATCH, FRAME, LOOK, PIECE, PIECES, Block, cost, message, pieces, size_of
 
-UNDER_WAY: Final = 768 * 1024
-"""Bytes on their way to one kernel."""
+UNDER_WAY: Final = 11 * BATCH
+"""What may be on its way to one kernel, by its cost, for another message to follow."""
+_TOLD: Final = UNDER_WAY // 8
+"""After what cost the other end says how far it is, without being asked."""
 _FULL: Final = 1 << 20
 """Bytes that wait at one channel beyond which it takes no more."""
 
@@ -32,9 +39,10 @@ class Budget:
         return self.used < UNDER_WAY
 
     def look(self) -> None:
-        """Ask at all channels how far the other kernel has come."""
-        for sender in self.senders:
-            sender.look()
+        """Ask at all channels how far the other kernel has come, unless it is about to say so by itself."""
+        if all(sender.under_way < _TOLD for sender in self.senders):
+            for sender in self.senders:
+                sender.look()
 
     def pump(self) -> None:
         """Send at all channels what there is room for, one message at each in turn."""
@@ -54,7 +62,7 @@ class Sender:
 
     def __init__(self, budget: Budget, put: Callable[[bytes], None], epoch: int, now: Callable[[], int]) -> None:
         self._budget, self._put, self._epoch, self._now = budget, put, epoch, now
-        self._queue: deque[tuple[int, Sequence[bytes | memoryview]]] = deque()
+        self._queue: deque[tuple[int, Sequence[Block]]] = deque()
         self._waits = 0
         self._refused = False
         self._sent = self._taken = 0
@@ -62,21 +70,29 @@ class Sender:
         """How much was sent when it was asked last how far the other end has come."""
         budget.senders.append(self)
 
+    @property
+    def under_way(self) -> int:
+        """The cost of what the other end has not said that it has taken."""
+        return self._sent - self._taken
+
     def send(self, blocks: Sequence[bytes | memoryview]) -> bool:
         """Send a frame, or keep it until there is room; False: too much waits."""
+        size, budget = size_of(blocks), self._budget
+        if not self._queue and size <= PIECES and budget.used < UNDER_WAY:
+            self._give(FRAME, blocks)
+            return True
         if self._waits >= _FULL:
             self._refused = True
             return False
-        size = sum(map(len, blocks))
         if size <= PIECES:
             self._queue.append((FRAME, blocks))
         else:
             self._queue.extend((PIECE, piece) for piece in pieces(blocks))
         self._waits += size
-        while self._budget.has_room and self.send_next():
+        while budget.has_room and self.send_next():
             pass
         if self._queue:
-            self._budget.look()
+            budget.look()
         return True
 
     def send_next(self) -> bool:
@@ -84,12 +100,16 @@ class Sender:
         if not self._queue:
             return False
         kind, blocks = self._queue.popleft()
-        data = message(kind, self._epoch, self._sent, self._now(), blocks)
-        self._waits = self._waits - sum(map(len, blocks)) if self._queue else 0
-        self._put(data)
-        self._sent += len(data)
-        self._budget.used += len(data)
+        self._waits = self._waits - size_of(blocks) if self._queue else 0
+        self._give(kind, blocks)
         return True
+
+    def _give(self, kind: int, blocks: Sequence[Block]) -> None:
+        data = message(kind, self._epoch, self._sent, self._now(), blocks)
+        self._put(data)
+        costs = cost(len(data))
+        self._sent += costs
+        self._budget.used += costs
 
     def look(self) -> None:
         """Ask how far the other end has come, unless nothing was sent since it was asked last."""
@@ -103,7 +123,7 @@ class Sender:
         self.look()
 
     def came(self, taken: int) -> None:
-        """The other end has taken so many bytes, or they were lost."""
+        """The other end has taken what cost so much, or it was lost."""
         if self._taken < taken <= self._sent:
             self._budget.used -= taken - self._taken
             self._taken = taken
@@ -130,9 +150,11 @@ class Receiver:
         self._taken = self._told = 0
 
     def took(self, first: int, size: int) -> bool:
-        """A message has come that begins with this number; whether its sender is to hear how far this end is."""
-        self._taken = max(self._taken, first + size)
-        return self._taken - self._told >= UNDER_WAY // 8
+        """A message of `size` bytes has come; whether its sender is to hear how far this end is."""
+        taken = first + cost(size)
+        if taken > self._taken:
+            self._taken = taken
+        return self._taken - self._told >= _TOLD
 
     def tell(self) -> int:
         """The number to tell the sender."""

@@ -11,7 +11,7 @@ from typing import Any, Final
 from aiorts.errors import LinkError, LinkTimeout
 from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
-from aiorts_zenoh.envelope import FRAME, LOOK, TAKEN, Whole, message, read
+from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked, peer_of
 from aiorts_zenoh.sending import Budget, Receiver, Sender
 
@@ -196,6 +196,8 @@ class ZenohTransport:
             offer.writer_epoch & 0xFFFFFFFF,
             events,
             partial(self._forget, of),
+            _priority(offer) if writes else "INTERACTIVE_HIGH",
+            self.engine.expect(of),
         )
         if self._looking is None:
             self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again)
@@ -327,6 +329,11 @@ class ZenohTransport:
         return peer if kernel == name and peer in self._peers else None
 
 
+def _priority(offer: LinkOffer) -> str:
+    """Of the samples: those of which only the newest counts wait for the others."""
+    return "DATA_LOW" if offer.profile.push == "new" else "DATA"
+
+
 class _ZenohChannel:
     """One end of a link."""
 
@@ -339,11 +346,13 @@ class _ZenohChannel:
         epoch: int,
         events: ChannelEvents,
         closed: Callable[[_ZenohChannel], None],
+        priority: str,
+        unexpect: Callable[[], None],
     ) -> None:
         self.peer, self.events = peer, events
-        self._epoch, self._closed = epoch, closed
-        self._publisher = engine.publisher(key)
-        self._urgent = engine.publisher(key, urgent=True)
+        self._epoch, self._closed, self._unexpect = epoch, closed, unexpect
+        self._publisher = engine.publisher(key, priority)
+        self._urgent = engine.publisher(key, "INTERACTIVE_HIGH")
         self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns)
         self._receiver, self._whole = Receiver(), Whole()
         self.is_open = True
@@ -351,6 +360,8 @@ class _ZenohChannel:
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
             return False
+        if not parts:
+            return self.sender.send((head,))
         flat = [part.cast("B") if part.format != "B" or part.ndim != 1 else part for part in parts]
         return self.sender.send([head, *flat])
 
@@ -359,18 +370,18 @@ class _ZenohChannel:
         kind, epoch, first, _, blocks = read(data)
         if epoch != self._epoch:
             return False
+        if kind <= PIECE:
+            if self._receiver.took(first, len(data)):
+                self._tell()
+            frame = blocks if kind == FRAME else self._whole.add(blocks)
+            if frame:
+                self.events.on_frames(((frame[0], frame[1:]),))
+            return False
         if kind == TAKEN:
             self.sender.came(first)
             return True
-        if kind == LOOK:
-            self._receiver.took(first, 0)
-            self._tell()
-            return False
-        if self._receiver.took(first, len(data)):
-            self._tell()
-        frame = blocks if kind == FRAME else self._whole.add(blocks)
-        if frame:
-            self.events.on_frames([(frame[0], frame[1:])])
+        self._receiver.took(first, 0)
+        self._tell()
         return False
 
     def _tell(self) -> None:
@@ -382,5 +393,6 @@ class _ZenohChannel:
         self.is_open = False
         self._closed(self)
         self.sender.close()
+        self._unexpect()
         for publisher in (self._publisher, self._urgent):
             publisher.undeclare()

@@ -60,7 +60,6 @@ class NetworkEnds(Ends):
     async def open(self) -> AsyncIterator[None]:
         """Start the processes and connect."""
         async with AsyncExitStack() as stack:
-            stack.enter_context(own_folder())
             await self._open_zenoh(stack)
             await self._open_kernel(stack)
             yield
@@ -76,10 +75,12 @@ class NetworkEnds(Ends):
 
     async def _open_kernel(self, stack: AsyncExitStack) -> None:
         listens, connects = self.way.ends()
+        stack.enter_context(own_folder())
         self._far = await self._start(stack, "kernel", json.dumps({"zenoh": {"host": "far", **listens}}))
+        stack.enter_context(own_folder())  # another one: what is on two hosts has no socket file in common
         kernel = await stack.enter_async_context(Kernel("bench-near", services={"zenoh": {"host": "near", **connects}}))
         await kernel.service(Network).opened()
-        await self._connect(kernel, f"far/{KERNEL}/echo")
+        await self._connect(kernel, f"{KERNEL}/echo")
 
     async def zenoh_batched(self, count: int) -> Reading:
         """Put small samples as fast as they are taken; the engine makes batches of them."""
