@@ -94,7 +94,8 @@ class Engine:
         self._inbox: Inbox
         self._session: Any = None
         self._kept: list[Any] = []
-        self._tokens: list[Any] = []
+        self._tokens: dict[str, Any] = {}
+        self._announcing = threading.Lock()
         self._closed = False
 
     def open(self, settings: Mapping[str, Any], inbox: Inbox) -> None:
@@ -119,9 +120,7 @@ class Engine:
         """End the session, and with it all that it has declared."""
         self._closed = True
         if self._session is not None:
-            for token in self._tokens:
-                with contextlib.suppress(self._zenoh.ZError):  # of a session that has ended before
-                    token.undeclare()
+            self.announce()
             self._session.close()
 
     def subscribe(self, key: str, arrived: Callable[[str, bytes], None], inbox: Inbox | None = None) -> None:
@@ -155,17 +154,24 @@ class Engine:
         liveliness = self._session.liveliness()
         self._kept.append(liveliness.declare_subscriber(key, self._direct(came), history=True))
 
-    def announce(self, token: str) -> Any:
-        """Say that this kernel, or a session of this client, is there, until the returned token's `undeclare`."""
-        declared = self._session.liveliness().declare_token(token)
-        self._tokens.append(declared)
-        return declared
+    def announce(self, *tokens: str) -> None:
+        """Say that this kernel is there, with these tokens and no others."""
+        with self._announcing:
+            tokens = () if self._closed else tokens
+            for gone in self._tokens.keys() - set(tokens):
+                self._tokens.pop(gone).undeclare()
+            for token in tokens:
+                if token not in self._tokens:
+                    self._tokens[token] = self._session.liveliness().declare_token(token)
 
-    def withdraw(self, token: Any) -> None:
-        """Say no more what a token says."""
-        if token in self._tokens and not self._closed:
-            self._tokens.remove(token)
-            token.undeclare()
+    def hold(self, token: str) -> Any:
+        """Say that a session of this client is there, until `release` takes what is returned."""
+        return self._session.liveliness().declare_token(token)
+
+    def release(self, held: Any) -> None:
+        """Say no more that a session is there."""
+        if not self._closed:
+            held.undeclare()
 
     def gather(self, key: str, within: float) -> list[tuple[str, bytes]]:
         """The answers of all that answer a question, each with its key; waits for them."""
@@ -177,6 +183,12 @@ class Engine:
         """The tokens that are there."""
         replies = self._session.liveliness().get(key, timeout=within)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether anybody else is reached."""
+        info = self._session.info
+        return bool(info.peers_zid() or info.routers_zid())
 
     def publisher(self, key: str, priority: str) -> Any:
         """What puts bytes at a key, with a priority of the engine by its name.
@@ -216,7 +228,7 @@ class Engine:
             express=True,
         )
 
-    def put(self, key: str, data: bytes, *, urgent: bool = False) -> None:
+    def put(self, key: str, data: bytes, *, urgent: bool = True) -> None:
         """Put bytes at a key at once, for which `publisher` would not be worth while."""
         zenoh = self._zenoh
         self._session.put(

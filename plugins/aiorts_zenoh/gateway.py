@@ -119,14 +119,14 @@ class Gateway:
         branch = CTL if peer in self._operable else INFO
         session = secrets.token_hex(8)
         key = self._keys.session(branch, peer, session)
-        token = self._engine.announce(f"{key}/live")
+        token = self._engine.hold(f"{key}/live")
         carried = Carried(partial(self._engine.put, f"{key}/c", urgent=branch == CTL), int(session[:8], 16))
         self._sessions[session] = peer, carried
         try:
             await carried.run(reader, writer)
         finally:
             del self._sessions[session]
-            self._engine.withdraw(token)
+            self._engine.release(token)
 
     def _arrived(self, key: str, data: bytes) -> None:
         _, session = session_in(key)

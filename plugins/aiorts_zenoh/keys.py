@@ -7,8 +7,10 @@ from typing import Final
 from aiorts.errors import LinkError
 from aiorts.late import dataclass
 from aiorts.links import Peer, checked_peer
+from aiorts_zenoh.names import Claim
 
 _VERSION: Final = "aiorts/1"
+_OWNED: Final = "own"
 BY_WRITER: Final = "w"
 BY_READER: Final = "r"
 """The last part of a link's key: who sends."""
@@ -27,27 +29,42 @@ class Keys:
         domain: kernels of different domains do not see each other.
         own: this kernel.
         start_ns: when it was started, in ns since 1970.
+        machine: the number of the machine, which may share its host name with another.
     """
 
     domain: str
     own: Peer
     start_ns: int
+    machine: int
+
+    @property
+    def claim(self) -> Claim:
+        """What the token says."""
+        return Claim(self.start_ns, self.own.epoch, self.machine, self.own.host, self.own.kernel)
 
     @property
     def token(self) -> str:
         """That this kernel is there."""
-        own = self.own
-        return f"{_VERSION}/{self.domain}/live/{own.host}/{own.kernel}/{self.start_ns}-{own.epoch:016x}"
+        return self.token_of(self.claim)
+
+    @property
+    def owned(self) -> str:
+        """That this kernel owns its name."""
+        return self.token_of(self.claim, owned=True)
+
+    def token_of(self, claim: Claim, *, owned: bool = False) -> str:
+        """That the kernel of a claim is there, or that it owns its name."""
+        start = f"{claim.start_ns}-{claim.epoch:016x}-{claim.machine:016x}{f'/{_OWNED}' if owned else ''}"
+        return f"{_VERSION}/{self.domain}/live/{claim.host}/{claim.kernel}/{start}"
+
+    def told(self, peer: Peer) -> str:
+        """What a kernel hears of tokens that others see, and it may not: + or -, and the token."""
+        return f"{_VERSION}/{self.domain}/told/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
 
     @property
     def tokens(self) -> str:
-        """That any kernel is there."""
-        return f"{_VERSION}/{self.domain}/live/*/*/*"
-
-    @property
-    def namesakes(self) -> str:
-        """That a kernel of this name is there on this host."""
-        return f"{_VERSION}/{self.domain}/live/{self.own.host}/{self.own.kernel}/*"
+        """That any kernel is there, or owns its name."""
+        return f"{_VERSION}/{self.domain}/live/*/*/**"
 
     @property
     def questions(self) -> str:
@@ -112,8 +129,8 @@ class ClientKeys:
 
     @property
     def tokens(self) -> str:
-        """That any kernel is there."""
-        return f"{_VERSION}/{self.domain}/live/*/*/*"
+        """That any kernel is there and owns its name."""
+        return f"{_VERSION}/{self.domain}/live/*/*/*/{_OWNED}"
 
     def answers(self, branch: str) -> str:
         """What kernels send to this client in its sessions."""
@@ -135,14 +152,17 @@ def session_in(key: str) -> tuple[str, str]:
     return caller, session
 
 
-def peer_of(key: str) -> Peer | None:
-    """The kernel whose token or answer this is; None: it is none of ours."""
-    parts = key.split("/")
-    if len(parts) < 7 or (len(parts) > 7 and parts[3] == "live"):
+def claim_of(token: str) -> tuple[Claim, bool] | None:
+    """What a kernel claims by this token, and whether it owns it; None: it is none of ours."""
+    parts = token.split("/")
+    owned = parts[7:] == [_OWNED]
+    if len(parts) != 7 + owned or parts[3] != "live":
         return None
     host, name, start = parts[4:7]
     try:
-        return checked_peer(host, name, int(start.rpartition("-")[2], 16))
+        start_ns, epoch, machine = start.split("-")
+        peer = checked_peer(host, name, int(epoch, 16))
+        return Claim(int(start_ns), peer.epoch, int(machine, 16), peer.host, peer.kernel), owned
     except (LinkError, ValueError):
         return None
 
@@ -151,3 +171,13 @@ def asked(key: str) -> tuple[str, str]:
     """Who asks by this key, and what."""
     *_, caller, what = key.split("/")
     return caller, what
+
+
+def peer_of(key: str) -> Peer | None:
+    """The kernel whose answer, or token, this is; None: it is none of ours."""
+    parts = key.split("/")
+    try:
+        host, name, start = parts[4:7]
+        return checked_peer(host, name, int(start.split("-")[1] if parts[3] == "live" else start, 16))
+    except (LinkError, ValueError, IndexError):
+        return None

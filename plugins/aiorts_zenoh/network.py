@@ -95,12 +95,14 @@ class Network(KernelService):
             await asyncio.shield(self._opening)
 
     def report(self) -> Mapping[str, Any]:
-        """The host, the domain, the kernels that are seen there, and messages that found no room here."""
+        """The host, the domain, how this kernel stands with its name, the kernels that are seen there, and messages
+        that found no room here."""
         transport = self._transport
         if transport is None:
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
-        return {"host": transport.host, "domain": transport.domain, "kernels": seen, "left_out": transport.left_out}
+        where = {"host": transport.host, "domain": transport.domain, "name": transport.standing}
+        return {**where, "kernels": seen, "left_out": transport.left_out}
 
     def stopped(self) -> None:
         if self._opening is not None:

@@ -12,7 +12,8 @@ from aiorts.errors import LinkError, LinkTimeout
 from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
-from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked, peer_of
+from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked
+from aiorts_zenoh.presence import Presence, this_machine
 from aiorts_zenoh.sending import Budget, Receiver, Sender
 
 _LOOK_AGAIN: Final = 0.5
@@ -23,8 +24,6 @@ _ASKED: Final = 1_000
 """Questions of one kernel that are being answered, or were last, at the most."""
 _KEPT: Final = 65_536
 """Bytes of an answer up to which it is kept, for a question that comes twice."""
-_NAMESAKES: Final = 0.5
-"""Seconds that a kernel which opens looks for another of its name."""
 _CLOSES: Final = 3.0
 _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than who asks waits."""
@@ -40,14 +39,18 @@ class ZenohTransport:
         host: by which others know this machine.
         domain: kernels of different domains do not see each other.
         engine: settings of the engine by their keys; `aiorts_zenoh.network` makes them.
+        machine: a number that tells machines apart; by default that of this one.
 
     Raises:
         MissingExtra: the engine is not installed.
         PluginError: it is of a version that is not known here.
     """
 
-    def __init__(self, host: str, domain: str = "default", engine: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, host: str, domain: str = "default", engine: Mapping[str, Any] | None = None, machine: int | None = None
+    ) -> None:
         self.host, self.domain = host, domain
+        self._machine = this_machine() if machine is None else machine
         self._settings, self.engine = dict(engine or {}), Engine()
         self._handlers: dict[str, Handler] = {}
         self._tells: list[Callable[[Peer, bool], None]] = []
@@ -66,38 +69,39 @@ class ZenohTransport:
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
+        self._presence: Presence | None = None
 
     async def open(self, kernel: KernelFace) -> None:
         """Open the session, and say that this kernel is there.
 
         Raises:
-            LinkError: a kernel of that name is there on this host, or the engine refuses.
+            LinkError: the engine refuses.
         """
         self.kernel, self.loop = kernel, asyncio.get_running_loop()
-        self.keys = Keys(self.domain, Peer(self.host, kernel.name, kernel.epoch), time.time_ns())
+        own = Peer(self.host, kernel.name, kernel.epoch)
+        self.keys = Keys(self.domain, own, time.time_ns(), self._machine)
         self._inbox = Inbox(self.loop)
+        connects, listens = (bool(self._settings.get(f"{what}/endpoints")) for what in ("connect", "listen"))
+        self._presence = Presence(self.engine, self.keys, kernel, self._present, connects=connects, listens=listens)
         try:
             await in_thread(self._declare)
         except BaseException:
             await self.close()
             raise
+        self._presence.claim()
 
     def _declare(self) -> None:
         engine, keys = self.engine, self.keys
-        assert self._inbox is not None  # noqa: S101 - it was made just before
+        assert self._inbox is not None  # noqa: S101 - both were made just before
+        assert self._presence is not None  # noqa: S101
         engine.open(self._settings, self._inbox)
-        if engine.present(keys.namesakes, _NAMESAKES):
-            raise LinkError(
-                f"a kernel named {self.kernel.name!r} runs already on {self.host}; give this one another name"
-            )
         # Who sees the token may ask at once: so it comes last.
         for key in keys.frames:
             engine.subscribe(key, self._arrived)
         engine.answer(keys.questions, self._was_asked)
-        engine.presence(keys.tokens, self._present)
         for declare in self.beside:
             declare(engine, keys)
-        engine.announce(keys.token)
+        self._presence.declare()
 
     async def close(self) -> None:
         """Give up everything."""
@@ -116,6 +120,8 @@ class ZenohTransport:
         self._peers.clear()
         if self._looking is not None:
             self._looking.cancel()
+        if self._presence is not None:
+            self._presence.close()
         if self._inbox is not None:
             self._inbox.close()
         try:
@@ -142,10 +148,12 @@ class ZenohTransport:
         """Messages that came while too much waited for the loop already: the ends of their links send them again."""
         return 0 if self._inbox is None else self._inbox.dropped
 
-    def _present(self, token: str, up: bool) -> None:
-        peer = peer_of(token)
-        if peer is None or peer == self.keys.own or up == (peer in self._peers):
-            return
+    @property
+    def standing(self) -> str:
+        """How this kernel stands with its name: claims, owns, withdrawn or refused."""
+        return "" if self._presence is None else self._presence.standing.value
+
+    def _present(self, peer: Peer, up: bool) -> None:
         if up:
             self._peers[peer] = Budget()
         else:

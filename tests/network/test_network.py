@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.errors import AiortsError, ConfigurationError, LinkError, MissingExtra
+from aiorts.errors import AiortsError, ConfigurationError, MissingExtra
 from aiorts.links import Links
 from aiorts.types import TimedLong, TimedOctetSeq
 
@@ -146,57 +143,6 @@ def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Pa
     unsure = ledger.dropped.get("unknown_fate", 0) + ledger.in_flight  # sent to a reader that was killed
     assert len(came) <= ledger.acknowledged + unsure  # fewer, where some lay unread in the reader that was killed
     assert len(came) > 100
-
-
-def test_a_name_that_is_taken_on_its_host_is_refused() -> None:
-    async def main() -> None:
-        address = f"127.0.0.1:{free_port()}"
-        far = {"zenoh": {"listen": address, "host": "same", "insecure": True}}
-        near = {"zenoh": {"connect": address, "host": "same", "insecure": True}}
-        async with Kernel("robot", services=far) as one:
-            await one.service(Network).opened()
-            async with Kernel("robot", services=near) as two:
-                with pytest.raises(LinkError, match=r"a kernel named 'robot' runs already on same"):
-                    await two.service(Network).opened()
-
-    asyncio.run(main())
-
-
-@pytest.fixture
-def hosts() -> Iterator[tuple[list[str], list[str]]]:
-    """What runs a command on each of two hosts with a network between them: 10.77.0.1 and 10.77.0.2."""
-    if shutil.which("ip") is None or os.geteuid() != 0:
-        pytest.skip("not run: network namespaces need `ip` and root")
-    names = [f"aiorts-{os.getpid()}-{one}" for one in "ab"]
-    wires = [f"ai{os.getpid() % 100_000}{one}" for one in "ab"]
-    made: list[str] = []
-    folders: list[str] = []
-    try:
-        for name in names:
-            done = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False, timeout=10)
-            if done.returncode:
-                pytest.skip(f"not run: no network namespaces here: {done.stderr.strip()[:200]}")
-            made.append(name)
-        steps = [["link", "add", wires[0], "type", "veth", "peer", "name", wires[1]]]
-        steps += [["link", "set", wire, "netns", name] for wire, name in zip(wires, names, strict=True)]
-        for number, (wire, name) in enumerate(zip(wires, names, strict=True), 1):
-            steps += [
-                ["-n", name, "addr", "add", f"10.77.0.{number}/24", "dev", wire],
-                ["-n", name, "link", "set", "lo", "up"],
-                ["-n", name, "link", "set", wire, "up"],
-            ]
-        for step in steps:
-            subprocess.run(["ip", *step], check=True, timeout=10)
-        commands = []
-        for name in names:
-            folders.append(folder := tempfile.mkdtemp(prefix="ai"))  # short: a socket's path has 107 letters
-            commands.append(["ip", "netns", "exec", name, "env", f"XDG_RUNTIME_DIR={folder}"])
-        yield commands[0], commands[1]
-    finally:
-        for name in made:
-            subprocess.run(["ip", "netns", "del", name], check=False, timeout=10)
-        for folder in folders:
-            shutil.rmtree(folder)
 
 
 def test_a_real_drive_is_computed_on_two_hosts(hosts: tuple[list[str], list[str]], tmp_path: Path) -> None:

@@ -1,0 +1,244 @@
+"""Which kernels are there: what their tokens say goes to `names`, which decides, and this does as it says."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import os
+import uuid
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from aiorts.links import KernelFace, Peer
+from aiorts_zenoh.engine import Engine, in_thread
+from aiorts_zenoh.keys import Keys, claim_of
+from aiorts_zenoh.names import Claim, Name, Standing, seen
+
+_HEARD: Final = 100
+"""Kernels that hear of the end of one whose name they have, at the most."""
+_TICK: Final = 0.1
+"""Seconds between two looks whether a name is owned by now, or free again."""
+
+
+class Presence:
+    """The kernels that are there, and this one among them.
+
+    Args:
+        show: called with each kernel that others may see, and when it is to be seen no more.
+        connects: whether this kernel is to connect to others: before it has, nobody can say that its name is taken.
+        listens: whether others connect to it: those do not see each other, and hear from it who has their names.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        keys: Keys,
+        kernel: KernelFace,
+        show: Callable[[Peer, bool], None],
+        *,
+        connects: bool,
+        listens: bool,
+    ) -> None:
+        self._engine, self._keys, self._kernel, self._show = engine, keys, kernel, show
+        self._connects, self._listens = connects, listens
+        self._loop = asyncio.get_running_loop()
+        self._name = Name(keys.claim, self._loop.time())
+        self._said: dict[str, dict[Claim, set[bool]]] = {}
+        """By host name: what is claimed, and of each the tokens that are there: of the claim, of its owner."""
+        self._shown: dict[str, set[Peer]] = {}
+        self._gave_way: dict[Claim, set[Claim]] = {}
+        """Of each that is there: who heard of it here."""
+        self._heard_of: set[Claim] = set()
+        """What others have told of, and may not be seen here."""
+        self._due: set[str] = set()
+        """Host names to look at anew."""
+        self._told: Standing | None = None
+        self._telling = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._closed = False
+
+    @property
+    def standing(self) -> Standing:
+        """How this kernel stands with its name."""
+        return self._name.standing
+
+    def declare(self) -> None:
+        """Look who is there, and claim the name; in a thread."""
+        self._engine.subscribe(self._keys.told(_peer(self._name.own)), self._was_told)
+        self._engine.presence(self._keys.tokens, self._came)
+        self._engine.announce(self._keys.token)
+
+    def claim(self) -> None:
+        """The name is claimed from now on."""
+        self._told = Standing.CLAIMS
+        self._name.unseen(self._loop.time())
+        self._changed()
+
+    def close(self) -> None:
+        """Tell nothing any more."""
+        self._closed = True
+        if self._timer is not None:
+            self._timer.cancel()
+
+    # -- others ----------------------------------------------------------------------------------------------------
+
+    def _came(self, token: str, up: bool) -> None:
+        found = claim_of(token)
+        if self._closed or found is None or found[0] == self._name.own:
+            return
+        claim, owned = found
+        claims = self._said.setdefault(claim.host, {})
+        tokens = claims.setdefault(claim, set())
+        is_new = not tokens
+        (tokens.add if up else tokens.discard)(owned)
+        if not tokens:
+            del claims[claim]
+            self._hide(claim)
+        elif up and claim.host == self._name.own.host:
+            self._meets(claim, owned=owned, is_new=is_new)
+        self._look_at(claim.host)
+        if self._listens:
+            self._pass_on(claim, token, up=up)
+
+    def _pass_on(self, claim: Claim, token: str, *, up: bool) -> None:
+        """Tell those that this claim meets of it, and it of them; and who gave way to it, when it has gone."""
+        to = self._gave_way.setdefault(claim, set())
+        if not up:
+            self._tell_of(token, up, *to)
+            if claim not in self._said.get(claim.host, ()):
+                del self._gave_way[claim]
+            return
+        for other, tokens in self._said[claim.host].items():
+            if other != claim and claim.meets(other):
+                self._tell_of(token, up, other)
+                self._tell_of(self._keys.token_of(other, owned=True in tokens), up, claim)
+                for one, two in ((claim, other), (other, claim)):
+                    if len(heard := self._gave_way.setdefault(one, set())) < _HEARD:
+                        heard.add(two)
+
+    def _tell_of(self, token: str, up: bool, *to: Claim) -> None:
+        for claim in to:
+            self._engine.put(self._keys.told(_peer(claim)), f"{'+' if up else '-'}{token}".encode())
+
+    def _was_told(self, _: str, data: bytes) -> None:
+        """Another kernel has seen a token that is not seen here. Who owns its name believes only what it sees."""
+        token, up = data[1:].decode(errors="replace"), data[:1] == b"+"
+        found = claim_of(token)
+        if found is None or self.standing is Standing.OWNS or not found[0].meets(self._name.own):
+            return
+        (self._heard_of.add if up else self._heard_of.discard)(found[0])
+        self._came(token, up)
+
+    def _meets(self, claim: Claim, *, owned: bool, is_new: bool) -> None:
+        before = self._name.standing
+        self._name.meets(claim, owned=owned)
+        own = self._name.own
+        if self._name.standing is not before:
+            self._kernel.report(_given_way(own, claim))
+            self._changed()
+        elif self._name.is_shown and is_new and claim.machine != own.machine:
+            self._kernel.report(f"zenoh: {_other_machine(claim)}; it is refused. {_ADVICE}")
+        elif self._name.is_shown and is_new and claim.meets(own):
+            self._kernel.report(
+                f"zenoh: another kernel named {own.kernel!r} was started on {own.host}; it does not get the name"
+            )
+
+    def _hide(self, claim: Claim) -> None:
+        """At once: what comes next may be the same kernel, linked anew."""
+        peer, shown = _peer(claim), self._shown.get(claim.host, set())
+        if peer in shown:
+            shown.remove(peer)
+            self._show(peer, False)
+
+    def _look_at(self, *hosts: str) -> None:
+        if not self._due:
+            self._loop.call_soon(self._look)
+        self._due.update(hosts)
+
+    def _look(self) -> None:
+        """Show who is to be seen now; once for all that has come at the same time."""
+        due, self._due = self._due, set()
+        own, is_shown = self._name.own, self._name.is_shown
+        for host in () if self._closed else due:
+            claims = {claim: True in tokens for claim, tokens in self._said.get(host, {}).items()}
+            if host == own.host:
+                claims[own] = self._name.standing is Standing.OWNS
+            now = {_peer(claim) for claim in seen(claims).values() if claim != own} if is_shown else set()
+            before, self._shown[host] = self._shown.get(host, set()), now
+            if not claims:
+                del self._shown[host], self._said[host]
+            for peer in before - now:
+                self._show(peer, False)
+            for peer in now - before:
+                self._show(peer, True)
+
+    # -- this kernel -----------------------------------------------------------------------------------------------
+
+    def _changed(self) -> None:
+        """This kernel stands otherwise with its name."""
+        self._look_at(*self._said, *self._shown)
+        if not self._telling:
+            self._telling = True
+            self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
+        if self._timer is None and self.standing in (Standing.CLAIMS, Standing.WITHDRAWN):
+            self._timer = self._loop.call_later(_TICK, self._tick)
+
+    async def _tell(self) -> None:
+        """Have the tokens be there that belong to how it stands, one change after the other."""
+        try:
+            while self._told is not self.standing and not self._closed:
+                self._told = self.standing
+                tokens = {Standing.CLAIMS: [self._keys.token], Standing.OWNS: [self._keys.token, self._keys.owned]}
+                await in_thread(partial(self._engine.announce, *tokens.get(self._told, ())))
+        finally:
+            self._telling = False
+
+    def _tick(self) -> None:
+        self._timer, before, now = None, self.standing, self._loop.time()
+        others = self._said.get(self._name.own.host, {})
+        if self._connects and not self._engine.is_heard:
+            if before is Standing.CLAIMS:
+                self._name.unseen(now)
+            for claim in self._heard_of & others.keys():  # who told of them is gone
+                del others[claim]
+            self._heard_of.clear()
+        self._name.passed(others, now)
+        if self.standing is not before:
+            if before is Standing.WITHDRAWN:
+                self._kernel.report(f"zenoh: the name {self._name.own.kernel!r} is free again; this kernel takes it")
+            self._changed()
+        elif self.standing in (Standing.CLAIMS, Standing.WITHDRAWN):
+            self._timer = self._loop.call_later(_TICK, self._tick)
+
+
+_ADVICE: Final = "Give each machine a name of its own: --host, or `host` of [zenoh]"
+
+
+def _other_machine(claim: Claim) -> str:
+    return f"another machine calls itself {claim.host!r} as well, with a kernel {claim.kernel!r}"
+
+
+def _given_way(own: Claim, other: Claim) -> str:
+    if own.machine != other.machine:
+        return f"zenoh: {_other_machine(other)}; this kernel is not seen from other hosts. {_ADVICE}"
+    return (
+        f"zenoh: a kernel named {own.kernel!r} runs already on {own.host}; this one is not seen from other hosts until "
+        f"that one ends. Give this one another name"
+    )
+
+
+def _peer(claim: Claim) -> Peer:
+    return Peer(claim.host, claim.kernel, claim.epoch)
+
+
+def this_machine() -> int:
+    """A number of this machine that no other has: of its network and of when it was booted, for images of one machine
+    are copied to others with all that is in files."""
+    try:
+        booted = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        network = os.stat("/proc/self/ns/net").st_ino
+    except OSError:  # no Linux
+        booted, network = "", uuid.getnode()
+    return int.from_bytes(hashlib.sha256(f"aiorts {booted} {network}".encode()).digest()[:8], "big")
