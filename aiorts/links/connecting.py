@@ -524,7 +524,7 @@ class Links(KernelService):
             offer = replace(LinkOffer.from_bytes(body), protocol=(version, version))
             answer, link = self._accept(offer, caller)
         except WiringError as error:
-            expected = None if offer is None else self._expected.get((str(offer.writer), str(offer.reader)))
+            expected = None if offer is None else self._awaited(offer, caller)
             if expected is not None and self._peer(expected) == caller.peer:
                 self._not_now(expected, Answer(refused=str(error)))
             return refusal("an offer", caller, error)
@@ -537,7 +537,7 @@ class Links(KernelService):
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
         check_theirs(offer.writer, caller)
         key = (offer.writer.kernel, offer.link)
-        link = self._offers.get(key) or self._expected.get((str(offer.writer), str(offer.reader)))
+        link = self._offers.get(key) or self._awaited(offer, caller)
         found: Any = None if link is None else self._awaits(link, caller)
         found = found or self.there(offer.reader, caller)
         if isinstance(found, Answer):
@@ -558,6 +558,12 @@ class Links(KernelService):
         self._offers[key] = link
         self._number = self._number % 0xFFFFFFFF + 1
         return Answer(number=self._number, epoch=link.end.epoch), link
+
+    def _awaited(self, offer: LinkOffer, caller: Caller) -> ReaderLink | None:
+        """The reader's end that expects this offer, with the writer's host in its path or without."""
+        hosts = ("",) if caller.peer is None else ("", caller.peer.host)
+        ends = [(str(replace(offer.writer, host=host)), str(offer.reader)) for host in hosts]
+        return next((self._expected[one] for one in ends if one in self._expected), None)
 
     def _awaits(self, link: ReaderLink, caller: Caller) -> InPort[Any] | None:
         """The reader of a link that this kernel has asked this caller for, where no component has it."""

@@ -70,6 +70,7 @@ class ReaderLink:
         self._confirms = connector.in_.is_far and connector.profile.subscription is Subscription.FLUSH
         if isinstance(connector.out, FarOutPort):
             connector.out.held = lambda: self.end.held
+            connector.out.clock = None
 
     @property
     def is_connected(self) -> bool:
@@ -110,8 +111,13 @@ class ReaderLink:
         if up or self._channel is None:
             return
         self._channel, self.why = None, why
+        self.on_clock(0, 0)
         self.end.channel_down(self._now())
         self._lost(self, why)
+
+    def on_clock(self, ahead_ns: int, within_ns: int) -> None:
+        if isinstance(self.connector.out, FarOutPort):
+            self.connector.out.clock = (ahead_ns, within_ns) if within_ns else None
 
     def close(self, *, for_good: bool) -> None:
         """The connector has ended; `for_good`: say so to the writer's end. Idempotent."""

@@ -78,6 +78,10 @@ class ChannelEvents(Protocol):
         """The channel is up, or it is down for good, for this reason."""
         ...
 
+    def on_clock(self, ahead_ns: int, within_ns: int) -> None:
+        """The clock of the other end is so far ahead, and that may be off by so much; 0, 0: both have one clock."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class LinkOffer:

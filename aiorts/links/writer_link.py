@@ -212,6 +212,9 @@ class WriterLink:
         self.end.on_room(self._now())
         self.pump()
 
+    def on_clock(self, ahead_ns: int, within_ns: int) -> None:
+        """Stamps are those of this kernel's clock."""
+
     def on_state(self, up: bool, why: str) -> None:
         if up or self._channel is None:
             return

@@ -99,6 +99,8 @@ class ConnectorStatistics(Counted):
     age: Spans | None = field(default=None, compare=False, repr=False)
     """How old these were when they were read: the kernel's time less their stamp `tm`; a `tm` of 0 is none. None
     without `measure`, and for a type without `tm`."""
+    age_within_ns: int | None = field(default=None, compare=False, repr=False)
+    """How far `age` may be off, where the stamps are of another machine: its clock's offset is estimated; else None."""
     acknowledged: int | None = None
     """At the writer's end of a link: samples that are in the reader's buffer, or were; else None."""
     in_flight: int = 0

@@ -107,6 +107,9 @@ class _Events:
         self._called("on_room")
         self.rooms += 1
 
+    def on_clock(self, ahead_ns: int, within_ns: int) -> None:
+        self._called("on_clock")
+
     def on_state(self, up: bool, why: str) -> None:
         self._called("on_state")
         self.states.append((up, why))

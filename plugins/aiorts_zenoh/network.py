@@ -77,7 +77,8 @@ class Network(KernelService):
     def configure(self, settings: NetworkSettings) -> None:
         host = settings.host or platform.node()
         _check_name("host", host)
-        self._transport = ZenohTransport(host, settings.domain, engine_settings(settings))
+        clock = self.kernel.clock
+        self._transport = ZenohTransport(host, settings.domain, engine_settings(settings), now=clock.time_ns)
         opening = self._open(self._transport, operate=settings.allow_control)
         self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
         self._opening.add_done_callback(_report)

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from aiorts.errors import LinkError, LinkTimeout
 from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, Peer, answer_of
+from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked
@@ -24,6 +25,12 @@ _ASKED: Final = 1_000
 """Questions of one kernel that are being answered, or were last, at the most."""
 _KEPT: Final = 65_536
 """Bytes of an answer up to which it is kept, for a question that comes twice."""
+_CLOCK: Final = "clock"
+"""Asks for the time of the other kernel."""
+_COMPARED: Final = 1.0
+"""Seconds between two questions for the time."""
+_UNKNOWN: Final = 1 << 62
+"""How far the time of another machine may be off before the first answer, in ns."""
 _CLOSES: Final = 3.0
 _MARGIN: Final = 1.0
 """Seconds that the engine keeps a question longer than who asks waits."""
@@ -40,6 +47,7 @@ class ZenohTransport:
         domain: kernels of different domains do not see each other.
         engine: settings of the engine by their keys; `aiorts_zenoh.network` makes them.
         machine: a number that tells machines apart; by default that of this one.
+        now: the clock of the stamps, in ns since 1970.
 
     Raises:
         MissingExtra: the engine is not installed.
@@ -47,12 +55,21 @@ class ZenohTransport:
     """
 
     def __init__(
-        self, host: str, domain: str = "default", engine: Mapping[str, Any] | None = None, machine: int | None = None
+        self,
+        host: str,
+        domain: str = "default",
+        engine: Mapping[str, Any] | None = None,
+        machine: int | None = None,
+        now: Callable[[], int] = time.time_ns,
     ) -> None:
         self.host, self.domain = host, domain
         self._machine = this_machine() if machine is None else machine
         self._settings, self.engine = dict(engine or {}), Engine()
-        self._handlers: dict[str, Handler] = {}
+        self._handlers: dict[str, Handler] = {_CLOCK: self._tell_time}
+        self._now = now
+        self._clocks: dict[Peer, ClockOffset] = {}
+        """Of those whose links end here."""
+        self._comparing: asyncio.TimerHandle | None = None
         self._tells: list[Callable[[Peer, bool], None]] = []
         self._peers: dict[Peer, Budget] = {}
         self._channels: dict[str, _ZenohChannel] = {}
@@ -120,6 +137,8 @@ class ZenohTransport:
         self._peers.clear()
         if self._looking is not None:
             self._looking.cancel()
+        if self._comparing is not None:
+            self._comparing.cancel()
         if self._presence is not None:
             self._presence.close()
         if self._inbox is not None:
@@ -158,6 +177,7 @@ class ZenohTransport:
             self._peers[peer] = Budget()
         else:
             del self._peers[peer]
+            self._clocks.pop(peer, None)
         for tell in tuple(self._tells):
             tell(peer, up)
         if not up:
@@ -209,6 +229,8 @@ class ZenohTransport:
         )
         if self._looking is None:
             self._looking = self.loop.call_later(_LOOK_AGAIN, self._look_again)
+        if not writes:
+            self.loop.call_soon(self._compares, channel)
         return channel
 
     def _forget(self, key: str, channel: _ZenohChannel) -> None:
@@ -246,6 +268,45 @@ class ZenohTransport:
                 for channel in self._channels.values():
                     if channel.peer == peer:
                         channel.sender.look_again()
+
+    # -- clocks ----------------------------------------------------------------------------------------------------
+
+    def _compares(self, channel: _ZenohChannel) -> None:
+        """Compare the clocks of this end and the writer's from now on."""
+        if not channel.is_open:
+            return
+        clock = self._clocks.get(channel.peer)
+        if clock is None or (offset := clock.at(self._now())) is None:
+            channel.events.on_clock(0, _UNKNOWN)
+            self._clocks[channel.peer] = ClockOffset()
+            self.kernel.run_in_background(self._compare(channel.peer), "aiorts clock")
+        else:
+            channel.events.on_clock(*offset)
+        if self._comparing is None:
+            self._comparing = self.loop.call_later(_COMPARED, self._compare_all)
+
+    def _compare_all(self) -> None:
+        self._comparing = self.loop.call_later(_COMPARED, self._compare_all) if self._channels else None
+        for peer in {channel.peer for channel in self._channels.values()} & self._clocks.keys():
+            self.kernel.run_in_background(self._compare(peer), "aiorts clock")
+
+    async def _compare(self, peer: Peer) -> None:
+        asked = self._now()
+        try:
+            answer = await self.ask(peer, _CLOCK, b"", within=_COMPARED)
+        except LinkError:
+            return
+        clock, now = self._clocks.get(peer), self._now()
+        if clock is None or len(answer) != 8:
+            return
+        clock.add(asked, int.from_bytes(answer, "little", signed=True), now)
+        if (offset := clock.at(now)) is not None:
+            for channel in tuple(self._channels.values()):
+                if channel.peer == peer and channel.is_open:
+                    channel.events.on_clock(*offset)
+
+    async def _tell_time(self, _: bytes, caller: Caller) -> bytes:
+        return self._now().to_bytes(8, "little", signed=True)
 
     # -- questions -------------------------------------------------------------------------------------------------
 

@@ -112,6 +112,7 @@ def test_one_document_has_the_whole_system() -> None:
                 "mean_rate": None,
                 "latency": None,
                 "age": None,
+                "age_within_ns": None,
                 "acknowledged": None,
                 "in_flight": 0,
             }, wire.statistics

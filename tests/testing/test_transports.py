@@ -80,6 +80,9 @@ class End:
     def on_room(self) -> None:
         self.rooms += 1
 
+    def on_clock(self, ahead_ns: int, within_ns: int) -> None:
+        pass
+
     def on_state(self, up: bool, why: str) -> None:
         self.downs.append(why)
 

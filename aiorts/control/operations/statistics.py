@@ -61,8 +61,9 @@ class Counters(TypedDict):
     simulated: bool
     connectors: dict[str, tuple[int, int, int, Mapping[str, int], int]]
     """Written, delivered, buffered, dropped by reason, and the option `measure`."""
-    timed: dict[str, dict[str, tuple[int, int, int, int]]]
-    """"latency" and "age": how many, p50, p99 and maximum in nanoseconds."""
+    timed: dict[str, dict[str, tuple[int, ...]]]
+    """"latency" and "age": how many, p50, p99 and maximum in nanoseconds; "within": how far the age may be off that
+    is by the stamps of another machine."""
     contexts: dict[str, dict[str, Any]]
     components: dict[str, dict[str, Any]]
 
@@ -125,16 +126,17 @@ def _counted(connector: Connector) -> tuple[int, int, int, Mapping[str, int], in
     return written, written - buffered - sum(dropped.values()), buffered, dropped, measure
 
 
-def _timed(connector: Connector) -> dict[str, tuple[int, int, int, int]]:
+def _timed(connector: Connector) -> dict[str, tuple[int, ...]]:
     if not connector.profile.measure:
         return {}
     found = connector.statistics
     both: tuple[tuple[str, Spans | None], ...] = (("latency", found.latency), ("age", found.age))
-    return {
+    made: dict[str, tuple[int, ...]] = {
         what: (spans.count, spans.p50_ns, spans.p99_ns, spans.max_ns)
         for what, spans in both
         if spans is not None and spans.count
     }
+    return made if found.age_within_ns is None else {**made, "within": (found.age_within_ns,)}
 
 
 def _context(context: Context) -> dict[str, Any]:

@@ -33,12 +33,15 @@ class FarInPort(InPort[Any]):
 class FarOutPort(OutPort[Any]):
     """Stands for an out-port of another kernel: what is received from there is written at it."""
 
-    __slots__ = ("far", "held")
+    __slots__ = ("clock", "far", "held")
     is_far = True
     far: Path
     """Which port it stands for; `path` may say it otherwise."""
     held: Callable[[], int]
     """How many samples have come that are not written yet, since a reader has no room; set by the service."""
+    clock: tuple[int, int] | None
+    """How far the writer's clock is ahead of this kernel's, and how much that may be off, in ns; None: it is the same
+    clock. Set by the service."""
 
 
 class RemoteInPort(InPort[Any]):

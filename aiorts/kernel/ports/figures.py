@@ -29,11 +29,13 @@ def statistics_of(
 ) -> ConnectorStatistics:
     """These counts, which are of this moment, with what was measured."""
     now_ns, connector, times = transport.clock.monotonic_ns(), transport.connector, transport.times
-    latency = age = rate = None
+    latency = age = rate = within = None
     if times is not None:
         rate = mean_rate(written - times.before, times.since_ns, now_ns)
         latency = Spans.of(tuple(times.latencies))
-        age = Spans.of(tuple(times.ages)) if port_type(connector.in_.type).has_tm else None
+        if port_type(connector.in_.type).has_tm:
+            ahead, within = getattr(connector.out, "clock", None) or (0, None)
+            age = Spans.of([one + ahead for one in times.ages])
     return ConnectorStatistics(
         written,
         delivered,
@@ -43,4 +45,5 @@ def statistics_of(
         mean_rate=rate,
         latency=latency,
         age=age,
+        age_within_ns=within,
     )

@@ -212,7 +212,17 @@ def _connector(name: str, report: Mapping[str, Any], *, long: bool) -> Iterator[
         yield f"  {', '.join(said)}"
         for word in ("latency", "age"):
             if (spans := counts[word]) is not None:
-                yield f"  {word} p50 {spans['p50_ns'] / 1e6:.3f} ms, p99 {spans['p99_ns'] / 1e6:.3f} ms"
+                off = counts.get("age_within_ns") if word == "age" else None
+                texts = [f"{spans[key] / 1e6:.3f} ms{_off(off)}" for key in ("p50_ns", "p99_ns")]
+                yield f"  {word} p50 {texts[0]}, p99 {texts[1]}" if off is None or off <= _EXACT else f"  {word} ?"
+
+
+_EXACT: Final = 10_000_000
+"""Nanoseconds by which an age may be off that is worth its figure."""
+
+
+def _off(within_ns: int | None) -> str:
+    return "" if within_ns is None else f" +- {within_ns / 1e6:.3f} ms"
 
 
 def _link_states(report: Mapping[str, Any]) -> Mapping[str, str]:

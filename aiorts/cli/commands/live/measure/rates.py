@@ -11,7 +11,7 @@ import click
 from aiorts import exits
 from aiorts.cli.commands.live.edges import Edge, complete_edge, find_edges
 from aiorts.cli.commands.live.measure.readings import Counters, Rates, readings
-from aiorts.cli.commands.live.measure.spans import span_plain, span_text
+from aiorts.cli.commands.live.measure.spans import span_plain, span_text, within_text
 from aiorts.cli.commands.live.showing import Over, following_options, has_ended
 from aiorts.cli.commands.live.target import Running, kernels
 from aiorts.cli.console.output import say_line, say_now
@@ -138,6 +138,9 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
     """Show latency (from the write to the read) and age (when read, by the time stamp) of the last 1,000 samples of a
     connector, or of each connector of a port: median, 99th percentile, maximum. Names are as those of `aiorts hz`.
 
+    Where the stamps are those of another machine, its clock's offset is taken off the age, which may then be off by
+    what stands behind `+-`: half of the shortest time there and back. It is `?` where that is more than 10 ms.
+
     A connector that is not measured is from now on, which standard error says, and no longer when this ends, however
     it ends. That needs the right to operate the kernel. It ends with the kernel.
     """
@@ -157,7 +160,10 @@ def delay(name: str, interval: float, duration: float | None, count: int | None,
             early, first = first and bool(wanted), False  # nothing was read since it is measured
             for edge in () if early else meant:
                 found = now["timed"].get(edge.name, {})
-                _print(edge, _spans(found), {what: span_plain(found.get(what)) for what in _TIMED}, as_json=as_json)
+                plain: dict[str, Any] = {what: span_plain(found.get(what)) for what in _TIMED}
+                if "within" in found:
+                    plain["age_within_ns"] = found["within"][0]
+                _print(edge, _spans(found), plain, as_json=as_json)
             return not early
 
         return show
@@ -183,11 +189,11 @@ def _print(edge: Edge, text: str, found: Mapping[str, Any], *, as_json: bool) ->
 def _spans(found: Mapping[str, Any]) -> str:
     if not found:
         return "nothing was read"
-    texts = [
-        f"{what} p50 {span_text(found[what][1])}  p99 {span_text(found[what][2])}  max {span_text(found[what][3])}"
-        for what in _TIMED
-        if what in found
-    ]
+    texts = []
+    for what in (one for one in _TIMED if one in found):
+        p50, p99, most = map(span_text, found[what][1:])
+        off = within_text(found["within"][0]) if what == "age" and "within" in found else ""
+        texts.append("age ?" if off == "?" else f"{what} p50 {p50}{off}  p99 {p99}  max {most}")
     return f"{'  '.join(texts)}  samples {found['latency'][0]}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 
 def span_text(ns: float) -> str:
@@ -11,6 +12,17 @@ def span_text(ns: float) -> str:
         if abs(ns) >= size:
             return f"{ns / size:.3g} {unit}" if abs(ns) < 999 * size else f"{ns / size:.0f} {unit}"
     return f"{ns:.0f} ns"
+
+
+_EXACT: Final = 10_000_000
+"""Nanoseconds by which a span may be off that is worth its figure."""
+
+
+def within_text(within_ns: int | None) -> str:
+    """What stands behind a span that may be off by so much; "?": it says nothing."""
+    if within_ns is None:
+        return ""
+    return "?" if within_ns > _EXACT else f" +- {span_text(within_ns)}"
 
 
 def span_plain(spans: Sequence[int] | None) -> dict[str, int] | None:
