@@ -166,7 +166,7 @@ def test_what_a_command_began_ends_with_it_also_where_it_is_killed(far: Far) -> 
 
 
 def test_a_loop_that_is_held_up_says_so(far: Far) -> None:
-    assert far.do("conf", "counter", "hold=60.0")[0] == exits.DONE
+    far.do("conf", "counter", "hold=60.0")  # its answer may be held up already
     assert "no answer: its event loop has been busy" in far.do("ls")[1]
 
 
