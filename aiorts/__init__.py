@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from aiorts.realtime import RealtimeContext
     from aiorts.reload import Dropped, Reloaded
     from aiorts.running import run
-    from aiorts.services import Goal, Provided, Required, ServiceConnector, ServicePort
+    from aiorts.services import Goal, Provided, Required, ServiceConnector, ServicePort, idempotent
     from aiorts.statemachines import EventPort, MultiModeComponent, Participant, StateMachine, StateMachineComponent
     from aiorts.supervision import StartRule, Supervised, Supervision
     from aiorts.sync import Synchronizer
@@ -117,6 +117,7 @@ __all__ = (
     "WouldBlock",
     "component",
     "declaration_of",
+    "idempotent",
     "import_types",
     "profile_from_plain",
     "profile_schema",
@@ -146,7 +147,7 @@ _late(
         ),
         "aiorts.realtime": "RealtimeContext",
         "aiorts.reload": "Dropped Reloaded",
-        "aiorts.services": "Goal Provided Required ServiceConnector ServicePort",
+        "aiorts.services": "Goal Provided Required ServiceConnector ServicePort idempotent",
         "aiorts.statemachines": "EventPort MultiModeComponent Participant StateMachine StateMachineComponent",
         "aiorts.supervision": "StartRule Supervised Supervision",
         "aiorts.sync": "Synchronizer",

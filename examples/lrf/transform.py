@@ -5,8 +5,7 @@ from __future__ import annotations
 from cmath import rect
 from typing import Protocol
 
-from aiorts import Component, InPort, OutPort, Param, Provided
-from aiorts.services import idempotent
+from aiorts import Component, InPort, OutPort, Param, Provided, idempotent
 from aiorts.types import Point2D, Pose2D, TimedPoint2D
 
 

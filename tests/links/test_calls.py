@@ -14,7 +14,7 @@ from anyio import fail_after, sleep
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aiorts import Component, EventContext, Goal, Kernel, Provided, Required
+from aiorts import Component, EventContext, Goal, Kernel, Provided, Required, idempotent
 from aiorts.errors import (
     GoalCancelled,
     GoalFailed,
@@ -28,7 +28,6 @@ from aiorts.errors import (
 from aiorts.links import Links
 from aiorts.links.call_values import frame_of, interface_difference, interface_text, plain, restored, values_of
 from aiorts.model.interface import read_interface
-from aiorts.services import idempotent
 from aiorts.types import Pose2D, TimedDouble, TimedPose2D, record
 from campaign import cases
 
