@@ -27,6 +27,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
                 "connect-by-rules",
                 "connect-processes",
                 "connect-hosts",
+                "calibration",
                 "isolate-components",
                 "one-file",
             ),

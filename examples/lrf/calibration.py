@@ -28,7 +28,7 @@ class Calibration(Component):
     east = InPort(TimedPoint2D, unit="m")
     service = Provided[Calibrating]()
 
-    matches = Param(400, gt=2, doc="how many make a calibration")
+    matches = Param(300, gt=2, doc="how many make a calibration")
 
     def __init__(self, name: str = "") -> None:
         super().__init__(name)

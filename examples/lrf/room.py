@@ -29,7 +29,7 @@ RADIUS: Final = 0.2
 """Of whoever walks there."""
 PERIOD: Final = 25_000_000
 """Nanoseconds from scan to scan."""
-LAP: Final = 400
+LAP: Final = 300
 """Scans until the walker is where he was. The noise is that of the place in the lap, so that all laps are alike."""
 
 

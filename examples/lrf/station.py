@@ -58,7 +58,7 @@ class Map(Component):
     north = InPort(TimedPoint2D, unit="m")
     east = InPort(TimedPoint2D, unit="m")
 
-    matches = Param(400, gt=0, doc="how many points it has in the end")
+    matches = Param(300, gt=0, doc="how many points it has in the end")
 
     def __init__(self, name: str = "") -> None:
         super().__init__(name)

@@ -1,0 +1,163 @@
+"""Range finders that are calibrated from the tracks of one walker: in one process, in four, and on three hosts."""
+
+from __future__ import annotations
+
+import cmath
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from aiorts.guide.contents import FOLDER, page
+from aiorts.kernel.extensions.files import load_file
+from aiorts.types import Point2D, Pose2D
+from run_parts import here
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "lrf"
+POSE = re.compile(r"^(\w+) +(-?\d+\.\d+) m +(-?\d+\.\d+) m +(-?\d+\.\d+) deg: \S+ mm and \S+ deg off$", re.MULTILINE)
+LOST = re.compile(r"^calibrated from 300 matches; (\d+) scans in between were lost$", re.MULTILINE)
+SMOOTH = "calibrated from 300 matches; 0 scans in between were lost"
+
+
+def module(name: str) -> Any:
+    return load_file(EXAMPLE / f"{name}.py")
+
+
+def poses(said: str) -> dict[str, tuple[float, ...]]:
+    """What was printed of each range finder: metres, metres, degrees."""
+    return {name: tuple(map(float, numbers)) for name, *numbers in POSE.findall(said)}
+
+
+@pytest.fixture(scope="module")
+def simulated() -> str:
+    """What the run in one process says."""
+    done = here("run", str(EXAMPLE / "system.toml"))
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def ran(*options: str) -> tuple[int, str]:
+    """A run of the processes: exit status, what was said."""
+    command = [sys.executable, str(EXAMPLE / "run.py"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+# -- the parts ---------------------------------------------------------------------------------------------------------
+
+numbers = st.floats(-10.0, 10.0)
+headings = st.floats(-3.0, 3.0)
+pose = st.builds(lambda x, y, heading: Pose2D(Point2D(x, y), heading), numbers, numbers, headings)
+
+
+@given(first=pose, other=pose)
+def test_poses_are_found_from_tracks_without_noise(first: Pose2D, other: Pose2D) -> None:
+    walked = np.array([0.0, 1.0, 1.0 + 2.0j, -1.0 + 0.5j])
+    seen = [
+        (walked - complex(one.position.x, one.position.y)) * cmath.rect(1.0, -one.heading) for one in (first, other)
+    ]
+    for found, true in zip(module("calibration").poses_of(np.array(seen), first), (first, other), strict=True):
+        assert math.isclose(found.position.x, true.position.x, abs_tol=1e-9)
+        assert math.isclose(found.position.y, true.position.y, abs_tol=1e-9)
+        assert math.isclose(found.heading, true.heading, abs_tol=1e-9)
+
+
+@given(distance=st.floats(0.5, 6.0), bearing=headings)
+def test_the_middle_of_the_walker_is_found_from_his_near_side(distance: float, bearing: float) -> None:
+    middle = cmath.rect(distance, bearing)
+    side = middle - 0.2 * cmath.rect(1.0, bearing) * np.exp(1j * np.linspace(-1.2, 1.2, 9))
+    assert abs(module("tracker").middle_of(side, 0.2) - middle) < 1e-9
+
+
+def test_a_ray_goes_to_the_wall_or_to_the_walker_who_stands_before_it() -> None:
+    rays = np.exp(1j * np.radians([0.1, 90.1, 180.1]))
+    far = module("room").distances(1.0 + 1.0j, rays, 1.0 - 2.0j)
+    near = module("room").distances(1.0 + 1.0j, rays, 3.0 + 1.0j)
+    assert far == pytest.approx([3.0, 2.0, 5.0], abs=1e-3)
+    assert near == pytest.approx([1.8, 2.0, 5.0], abs=1e-3)
+
+
+# -- in one process ----------------------------------------------------------------------------------------------------
+
+
+def test_in_one_process_every_pose_is_right(simulated: str) -> None:
+    assert SMOOTH in simulated
+    assert [*poses(simulated)] == ["west", "north", "east"]
+    assert re.search(r"^on one map: 300 points, [1-5]\.\d+ mm from the middle of the three", simulated, re.MULTILINE)
+
+
+@pytest.mark.parametrize("change", ["operator.within=0.0001", "operator.within_degrees=0.001"])
+def test_a_pose_that_is_not_right_is_said_and_ends_with_status_1(change: str) -> None:
+    done = here("run", str(EXAMPLE / "system.toml"), "--set", change)
+    assert (done.returncode, "deg WRONG\n" in done.stdout) == (1, True), done.stdout
+
+
+def test_the_picture_of_the_guide_is_what_its_script_draws() -> None:
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE / "picture.py")], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert (FOLDER / "howto" / "calibration.svg").read_text(encoding="utf-8") == done.stdout
+    found = page("calibration")
+    assert found is not None
+    assert "](calibration.svg)" in found.text
+
+
+# -- in several --------------------------------------------------------------------------------------------------------
+
+
+def test_four_processes_find_the_same_poses(simulated: str) -> None:
+    status, said = ran()
+    assert (status, SMOOTH in said) == (0, True), said
+    for name, found in poses(simulated).items():
+        assert poses(said)[name] == pytest.approx(found, abs=1e-9)
+
+
+@pytest.mark.parametrize("killed", ["north", "station"])
+def test_one_that_is_killed_in_mid_calibration_is_started_again_and_the_poses_are_right(killed: str) -> None:
+    status, said = ran("--kill", killed)
+    assert (status, len(poses(said))) == (0, 3), said
+    assert f"{killed} is killed, and started again\n" in said
+    lost = LOST.search(said)
+    assert lost is not None, said
+    if killed == "north":
+        assert 80 < int(lost[1]) < 2000  # its tracker learns the room for 80 scans
+    else:
+        assert (int(lost[1]), said.count("100 matches\n")) == (0, 2)
+
+
+@pytest.fixture
+def namespaces() -> None:
+    pytest.importorskip("zenoh")
+    if shutil.which("ip") is None or os.geteuid() != 0:
+        pytest.skip("not run: network namespaces need `ip` and root")
+    name = f"lrf-{os.getpid()}"
+    made = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False, timeout=10)
+    if made.returncode:
+        pytest.skip(f"not run: no network namespaces here: {made.stderr.strip()[:200]}")
+    subprocess.run(["ip", "netns", "del", name], check=True, timeout=10)
+
+
+def test_three_hosts_find_the_same_poses(simulated: str, namespaces: None) -> None:
+    status, said = ran("--network")
+    assert (status, SMOOTH in said) == (0, True), said
+    for name, found in poses(simulated).items():
+        assert poses(said)[name] == pytest.approx(found, abs=1e-9)
+
+
+@pytest.mark.fault("E01")
+def test_one_of_three_hosts_is_killed_in_mid_calibration(namespaces: None) -> None:
+    status, said = ran("--network", "--kill", "north")
+    lost = LOST.search(said)
+    assert (status, len(poses(said)), lost is not None) == (0, 3, True), said
+    assert lost is not None
+    assert int(lost[1]) > 80
