@@ -28,6 +28,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
                 "connect-processes",
                 "connect-hosts",
                 "calibration",
+                "secure-network",
                 "isolate-components",
                 "one-file",
             ),

@@ -19,6 +19,8 @@ from aiorts.control import FURTHER
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
 from aiorts_zenoh.network import NetworkSettings, engine_settings
+from aiorts_zenoh.security.access import OPERATOR, VIEWER
+from aiorts_zenoh.security.tls import secured_by
 
 _CONNECTS: Final = 3_000
 """Milliseconds within which the other host answers."""
@@ -32,23 +34,35 @@ _UNNAMED: Final = re.compile(r"[^A-Za-z0-9_.-]+")
 @click.argument("command", nargs=-1, metavar="[COMMAND]...", type=click.UNPROCESSED)
 @click.option("--domain", default="default", show_default=True, help="Whose kernels are meant.")
 @click.option("--as", "caller", default="", metavar="NAME", help="Your name there; by default that of user and host.")
+@click.option(
+    "--certs",
+    "certificates",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Folder of certificates; your name there picks yours.",
+)
 @click.option("--insecure-network", "insecure", is_flag=True, help="Plain TCP without certificates.")
-def at(endpoints: str, command: tuple[str, ...], domain: str, caller: str, insecure: bool) -> int:
+def at(
+    endpoints: str, command: tuple[str, ...], domain: str, caller: str, certificates: Path | None, insecure: bool
+) -> int:
     """Run COMMAND, such as `ls` or `print imu.out`, with the kernels that are reached at HOST:PORT beside those here.
 
     A kernel or a router listens there (`aiorts run --listen`). Without COMMAND a shell begins in which all commands
     reach them, until it ends. What they let you do is theirs to say: look, or operate where they run with
     --allow-control.
     """
-    settings = NetworkSettings(connect=endpoints, domain=domain, insecure=insecure)
+    settings = NetworkSettings(connect=endpoints, domain=domain, certificates=certificates, insecure=insecure)
     name = _UNNAMED.sub("-", caller or f"{getpass.getuser()}-{platform.node()}").strip("-.") or "somebody"
     return asyncio.run(_at(settings, name, command))
 
 
 async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) -> int:
+    secured = secured_by(settings.certificates, caller, (VIEWER, OPERATOR)) if settings.certificates else None
     own = {"connect/timeout_ms": _CONNECTS, "connect/exit_on_failure": True}
     with tempfile.TemporaryDirectory(prefix="aiorts-at-") as folder:
-        gateway = Gateway(Path(folder), ClientKeys(settings.domain, caller), {**engine_settings(settings), **own})
+        gateway = Gateway(
+            Path(folder), ClientKeys(settings.domain, caller), {**engine_settings(settings, secured), **own}
+        )
         await gateway.open()
         try:
             return await _run(command, folder)

@@ -21,6 +21,11 @@ HELLO: Final = "hello"
 """The call that every kernel answers with what it is."""
 
 
+def base_of(domain: str) -> str:
+    """What all keys of a domain begin with."""
+    return f"{_VERSION}/{domain}"
+
+
 @dataclass(frozen=True, slots=True)
 class Keys:
     """The keys of one kernel in a domain.

@@ -7,6 +7,7 @@ import logging
 import platform
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from aiorts import KernelService, setting
@@ -14,6 +15,9 @@ from aiorts.control import Control
 from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
 from aiorts.links import Links
+from aiorts_zenoh.keys import base_of
+from aiorts_zenoh.security.access import COMPONENT, Access
+from aiorts_zenoh.security.tls import Secured, secured_by, tls_settings
 from aiorts_zenoh.serving import Serving
 from aiorts_zenoh.transport import ZenohTransport
 
@@ -37,6 +41,15 @@ class NetworkSettings:
     )
     host: str = setting("", "The name by which others know this machine; by default its own.", option="--host")
     domain: str = setting("default", "Kernels of different domains do not see each other.")
+    certificates: Path | None = setting(
+        None, "Folder of certificates, made with aiorts certs: who reaches the port shows one.", option="--certs"
+    )
+    access: Any = setting(
+        None,
+        "Names by what they may do: viewer, operator, component, router; by default as the folder's index says.",
+        type="object",
+        additionalProperties={"type": "array", "items": {"type": "string"}},
+    )
     insecure: bool = setting(
         False,
         "Plain TCP without certificates: all that reach the port see and do everything.",
@@ -52,11 +65,15 @@ class NetworkSettings:
                 host, colon, port = endpoint.rpartition(":")
                 if not (host and colon and port.isdecimal() and int(port) < 65_536):
                     raise ConfigurationError(f"{key}: expected host:port, got {endpoint!r:.80}")
-        if (self.listen or self.connect) and not self.insecure:
+        if self.insecure and self.certificates is not None:
+            raise ConfigurationError("insecure: there are certificates as well; give one of them")
+        if (self.listen or self.connect) and not self.insecure and self.certificates is None:
             raise ConfigurationError(
-                "insecure: certificates are not there yet, so what goes to other hosts is plain TCP; say insecure = "
-                "true (--insecure-network) in a network that is yours alone"
+                "certificates: other hosts are reached with certificates alone; give their folder (--certs), which "
+                "aiorts certs makes, or say insecure = true (--insecure-network) in a network that is yours alone"
             )
+        if self.access is not None:
+            Access.of_table(self.access)
         _check_name("domain", self.domain)
         if self.host:
             _check_name("host", self.host)
@@ -73,12 +90,15 @@ class Network(KernelService):
         self._opening: asyncio.Task[None] | None = None
         self._transport: ZenohTransport | None = None
         self._serving: Serving | None = None
+        self._security = ""
 
     def configure(self, settings: NetworkSettings) -> None:
         host = settings.host or platform.node()
         _check_name("host", host)
-        clock = self.kernel.clock
-        self._transport = ZenohTransport(host, settings.domain, engine_settings(settings), now=clock.time_ns)
+        secured = _secured(settings, self.kernel.name)
+        self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
+        own, clock = engine_settings(settings, secured), self.kernel.clock
+        self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns)
         opening = self._open(self._transport, operate=settings.allow_control)
         self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
         self._opening.add_done_callback(_report)
@@ -103,7 +123,8 @@ class Network(KernelService):
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
         where = {"host": transport.host, "domain": transport.domain, "name": transport.standing}
-        return {**where, "kernels": seen, "left_out": transport.left_out}
+        report = {**where, "kernels": seen, "left_out": transport.left_out}
+        return {**report, "security": self._security} if self._security else report
 
     def stopped(self) -> None:
         if self._opening is not None:
@@ -114,14 +135,27 @@ class Network(KernelService):
             self._serving.close()
 
 
-def engine_settings(settings: NetworkSettings) -> Mapping[str, Any]:
+def _secured(settings: NetworkSettings, kernel: str) -> Secured | None:
+    """What the kernel shows to others, and what they may do; None: there are no certificates.
+
+    ConfigurationError: there is none for the kernel's name, or it is not to be used.
+    """
+    if settings.certificates is None:
+        return None
+    return secured_by(settings.certificates, kernel, (COMPONENT,), settings.access)
+
+
+def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -> Mapping[str, Any]:
     """What the engine is told: nothing but what was asked for listens, connects or looks around."""
     # A client hears all that is behind what it connects to, such as a router; a peer hears its neighbours alone.
     is_client = len(_listed(settings.connect)) == 1 and not settings.listen
+    protocol = "tls" if secured else "tcp"
+    security = tls_settings(secured, base_of(settings.domain)) if secured else {"transport/link/protocols": ["tcp"]}
     return {
+        **security,
         "mode": "client" if is_client else "peer",
-        "listen/endpoints": [f"tcp/{endpoint}" for endpoint in _listed(settings.listen)],
-        "connect/endpoints": [f"tcp/{endpoint}" for endpoint in _listed(settings.connect)],
+        "listen/endpoints": [f"{protocol}/{endpoint}" for endpoint in _listed(settings.listen)],
+        "connect/endpoints": [f"{protocol}/{endpoint}" for endpoint in _listed(settings.connect)],
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1_000, "period_increase_factor": 2},

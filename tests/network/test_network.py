@@ -41,7 +41,11 @@ class Sink(Component):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"listen": "127.0.0.1:7447"}, "insecure: certificates are not there yet"),
+        ({"listen": "127.0.0.1:7447"}, "certificates: other hosts are reached with certificates alone"),
+        ({"insecure": True, "certificates": Path("certs")}, "insecure: there are certificates as well"),
+        ({"access": {"boss": ["a"]}}, "access: expected viewer, operator, component, router, got"),
+        ({"access": {"viewer": "a"}}, "access: viewer: expected a list of names"),
+        ({"access": {"viewer": ["a"], "operator": ["a"]}}, "access: .a. is viewer and operator"),
         ({"connect": "robot", "insecure": True}, "connect: expected host:port, got 'robot'"),
         ({"listen": ":70000", "insecure": True}, "listen: expected host:port, got ':70000'"),
         ({"listen": "a:1, :2", "insecure": True}, "listen: expected host:port, got ':2'"),

@@ -1,0 +1,167 @@
+"""The table of who may send what to whom. Names come from certificates; nothing is looked up here.
+
+A message goes from one name to another, over the connection between them; `ROWS` says which messages a role may send
+to which, with {a} for the name of the sender and {b} for that of the receiver. The engine compares both with the
+certificate at the other end of the connection, so a name in a key cannot be another's. A router stands for everybody:
+to it and from it the other name is any. What no row allows is denied.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+from aiorts.errors import ConfigurationError
+from aiorts.late import dataclass
+
+VIEWER: Final = "viewer"
+OPERATOR: Final = "operator"
+COMPONENT: Final = "component"
+ROUTER: Final = "router"
+ROLES: Final = (VIEWER, OPERATOR, COMPONENT, ROUTER)
+_ANY: Final = "*"
+_WORD: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+"""What a certificate can name: one part of a key of the engine, of the 64 letters that a common name has."""
+
+
+class Row(NamedTuple):
+    """Messages that a name of these roles may send to one of those."""
+
+    senders: tuple[str, ...]
+    receivers: tuple[str, ...]
+    messages: tuple[str, ...]
+    keys: tuple[str, ...]
+    """Below the domain."""
+
+
+_KERNELS: Final = (COMPONENT,)
+_LOOKERS: Final = (VIEWER, OPERATOR)
+_ALL: Final = (VIEWER, OPERATOR, COMPONENT)
+_WATCH: Final = ("declare_liveliness_subscriber", "liveliness_query")
+_ASK: Final = ("query", "put", "declare_subscriber", "liveliness_token")
+"""What a client does: it calls, and has sessions, which are there for as long as their tokens."""
+_OFFER: Final = ("declare_queryable", "declare_subscriber", *_WATCH)
+_ANSWER: Final = ("reply", "put")
+
+ROWS: Final = (
+    # Who is there: a kernel shows its own name alone.
+    Row(_ALL, _ALL, _WATCH, ("live/*/*/*",)),
+    Row(_KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/*",)),
+    # What kernels ask each other.
+    Row(_KERNELS, _KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
+    Row(_KERNELS, _KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
+    Row(_KERNELS, _KERNELS, ("reply",), ("svc/*/{a}/*/{b}/**",)),
+    # Frames of links: what its writer sends, and what its reader does.
+    Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("link/*/*/*/{a}/*/w", "link/*/{a}/*/*/*/r")),
+    Row(_KERNELS, _KERNELS, ("put",), ("link/*/{a}/*/{b}/*/w", "link/*/{b}/*/{a}/*/r")),
+    # Looking into kernels, and controlling them; a call may be one to all of them.
+    Row(_LOOKERS, _KERNELS, _ASK, ("info/*/*/*/{a}/**",)),
+    Row(_KERNELS, _LOOKERS, _OFFER, ("info/*/{a}/*/**",)),
+    Row(_KERNELS, _LOOKERS, _ANSWER, ("info/*/{a}/*/{b}/**",)),
+    Row((OPERATOR,), _KERNELS, _ASK, ("ctl/*/*/*/{a}/**",)),
+    Row(_KERNELS, (OPERATOR,), _OFFER, ("ctl/*/{a}/*/**",)),
+    Row(_KERNELS, (OPERATOR,), _ANSWER, ("ctl/*/{a}/*/{b}/**",)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """The names that have a role, and those that are denied."""
+
+    roles: Mapping[str, str]
+    denied: frozenset[str]
+
+    @classmethod
+    def of_names(cls, roles: Mapping[str, str], denied: Iterable[str] = ()) -> Access:
+        """Of names and their roles; what is denied has none, whatever else is said."""
+        out = frozenset(denied)
+        return cls(MappingProxyType({name: role for name, role in roles.items() if name not in out}), out)
+
+    @classmethod
+    def of_table(cls, table: Any, denied: Iterable[str] = ()) -> Access:
+        """Of lists of names by their role. ConfigurationError: it is no such table."""
+        roles: dict[str, str] = {}
+        if not isinstance(table, Mapping):
+            raise ConfigurationError(f"access: expected a table of names by role, got {table!r:.80}")
+        for role, names in table.items():
+            if role not in ROLES:
+                raise ConfigurationError(f"access: expected {', '.join(ROLES)}, got {role!r:.80}")
+            if not isinstance(names, (list, tuple)):
+                raise ConfigurationError(f"access: {role}: expected a list of names, got {names!r:.80}")
+            for name in names:
+                check_word(name, f"access: {role}")
+                if roles.setdefault(name, role) != role:
+                    raise ConfigurationError(f"access: {name!r} is {roles[name]} and {role}; a name has one role")
+        return cls.of_names(roles, denied)
+
+    def is_kernel(self, name: str) -> bool:
+        """Whether a kernel may have this name."""
+        return self.roles.get(name) == COMPONENT
+
+    def fault(self, name: str) -> str:
+        """Why a name may do nothing; "" when it may."""
+        if name in self.denied:
+            return f"{name!r} was revoked"
+        return "" if name in self.roles else f"{name!r} has no role here"
+
+
+def check_word(name: object, what: str) -> str:
+    """The name itself, if a certificate can name it. ConfigurationError: it cannot."""
+    if not (isinstance(name, str) and _WORD.fullmatch(name)):
+        raise ConfigurationError(f"{what}: expected at most 64 letters, digits, '_', '-' and '.', got {name!r:.80}")
+    return name
+
+
+def sends(sender: tuple[str, str], receiver: tuple[str, str], base: str) -> Iterator[tuple[str, str]]:
+    """The messages and keys that a name and role may send to another, below `base`."""
+    (a, a_role), (b, b_role) = sender, receiver
+    if a_role == b_role == ROUTER:
+        yield from ((message, f"{base}/**") for row in ROWS for message in row.messages)
+        return
+    a, b = (_ANY if role == ROUTER else name for name, role in (sender, receiver))
+    for row in ROWS:
+        if a_role in (*row.senders, ROUTER) and b_role in (*row.receivers, ROUTER):
+            for key in row.keys:
+                for message in row.messages:
+                    yield message, f"{base}/{key.format(a=a, b=b)}"
+
+
+def access_control(own: str, access: Access, base: str) -> dict[str, Any]:
+    """The engine's `access_control` at the end of one name: what each other one may send to it, and it to them."""
+    me = own, access.roles[own]
+    rules: list[dict[str, Any]] = []
+    policies: list[dict[str, Any]] = []
+    for name, role in access.roles.items():
+        other = name, role
+        made = [
+            *_rules(f"{name} in", "ingress", sends(other, me, base)),
+            *_rules(f"{name} out", "egress", sends(me, other, base)),
+        ]
+        if made:
+            rules += made
+            policies.append({"rules": [rule["id"] for rule in made], "subjects": [name]})
+    names = [policy["subjects"][0] for policy in policies]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, "cert_common_names": [name]} for name in names],
+        "policies": policies,
+    }
+
+
+def _rules(word: str, flow: str, allowed: Iterable[tuple[str, str]]) -> Iterator[dict[str, Any]]:
+    """A rule for each key, of all messages that may have it."""
+    by_key: dict[str, dict[str, None]] = {}
+    for message, key in allowed:
+        by_key.setdefault(key, {})[message] = None
+    for number, (key, messages) in enumerate(by_key.items()):
+        yield {
+            "id": f"{word} {number}",
+            "messages": list(messages),
+            "flows": [flow],
+            "permission": "allow",
+            "key_exprs": [key],
+        }

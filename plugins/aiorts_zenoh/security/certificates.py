@@ -1,0 +1,192 @@
+"""Makes and reads certificates. No file is touched here, and no key gets into a message."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from typing import Final
+
+from aiorts.errors import ConfigurationError, MissingExtra
+from aiorts.late import dataclass
+
+try:
+    from cryptography import x509
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+except ImportError:
+    raise MissingExtra("certificates", "cryptography", "zenoh") from None
+
+_AUTHORITY_DAYS: Final = 3_650
+_BEFORE: Final = timedelta(minutes=5)
+"""How far the clock of another machine may be behind this one's when a certificate is new."""
+_LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
+_HOST: Final = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a certificate says."""
+
+    name: str
+    role: str
+    begins: datetime
+    ends: datetime
+    addresses: tuple[str, ...]
+    certified: bool
+    """Whether this authority has certified it."""
+    fits_key: bool
+
+    def fault(self, name: str, role: str) -> str:
+        """What is wrong with it as the certificate of a name with a role ("" is any); "" when nothing is."""
+        now = datetime.now(UTC)
+        if self.name != name:
+            return f"is for {self.name!r}, not for {name!r}"
+        if not self.certified:
+            return "was not issued by the authority of this folder (ca.pem)"
+        if not self.fits_key:
+            return "does not go with its key"
+        if now < self.begins:
+            return f"is not valid before {self.begins:%Y-%m-%d %H:%M} UTC"
+        if now > self.ends:
+            return f"has expired on {self.ends:%Y-%m-%d %H:%M} UTC; aiorts certs issue {name}"
+        if role and role != self.role:
+            return f"has the role {self.role!r}, the index says {role!r}; aiorts certs issue {name} --role {role}"
+        return ""
+
+
+def made_authority(days: float = _AUTHORITY_DAYS) -> tuple[bytes, bytes]:
+    """The certificate and the key of a new authority."""
+    key = _new_key()
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "aiorts certificate authority")])
+    builder = _builder(subject, subject, key, days)
+    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    builder = builder.add_extension(_usage(signs=False), critical=True)
+    return _signed(builder, key), _pem_of(key)
+
+
+def made_certificate(
+    authority: bytes, authority_key: bytes, name: str, role: str, addresses: Sequence[str], days: float
+) -> tuple[bytes, bytes]:
+    """The certificate and the key of a name."""
+    issuer = _certificate(authority)
+    signing = _key(authority_key)
+    if signing.public_key() != issuer.public_key():
+        raise ConfigurationError("ca.key: does not go with ca.pem")
+    key = _new_key()
+    subject = x509.Name(
+        [
+            x509.NameAttribute(NameOID.COMMON_NAME, name),
+            x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, role),
+        ]
+    )
+    builder = _builder(subject, issuer.subject, key, days)
+    builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+    builder = builder.add_extension(_usage(signs=True), critical=True)
+    uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+    names = dict.fromkeys((*_LOOPBACK, *addresses))
+    builder = builder.add_extension(x509.SubjectAlternativeName([_general(one) for one in names]), critical=False)
+    return _signed(builder, signing), _pem_of(key)
+
+
+def facts(certificate: bytes, key: bytes, authority: bytes) -> Facts:
+    """What a certificate says. ConfigurationError: one of these is none."""
+    found, issuer = _certificate(certificate), _certificate(authority)
+    try:
+        found.verify_directly_issued_by(issuer)
+        certified = True
+    except (ValueError, TypeError, InvalidSignature):
+        certified = False
+    return Facts(
+        _of_subject(found, NameOID.COMMON_NAME),
+        _of_subject(found, NameOID.ORGANIZATIONAL_UNIT_NAME),
+        found.not_valid_before_utc,
+        found.not_valid_after_utc,
+        _addresses(found),
+        certified,
+        _key(key).public_key() == found.public_key(),
+    )
+
+
+# -- the library -------------------------------------------------------------------------------------------------------
+
+
+def _new_key() -> ec.EllipticCurvePrivateKey:
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def _key(data: bytes) -> ec.EllipticCurvePrivateKey:
+    try:
+        found = serialization.load_pem_private_key(data, None)
+    except (ValueError, TypeError):
+        found = None
+    if not isinstance(found, ec.EllipticCurvePrivateKey):
+        raise ConfigurationError("the key is none of an elliptic curve in PEM without a passphrase")
+    return found
+
+
+def _certificate(data: bytes) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(data)
+    except ValueError:
+        raise ConfigurationError("the certificate is none in PEM") from None
+
+
+def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
+    form = serialization.PrivateFormat.PKCS8
+    return key.private_bytes(serialization.Encoding.PEM, form, serialization.NoEncryption())
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: float
+) -> x509.CertificateBuilder:
+    now = datetime.now(UTC)
+    builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key.public_key())
+    builder = builder.serial_number(x509.random_serial_number())
+    return builder.not_valid_before(now - _BEFORE).not_valid_after(now + timedelta(days=days))
+
+
+def _usage(*, signs: bool) -> x509.KeyUsage:
+    """Of a key that signs handshakes, or that certifies others."""
+    return x509.KeyUsage(
+        digital_signature=signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=not signs,
+        crl_sign=not signs,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _signed(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> bytes:
+    return builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+
+
+def _general(address: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(address))
+    except ValueError:
+        pass
+    if len(address) > 253 or not _HOST.fullmatch(address):
+        raise ConfigurationError(f"address: expected a host name or an IP address, got {address!r:.80}") from None
+    return x509.DNSName(address)
+
+
+def _addresses(certificate: x509.Certificate) -> tuple[str, ...]:
+    try:
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return ()
+    return (*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress)))
+
+
+def _of_subject(certificate: x509.Certificate, what: x509.ObjectIdentifier) -> str:
+    found = certificate.subject.get_attributes_for_oid(what)
+    return str(found[0].value) if found else ""
