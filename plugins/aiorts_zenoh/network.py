@@ -95,7 +95,7 @@ class Network(KernelService):
     def configure(self, settings: NetworkSettings) -> None:
         host = settings.host or platform.node()
         _check_name("host", host)
-        secured = _secured(settings, self.kernel.name)
+        secured = _secured(settings, self.kernel.service(Links).reached_as)
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns)

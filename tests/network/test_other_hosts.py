@@ -57,6 +57,9 @@ class Counter(Component):
 class Far:
     """A run on another host, and what commands of this one do with it."""
 
+    security: tuple[str, ...] = ("--insecure-network",)
+    client: tuple[str, ...] = ("--as", "tester", "--insecure-network")
+
     def __init__(self, folder: Path, *options: str) -> None:
         self.address = f"127.0.0.1:{free_port()}"
         (folder / "system.toml").write_text(SYSTEM)
@@ -64,7 +67,7 @@ class Far:
         self.log = folder / "log.txt"
         self.folders = [tempfile.mkdtemp(prefix="ai") for _ in range(2)]
         run = [sys.executable, "-m", "aiorts", "run", str(folder / "system.toml"), "--name", "robot", *options]
-        network = ["--host", "far", "--listen", self.address, "--insecure-network"]
+        network = ["--host", "far", "--listen", self.address, *self.security]
         with self.log.open("w") as output:
             self.process = subprocess.Popen([*run, *network], env=self._on(1), stdout=output, stderr=output)
 
@@ -72,7 +75,7 @@ class Far:
         return os.environ | {"XDG_RUNTIME_DIR": self.folders[host]}
 
     def start(self, *words: str, **options: Any) -> subprocess.Popen[str]:
-        at = [sys.executable, "-m", "aiorts", "at", "--as", "tester", "--insecure-network", self.address]
+        at = [sys.executable, "-m", "aiorts", "at", *self.client, self.address]
         return subprocess.Popen(
             [*at, *words], env=self._on(0), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
         )

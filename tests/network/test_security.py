@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,11 @@ from aiorts.types import TimedOctetSeq
 pytest.importorskip("zenoh")
 pytest.importorskip("cryptography")
 
+from aiorts import exits
 from aiorts_zenoh import Network
 from network.certificate_parts import folder
 from network.network_parts import free_port
+from network.test_other_hosts import WAIT, Far
 
 
 class Source(Component):
@@ -67,3 +70,37 @@ def test_a_kernel_of_another_authority_sees_nobody(tmp_path: Path) -> None:
             assert (reader.service(Links).peers, writer.service(Links).peers) == ((), ())
 
     asyncio.run(main())
+
+
+class SecuredFar(Far):
+    """A run on another host with certificates."""
+
+    def __init__(self, folder: Path, certificates: Path, *options: str) -> None:
+        self.certificates = certificates
+        self.security = ("--certs", str(certificates))
+        super().__init__(folder, *options)
+
+    def do_as(self, name: str, *words: str) -> tuple[int, str, str]:
+        """Status, output and errors of a command of this name."""
+        self.client = ("--as", name, "--certs", str(self.certificates))
+        return self.do(*words)
+
+
+def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
+    roles = {"robot": "component", "arm": "component", "anna": "viewer", "otto": "operator"}
+    folder(tmp_path / "certs", **roles)
+    far = SecuredFar(tmp_path, tmp_path / "certs", "--allow-control", "-v")
+    try:
+        until = time.monotonic() + WAIT
+        while far.do_as("anna", "ls")[1].split() != ["robot/", "counter"]:
+            assert time.monotonic() < until, far.log.read_text()
+        status, _, errors = far.do_as("anna", "conf", "counter", "step=5")
+        assert (status, "E-DENIED" in errors) == (exits.DENIED, True), (status, errors)
+        assert far.step() == 1
+        assert far.do_as("otto", "conf", "counter", "step=5")[0] == exits.DONE
+        assert far.step() == 5
+        status, _, errors = far.do_as("arm", "ls")
+        assert (status, "'arm' has the role 'component'" in errors) == (exits.REFUSED, True)
+        assert "[otto, another host]: configure(" in far.log.read_text()
+    finally:
+        far.close()

@@ -117,8 +117,7 @@ class Folder:
         found = Identity(name, role, self._of(name, "pem"), self._of(name, "key"), self._of(AUTHORITY, "pem"))
         if not found.certificate.exists():
             raise ConfigurationError(
-                f"{found.certificate}: there is none: the kernel's name has to be in its certificate; "
-                f"aiorts certs issue {name} --role component"
+                f"{found.certificate}: {name!r} has no certificate; aiorts certs issue {name}; or take another name"
             )
         if name in denied:
             raise ConfigurationError(f"{name!r} was revoked; give the kernel another name, and a certificate for that")

@@ -1,0 +1,254 @@
+"""Who may send what: the table against a model of its own, and the engine that goes by it against forged keys."""
+
+from __future__ import annotations
+
+import json
+import random
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+pytest.importorskip("zenoh")
+pytest.importorskip("cryptography")
+
+import zenoh
+
+from aiorts.errors import ConfigurationError
+from aiorts_zenoh.security.access import Access, access_control, sends
+from aiorts_zenoh.security.folder import Folder
+from aiorts_zenoh.security.tls import secured_by, tls_settings
+from network.certificate_parts import folder
+from network.network_parts import free_port
+
+BASE = "aiorts/1/default"
+ROLES = {
+    "arm": "component",
+    "base": "component",
+    "camera": "component",
+    "anna": "viewer",
+    "otto": "operator",
+    "hub": "router",
+}
+KERNELS = [name for name, role in ROLES.items() if role == "component"]
+EPOCH = f"{7:016x}"
+FORGED = ("*", "**", "arm$*", "a$*", "arm.", "Arm", "nobody")
+"""What may stand in a key where the name of the sender stands."""
+MESSAGES = {
+    "live": ("liveliness_token",),
+    "svc": ("query",),
+    "link": ("put",),
+    "info": ("query", "put", "liveliness_token"),
+    "ctl": ("query", "put", "liveliness_token"),
+}
+
+
+def key_of(space: str, sender: str, receiver: str) -> str:
+    """What `sender` sends to `receiver`, by the layout of the keys."""
+    return {
+        "live": f"{BASE}/live/host/{sender}/1700000000000000000-{EPOCH}",
+        "svc": f"{BASE}/svc/host/{receiver}/{EPOCH}/{sender}/link",
+        "link": f"{BASE}/link/host/{sender}/host/{receiver}/1/w",
+        "info": f"{BASE}/info/host/{receiver}/{EPOCH}/{sender}/names",
+        "ctl": f"{BASE}/ctl/host/{receiver}/{EPOCH}/{sender}/stop",
+    }[space]
+
+
+def may(role: str, space: str) -> bool:
+    """Whether a name of this role sends anything of its own there."""
+    return role in {"live": "component", "svc": "component", "link": "component", "ctl": "operator"}.get(
+        space, "viewer operator"
+    )
+
+
+def allows(sender: str, receiver: str, message: str, key: str) -> bool:
+    """What the table says, with the engine's own way to compare keys."""
+    found = sends((sender, ROLES[sender]), (receiver, ROLES[receiver]), BASE)
+    return any(kind == message and zenoh.KeyExpr(allowed).includes(zenoh.KeyExpr(key)) for kind, allowed in found)
+
+
+NAMES = st.sampled_from([name for name in ROLES if name != "hub"])
+
+
+@given(NAMES, st.sampled_from(KERNELS), st.sampled_from(sorted(MESSAGES)), st.sampled_from((*ROLES, *FORGED)))
+def test_what_a_name_may_send_is_its_own_and_forged_names_are_not(
+    sender: str, receiver: str, space: str, said: str
+) -> None:
+    if sender == receiver:
+        return
+    key = key_of(space, said, receiver)
+    wanted = said == sender and may(ROLES[sender], space)
+    for message in MESSAGES[space]:
+        assert allows(sender, receiver, message, key) is wanted, (sender, message, key)
+
+
+@given(NAMES, st.sampled_from(KERNELS), st.sampled_from(KERNELS), st.sampled_from("wr"))
+def test_frames_go_between_the_two_ends_of_a_link_alone(sender: str, writer: str, reader: str, end: str) -> None:
+    key = f"{BASE}/link/host/{writer}/host/{reader}/1/{end}"
+    for receiver in KERNELS:
+        ends = (writer, reader) if end == "w" else (reader, writer)
+        if sender != receiver and writer != reader:
+            assert allows(sender, receiver, "put", key) is ((sender, receiver) == ends)
+
+
+@given(NAMES, NAMES, st.sampled_from((f"{BASE}/**", f"{BASE}/link/**", "**", "@/**", f"{BASE}/svc/*/*/*/**")))
+def test_nobody_hears_or_answers_all(sender: str, receiver: str, key: str) -> None:
+    for message in ("declare_subscriber", "declare_queryable", "put", "query", "reply", "liveliness_token", "delete"):
+        assert not allows(sender, receiver, message, key)
+
+
+def test_what_is_revoked_has_no_rule() -> None:
+    table = access_control("arm", Access.of_names(ROLES, ["base"]), BASE)
+    assert "base" not in json.dumps(table["subjects"])
+    assert table["default_permission"] == "deny"
+    assert {one["id"] for one in table["subjects"]} == set(ROLES) - {"base"}
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a*", "-a", "ä", "a" * 65, "a#b", "a\n"])
+def test_a_name_that_could_be_more_than_one_part_of_a_key_is_refused(name: str) -> None:
+    with pytest.raises(ConfigurationError, match="expected at most 64 letters"):
+        Access.of_table({"component": [name]})
+
+
+# -- the engine itself -------------------------------------------------------------------------------------------------
+
+
+def with_open_ears(table: dict[str, Any]) -> dict[str, Any]:
+    asks = ["declare_subscriber", "declare_queryable", "declare_liveliness_subscriber"]
+    rule = {"id": "ears", "messages": asks, "flows": ["egress"], "permission": "allow", "key_exprs": ["**"]}
+    policy = {"rules": ["ears"], "subjects": [one["id"] for one in table["subjects"]]}
+    return {**table, "rules": [*table["rules"], rule], "policies": [*table["policies"], policy]}
+
+
+@contextmanager
+def session(
+    certificates: Folder, name: str, *, guarded: bool, open_ears: bool = False, mode: str = "peer", **endpoints: str
+) -> Iterator[Any]:
+    """The bare engine with the certificate of a name; unguarded it goes by no table of its own, as a thief's would.
+
+    With `open_ears` it asks others for everything, so that they do send it, and what comes in is as guarded as ever.
+    """
+    secured = secured_by(certificates.path, name, tuple(ROLES.values()))
+    settings = dict(tls_settings(secured, BASE))
+    if not guarded:
+        del settings["access_control"]
+    elif open_ears:
+        settings["access_control"] = with_open_ears(settings["access_control"])
+    config = zenoh.Config()
+    off = ("scouting/multicast/enabled", "scouting/gossip/enabled", "transport/shared_memory/enabled")
+    basics: dict[str, Any] = dict.fromkeys(off, False) | {"connect/timeout_ms": 5_000}
+    basics["mode"] = mode
+    ends = {
+        f"{end}/endpoints": [f"tls/{one}" for one in endpoints.get(end, "").split()] for end in ("listen", "connect")
+    }
+    for key, value in (settings | basics | ends).items():
+        config.insert_json5(key, json.dumps(value))
+    opened = zenoh.open(config)
+    try:
+        yield opened
+    finally:
+        opened.close()
+
+
+class Heard:
+    """What comes to a session, whatever its key is."""
+
+    def __init__(self, opened: Any) -> None:
+        self.counts: Counter[str] = Counter()
+        self.bytes = 0
+        self._lock = threading.Lock()
+        direct = zenoh.handlers.Callback
+        self._kept = [
+            opened.declare_subscriber("**", direct(self._sample, indirect=False), allowed_origin=zenoh.Locality.REMOTE),
+            opened.declare_queryable("**", direct(lambda query: self._count("query"), indirect=False)),
+            opened.liveliness().declare_subscriber("**", direct(lambda one: self._count("token"), indirect=False)),
+        ]
+
+    def _sample(self, sample: Any) -> None:
+        with self._lock:
+            self.bytes += len(sample.payload.to_bytes())
+        self._count("put")
+
+    def _count(self, what: str) -> None:
+        with self._lock:
+            self.counts[what] += 1
+
+    def wait(self, count: int) -> None:
+        until = time.monotonic() + 10.0
+        while self.counts.total() < count and time.monotonic() < until:
+            time.sleep(0.01)
+
+
+def send(opened: Any, message: str, key: str) -> Any:
+    """Send one message; what is returned has to be kept."""
+    if message == "put":
+        opened.put(key, b"forged", congestion_control=zenoh.CongestionControl.BLOCK, express=True)
+    elif message == "query":
+        opened.get(key, lambda reply: None, payload=b"forged", timeout=5.0)
+    else:
+        return opened.liveliness().declare_token(key)
+    return None
+
+
+def test_of_a_thousand_forged_keys_the_engine_lets_none_through(tmp_path: Path) -> None:
+    certificates = folder(tmp_path, **ROLES)
+    address, chosen = f"127.0.0.1:{free_port()}", random.Random(20)
+    for thief in ("camera", "anna", "otto"):
+        with session(certificates, "arm", guarded=True, open_ears=True, listen=address) as arm:
+            heard = Heard(arm)
+            with session(certificates, thief, guarded=False, connect=address) as forger:
+                time.sleep(0.5)
+                kept = []
+                for _ in range(334):
+                    space = chosen.choice(sorted(MESSAGES))
+                    whose = chosen.choice([name for name in (*ROLES, "nobody") if name != thief])
+                    kept.append(send(forger, chosen.choice(MESSAGES[space]), key_of(space, whose, "arm")))
+                time.sleep(0.5)
+                assert (heard.counts, heard.bytes) == (Counter(), 0)
+                honest = ["live", "svc", "link"] if ROLES[thief] == "component" else ["info"]
+                kept += [send(forger, one, key_of(space, thief, "arm")) for space in honest for one in MESSAGES[space]]
+                heard.wait(3)
+                own = Counter(put=1, query=1, token=1)
+                assert (heard.counts, heard.bytes) == (own, len(b"forged")), "what is its own is let through"
+
+
+def test_a_third_name_sees_nothing_of_a_link_over_a_router_and_puts_nothing_in(tmp_path: Path) -> None:
+    certificates = folder(tmp_path, **ROLES)
+    address = f"127.0.0.1:{free_port()}"
+    frames, forward = f"{BASE}/link/*/*/host/base/*/w", key_of("link", "arm", "base")
+    with (
+        session(certificates, "hub", mode="router", guarded=True, listen=address),
+        session(certificates, "arm", mode="client", guarded=True, connect=address) as arm,
+        session(certificates, "base", mode="client", guarded=True, connect=address) as base,
+        session(certificates, "camera", mode="client", guarded=False, connect=address) as camera,
+    ):
+        came: list[bytes] = []
+        kept = base.declare_subscriber(
+            frames, zenoh.handlers.Callback(lambda one: came.append(one.payload.to_bytes()), indirect=False)
+        )
+        heard = Heard(camera)
+        also = camera.declare_subscriber(
+            frames, lambda one: came.append(b"stolen"), allowed_origin=zenoh.Locality.REMOTE
+        )
+        until = time.monotonic() + 10.0
+        while not came and time.monotonic() < until:  # until the router knows of the reader
+            arm.put(forward, b"first", express=True)
+            time.sleep(0.05)
+        came.clear()
+        for number in range(1_000):
+            arm.put(forward, b"%d" % number, congestion_control=zenoh.CongestionControl.BLOCK)
+            camera.put(forward, b"forged", congestion_control=zenoh.CongestionControl.BLOCK)
+        until = time.monotonic() + 10.0
+        while len(came) < 1_000 and time.monotonic() < until:
+            time.sleep(0.01)
+        time.sleep(0.3)
+        assert came == [b"%d" % number for number in range(1_000)]
+        assert (heard.counts["put"], heard.bytes) == (0, 0)
+        del kept, also
