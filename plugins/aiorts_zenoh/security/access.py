@@ -47,8 +47,11 @@ _ANSWER: Final = ("reply", "put")
 
 ROWS: Final = (
     # Who is there: a kernel shows its own name alone.
-    Row(_ALL, _ALL, _WATCH, ("live/*/*/*",)),
-    Row(_KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/*",)),
+    Row(_ALL, _ALL, _WATCH, ("live/*/*/**",)),
+    Row(_KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/**",)),
+    # What a kernel tells others of names that they may not see.
+    Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("told/*/{a}/*",)),
+    Row(_KERNELS, _KERNELS, ("put",), ("told/*/{b}/*",)),
     # What kernels ask each other.
     Row(_KERNELS, _KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
     Row(_KERNELS, _KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
