@@ -24,6 +24,9 @@ _ITEMS: Final = 100_000
 _BYTES: Final = 64 << 20
 _PLACE: Final = re.compile(r" at /\S+\.rs:\d+\.?")
 """Where an error of the engine was made in its own sources."""
+_ATTEMPT: Final = 1_000
+"""Milliseconds of one attempt to connect of a client, which cannot be ended before."""
+_UNREACHED: Final = "Unable to connect"
 _AT_ONCE: Final = 256
 """Items that are handled before the loop has its turn."""
 
@@ -99,21 +102,27 @@ class Engine:
         self._closed = False
 
     def open(self, settings: Mapping[str, Any], inbox: Inbox) -> None:
-        """Open the session. LinkError: the engine refuses, such as for a port that is taken.
+        """Open the session. LinkError: the engine refuses, such as for a port that is taken, or is closed meanwhile.
+
+        A client waits here until it is connected, for as long as it takes where the time to connect is -1.
 
         Args:
             inbox: what hands over what callbacks bring.
         """
         self._inbox = inbox
+        waits = settings.get("mode") == "client" and settings.get("connect/timeout_ms") == -1
         config = self._zenoh.Config()
-        for key, value in settings.items():
+        for key, value in {**settings, **({"connect/timeout_ms": _ATTEMPT} if waits else {})}.items():
             config.insert_json5(key, json.dumps(value))
-        try:
-            self._session = self._zenoh.open(config)
-        except self._zenoh.ZError as error:
-            raise LinkError(f"zenoh: {_PLACE.sub('', str(error))}") from None
+        while self._session is None and not self._closed:
+            try:
+                self._session = self._zenoh.open(config)
+            except self._zenoh.ZError as error:
+                if not waits or _UNREACHED not in str(error):
+                    raise LinkError(f"zenoh: {_PLACE.sub('', str(error))}") from None
         if self._closed:  # while it was opened
-            self._session.close()
+            if self._session is not None:
+                self._session.close()
             raise LinkError("this kernel ends")
 
     def close(self) -> None:
