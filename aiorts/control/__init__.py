@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         sharing,
         the_one,
     )
+    from aiorts.control.together import Outcome, change_all
 
 __all__ = (
     "END",
@@ -46,12 +47,14 @@ __all__ = (
     "Entry",
     "Found",
     "Kernels",
+    "Outcome",
     "Right",
     "Running",
     "Session",
     "Silent",
     "Stream",
     "answer_in",
+    "change_all",
     "entries",
     "framed",
     "frames",
@@ -75,6 +78,7 @@ _late(
         "aiorts.control.protocol": "NEWEST OLDEST answer_in framed frames",
         "aiorts.control.server.service": "Control",
         "aiorts.control.session": "Session",
+        "aiorts.control.together": "Outcome change_all",
         "aiorts.control.target": (
             "FILES PATIENCE Found Kernels Running is_file is_glob kernels likely outlines sharing the_one"
         ),

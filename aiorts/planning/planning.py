@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import os
-from collections.abc import Collection, Generator, Iterator
+from collections.abc import Awaitable, Callable, Collection, Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -93,8 +93,14 @@ class Planning(KernelService):
         """The same; the loop has its turns meanwhile."""
         return await self._plan(await self._wanted([]), wanted)
 
-    async def apply(self, wanted: Wanted, *, dry_run: bool, window: float) -> Applied:
-        """See `Kernel.apply`."""
+    async def apply(
+        self, wanted: Wanted, *, dry_run: bool, window: float, agreed: Callable[[Plan], Awaitable[str]] | None = None
+    ) -> Applied:
+        """See `Kernel.apply`.
+
+        Args:
+            agreed: is awaited when all is done, and says why it is to be taken back; "" keeps it.
+        """
         kernel = self.kernel
         if isinstance(window, bool) or not isinstance(window, int | float) or not 0 <= window < math.inf:
             raise ConfigurationError(f"apply: window = {window!r}: expected seconds, 0 or more")
@@ -106,7 +112,7 @@ class Planning(KernelService):
             )
         if dry_run:
             return Applied(await self.plan_aside(wanted), done=False)
-        task = kernel_task(kernel.loop, self._apply(wanted, window), "aiorts apply")
+        task = kernel_task(kernel.loop, self._apply(wanted, window, agreed), "aiorts apply")
         self._applying = task
         renewing = kernel.registry.renewing
         renewing.add(task)
@@ -151,7 +157,7 @@ class Planning(KernelService):
         if not task.cancelled():
             task.exception()  # its caller may have been cancelled
 
-    async def _apply(self, wanted: Wanted, window: float) -> Applied:
+    async def _apply(self, wanted: Wanted, window: float, agreed: Callable[[Plan], Awaitable[str]] | None) -> Applied:
         for name in _LATE:
             import_module(name)
             await asyncio.sleep(0)
@@ -159,7 +165,12 @@ class Planning(KernelService):
             before = await self._before(wanted, window) if window else None
             with ExitStack() as making:
                 making.enter_context(self.services_wait())
-                return await self._carried_out(wanted, before, window, making)
+
+                async def why(application: Application) -> str:
+                    worse = None if before is None else await self._worse(before, window, application.new)
+                    return str(worse or "") or ("" if agreed is None else await agreed(application.plan))
+
+                return await self._carried_out(wanted, why, making)
 
     async def _before(self, wanted: Wanted, window: float) -> Window | None:
         """What is counted before anything is read to be changed, so that the plan is of the system then."""
@@ -172,7 +183,9 @@ class Planning(KernelService):
         finally:
             self._measuring = False
 
-    async def _carried_out(self, wanted: Wanted, before: Window | None, window: float, making: ExitStack) -> Applied:
+    async def _carried_out(
+        self, wanted: Wanted, why: Callable[[Application], Awaitable[str]], making: ExitStack
+    ) -> Applied:
         from aiorts.planning.applying import Application
 
         now = await self._wanted([])
@@ -190,11 +203,11 @@ class Planning(KernelService):
             raise
         application.release()
         making.close()
-        worse = None if before is None else await self._worse(before, window, application.new)
-        left = () if worse is None else tuple(await application.back())
+        refused = await why(application)
+        left = tuple(await application.back()) if refused else ()
         application.release()
         await application.settle()
-        return Applied(application.plan, worse is None, str(worse or ""), left)
+        return Applied(application.plan, not refused, refused, left)
 
     async def _worse(self, before: Window, window: float, new: Collection[str]) -> Unhealthy | None:
         """What the system does worse than before; None when the kernel closes meanwhile: it stays as it is."""

@@ -50,7 +50,7 @@ class Serving:
         self._inbox: Inbox
         self._stop: asyncio.Event
         self._ready = threading.Event()
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._main()), name="aiorts zenoh control")
+        self._thread = threading.Thread(target=self._serve, name="aiorts zenoh control")
 
     def declare(self, engine: Engine, keys: Keys) -> None:
         """Serve clients from now on. What the engine does here may wait for the network."""
@@ -68,6 +68,10 @@ class Serving:
         if self._ready.is_set():
             self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join(_STARTS)
+
+    def _serve(self) -> None:
+        with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:  # whatever loop the program has
+            runner.run(self._main())
 
     async def _main(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -110,7 +114,7 @@ class Serving:
 
     async def _let_in(self, branch: str, caller: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         connected: socket.socket = self._control.admit(self._branches[branch], f"{caller}, another host")
-        return await asyncio.open_connection(sock=connected)
+        return await asyncio.open_unix_connection(sock=connected)
 
     def _present(self, branch: str, token: str, up: bool) -> None:
         carried = self._sessions.get((branch, *session_in(token)))

@@ -9,11 +9,13 @@ import click
 
 from aiorts import exits
 from aiorts.cli.commands.live.showing import json_option, timeout_option
-from aiorts.cli.commands.live.target import complete_kernels, kernels
+from aiorts.cli.commands.live.target import complete_kernels, is_file, kernels
 from aiorts.cli.commands.planning import check_steps, parts_of, say_planned, say_steps, wanted_of
 from aiorts.cli.commands.unrun import plugins_option
 from aiorts.cli.console.choices_option import choices_options
 from aiorts.cli.console.output import say, say_json
+from aiorts.control import change_all
+from aiorts.errors import SystemFileError
 from aiorts.system import Choices
 
 _LEFT_OFF: Final = (
@@ -23,7 +25,7 @@ _LEFT_OFF: Final = (
 
 
 @click.command(short_help="Change a system that runs into that of a file.")
-@click.argument("file", metavar="SYSTEM.toml", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("words", metavar="[KERNEL=]SYSTEM.toml...", nargs=-1, required=True)
 @click.option(
     "--live", default="", metavar="KERNEL", help="The kernel, where several run.", shell_complete=complete_kernels
 )
@@ -41,7 +43,7 @@ _LEFT_OFF: Final = (
 @timeout_option(30.0, "Wait S seconds, and twice the window")
 @json_option("One JSON document: the steps, and what became of them.")
 def apply(
-    file: Path,
+    words: tuple[str, ...],
     live: str,
     window: float,
     dry_run: bool,
@@ -57,7 +59,16 @@ def apply(
     taken back when the system does worse afterwards: a component in error, overruns or drops more than before, rates
     lower; the figure is named. Exit status: 0 when the system is that of the file, 1 when it was taken back, 2 when it
     was refused and nothing was done. With --dry-run it is that of aiorts plan.
+
+    Several words KERNEL=SYSTEM.toml change several kernels, all or none: they are kept when each has changed. A kernel
+    that is lost while all are told to keep it is named, and what was kept in the others.
     """
+    pairs = [_pair(word, live) for word in words]
+    if len(pairs) > 1:
+        if window or dry_run or changes:
+            raise click.UsageError("with several kernels there is no --window, --dry-run and --set")
+        return _together(pairs, choices, plugins, timeout, as_json=as_json)
+    ((live, file),) = pairs
     parts = parts_of(wanted_of(file, changes, choices, plugins))
     with kernels(changing=not dry_run) as found:
         client = found.kernel(live.rstrip("/")).client
@@ -80,6 +91,43 @@ def apply(
             say(f"not as it was: {note}")
         say(_outcome(done["steps"], done["rolled_back"], window))
     return exits.DONE if done["done"] else exits.FAILED
+
+
+def _pair(word: str, live: str) -> tuple[str, Path]:
+    """The kernel and the file of a word; a kernel's name has no "." where a file's begins."""
+    kernel, equals, file = word.partition("=")
+    if not equals or is_file(kernel):
+        return live, Path(word)
+    if live:
+        raise click.UsageError(f"--live {live}: {word} names its kernel")
+    return kernel, Path(file)
+
+
+def _together(
+    pairs: list[tuple[str, Path]], choices: Choices, plugins: tuple[Path, ...], timeout: float, *, as_json: bool
+) -> int:
+    if unnamed := [str(file) for kernel, file in pairs if not kernel]:
+        raise click.UsageError(f"{unnamed[0]}: of several files each needs its kernel: KERNEL={unnamed[0]}")
+    wanted = [(kernel, file, parts_of(wanted_of(file, (), choices, plugins))) for kernel, file in pairs]
+    with kernels(changing=True) as found:
+        meant = [(found.kernel(kernel.rstrip("/")), parts) for kernel, _, parts in wanted]
+        if len({id(one) for one, _ in meant}) < len(meant):
+            raise click.UsageError("a kernel is named twice")
+        for (one, parts), (_, file, _) in zip(meant, wanted, strict=True):
+            planned = one.client.call("plan", timeout, wanted=parts)
+            check_steps(planned["steps"], file, (), choices, plugins)
+            if planned["refused"]:
+                raise SystemFileError(f"{one.name}: {'; '.join(planned['refused'])}")
+        outcome = change_all(meant, timeout)
+    if as_json:
+        kept = {name: list(steps) for name, steps in outcome.kept.items()}
+        say_json({"kept": kept, "failed": outcome.failed, "why": outcome.why, "unsure": list(outcome.unsure)})
+    else:
+        for name, steps in outcome.kept.items():
+            for step in steps:
+                say(f"{name}: {step['sign']} {step['text']}")
+        say(outcome.text)
+    return exits.FAILED if outcome.failed else exits.DONE
 
 
 def _outcome(steps: list[object], rolled_back: str, window: float) -> str:

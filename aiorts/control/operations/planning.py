@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Mapping
+import asyncio
+from collections.abc import Awaitable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
+from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
 from aiorts.control.operation import Operation, Right
 from aiorts.control.protocol import Made
 from aiorts.control.session import Session
+from aiorts.errors import DeniedError, StateError
+from aiorts.kernel.loop.tasks import kernel_task
 from aiorts.late import dataclass
+from aiorts.model.wanted.applied import Applied
 from aiorts.model.wanted.carried import received
 
 if TYPE_CHECKING:
-    from aiorts.model.wanted.applied import Applied
     from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.plan import Plan
+
+_DECIDED: Final = 30.0
+"""Seconds that a change waits for the decision; then it is taken back."""
+_open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
+"""The change of each session that is not decided."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +44,14 @@ class Application:
     """As in a plan."""
     window: float = 0.0
     """Seconds of the kernel's clock for which it is measured, before and after; it must not do worse."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What is to become of a change."""
+
+    keep: bool
+    """False: it is taken back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +108,81 @@ def _plan(session: Session, given: Target) -> _Answer | Awaitable[_Answer]:
 async def _apply(session: Session, given: Application) -> _Answer:
     from aiorts.planning import Planning
 
+    wanted = await _allowed(session, given.wanted)
+    return _Answer(await session.kernel.service(Planning).apply(wanted, dry_run=False, window=given.window))
+
+
+async def _change(session: Session, given: Target) -> _Answer:
+    from aiorts.planning import Planning
+
     kernel = session.kernel
-    simulated = isinstance(kernel.clock, SimulatedClock)
-    wanted = _read(given.wanted) if simulated else await _read_aside(given.wanted)
-    return _Answer(await kernel.service(Planning).apply(wanted, dry_run=False, window=given.window))
+    loop, simulated = kernel.loop, isinstance(kernel.clock, SimulatedClock)
+    made: asyncio.Future[Plan] = loop.create_future()
+    decided: asyncio.Future[str] = loop.create_future()
+
+    async def agreed(plan: Plan) -> str:
+        if not made.done():
+            made.set_result(plan)
+        try:
+            async with asyncio.timeout(None if simulated else _DECIDED):
+                return await decided
+        except TimeoutError:
+            return f"nothing was decided within {_DECIDED:g} s"
+
+    wanted = await _allowed(session, given.wanted)
+    applying = kernel.service(Planning).apply(wanted, dry_run=False, window=0.0, agreed=agreed)
+    changing = kernel_task(loop, applying, "aiorts change")
+    changing.add_done_callback(_observed)
+    session.keep(partial(_settle, decided, "who wanted it has gone"))
+    await asyncio.wait([changing, made], return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var] # of two kinds
+    _open[session] = decided, changing
+    return _Answer(changing.result() if changing.done() else Applied(made.result(), done=False))
+
+
+async def _decide(session: Session, given: Decision) -> _Answer:
+    decided, changing = _open.pop(session, (None, None))
+    if decided is None or changing is None:
+        raise StateError("decide: nothing is changed in this session")
+    _settle(decided, "" if given.keep else "not wanted any more")
+    return _Answer(await asyncio.shield(changing))
+
+
+def _settle(decided: asyncio.Future[str], why: str) -> None:
+    if not decided.done():
+        decided.set_result(why)
+
+
+def _observed(task: asyncio.Task[Applied]) -> None:
+    if not task.cancelled():
+        task.exception()  # its caller may have gone
+
+
+async def _allowed(session: Session, parts: tuple[str, ...]) -> Wanted:
+    """The wanted system.
+
+    DeniedError: it brings code that the kernel does not run or offer, and the session may not.
+    """
+    kernel = session.kernel
+    wanted = _read(parts) if isinstance(kernel.clock, SimulatedClock) else await _read_aside(parts)
+    if not session.right.allows(Right.CODE):
+        from aiorts.planning import wanted_of
+
+        strange = sorted(set(_code_of(wanted)) - set(_code_of(wanted_of(kernel, []))))
+        if strange:
+            raise DeniedError(
+                f"{strange[0]}: needs the right 'code'; with {session.right.value!r} a system has types that this "
+                "kernel runs, or that an installed package offers it by a name"
+            )
+    return wanted
+
+
+def _code_of(wanted: Wanted) -> Iterator[str]:
+    """What code is read from for a system, as far as no package offers it by a name."""
+    yield from (one.type for one in wanted.components.values() if ":" in one.type or one.type.endswith(".py"))
+    yield from map(str, wanted.plugin_paths)
+    for one in wanted.connections:
+        options = {**one.options, **(one.options.get("openrtm") or {})}
+        yield from (str(value) for key, value in options.items() if key.endswith("convert") and ":" in str(value))
 
 
 def _read(parts: tuple[str, ...]) -> Wanted:
@@ -107,7 +196,9 @@ async def _read_aside(parts: tuple[str, ...]) -> Wanted:
 
 
 ROWS: Final = (
-    Operation("apply", "Change the system that runs into a wanted one.", Application, Changed, Right.CODE, _apply),
+    Operation("apply", "Change the system that runs into a wanted one.", Application, Changed, Right.OPERATE, _apply),
+    Operation("change", "The same, until this session decides.", Target, Changed, Right.OPERATE, _change),
+    Operation("decide", "Keep what was changed, or take it back.", Decision, Changed, Right.OPERATE, _decide),
     Operation(
         "plan",
         "The steps from the system that runs to a wanted one.",

@@ -1,0 +1,79 @@
+"""Systems of several kernels are changed into those of files, all or none of them.
+
+Each kernel changes its own, whole or not at all, and holds the change open. When all have, all are told to keep it; a
+kernel that hears nothing more takes it back by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+from aiorts.control.client import Client
+from aiorts.control.target import Running
+from aiorts.errors import AiortsError, ClosedError, NoAnswerError
+from aiorts.late import dataclass
+
+Parts = tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What has become of the changes.
+
+    Attributes:
+        kept: the steps of each kernel that has its wanted system now.
+        failed: the kernel that did not change, or did not answer; "" where all did.
+        why: what it said.
+        unsure: kernels of which it is not known; each keeps its change or takes it back, whole.
+    """
+
+    kept: Mapping[str, Sequence[Mapping[str, Any]]]
+    failed: str = ""
+    why: str = ""
+    unsure: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """In one line."""
+        if not self.failed:
+            return "done"
+        said = f"{self.failed}: {self.why.removeprefix(f'{self.failed}: ')}"
+        unsure = f"; of {', '.join(self.unsure)} it is not known, aiorts plan says" if self.unsure else ""
+        if not self.kept:
+            return f"taken back: {said}{unsure}"
+        steps = "; ".join(f"{name} ({len(steps)} steps)" for name, steps in self.kept.items())
+        return f"partly applied: kept in {steps}; {said}{unsure}"
+
+
+def change_all(wanted: Sequence[tuple[Running, Parts]], timeout: float) -> Outcome:
+    """Change all of these, in order; when one fails those before it are taken back, the last first."""
+    changed: list[tuple[Running, Sequence[Mapping[str, Any]]]] = []
+    for one, parts in wanted:
+        try:
+            changed.append((one, one.client.call("change", timeout, wanted=parts)["steps"]))
+        except AiortsError as error:
+            unsure = (one.name,) if isinstance(error, ClosedError | NoAnswerError) else ()
+            unsure += tuple(other.name for other, steps in reversed(changed) if not _taken_back(other.client, steps))
+            return Outcome({}, one.name, str(error), unsure)
+    kept: dict[str, Sequence[Mapping[str, Any]]] = {}
+    failed, why, unsure = "", "", ()
+    for one, steps in changed:
+        try:
+            if steps:
+                done = one.client.call("decide", timeout, keep=True)
+                if not done["done"]:
+                    failed, why = one.name, done["rolled_back"]
+                    continue
+            kept[one.name] = steps
+        except AiortsError as error:
+            failed, why, unsure = one.name, str(error), (*unsure, one.name)
+    return Outcome(kept, failed, why, unsure)
+
+
+def _taken_back(client: Client, steps: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a kernel has said that it has its system of before."""
+    with suppress(AiortsError):
+        return not steps or not client.call("decide", keep=False)["done"]
+    return False
