@@ -163,6 +163,16 @@ class Engine:
         liveliness = self._session.liveliness()
         self._kept.append(liveliness.declare_subscriber(key, self._direct(came), history=True))
 
+    def neighbours(self, changed: Callable[[str, str, str, bool], None]) -> None:
+        """Have `changed` called with the name in the certificate and the addresses of both ends of each connection."""
+        put = self._inbox.put
+
+        def came(event: Any) -> None:
+            link, up = event.link, event.kind == self._zenoh.SampleKind.PUT
+            put(changed, link.auth_identifier or "", str(link.src), str(link.dst), up)
+
+        self._kept.append(self._session.info.declare_link_events_listener(self._direct(came), history=True))
+
     def announce(self, *tokens: str) -> None:
         """Say that this kernel is there, with these tokens and no others."""
         with self._announcing:

@@ -16,6 +16,7 @@ from aiorts.errors import ConfigurationError
 from aiorts.late import dataclass
 from aiorts.links import Links
 from aiorts_zenoh.keys import base_of
+from aiorts_zenoh.neighbours import Neighbours
 from aiorts_zenoh.security.access import COMPONENT, Access
 from aiorts_zenoh.security.tls import Secured, secured_by, tls_settings
 from aiorts_zenoh.serving import Serving
@@ -90,6 +91,7 @@ class Network(KernelService):
         self._opening: asyncio.Task[None] | None = None
         self._transport: ZenohTransport | None = None
         self._serving: Serving | None = None
+        self._neighbours: Neighbours | None = None
         self._security = ""
 
     def configure(self, settings: NetworkSettings) -> None:
@@ -99,14 +101,19 @@ class Network(KernelService):
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
         self._transport = ZenohTransport(host, settings.domain, own, now=clock.time_ns)
-        opening = self._open(self._transport, operate=settings.allow_control)
+        self._neighbours = Neighbours(endpoints_of(settings.connect), secured, _LOG.warning)
+        self._transport.beside.append(self._neighbours.declare)
+        self._transport.admits = self._neighbours.admits
+        self._neighbours.start()
+        opening = self._open(self._transport, self._neighbours, operate=settings.allow_control)
         self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
         self._opening.add_done_callback(_report)
 
-    async def _open(self, transport: ZenohTransport, *, operate: bool) -> None:
+    async def _open(self, transport: ZenohTransport, neighbours: Neighbours, *, operate: bool) -> None:
         control = self.kernel.attached(Control)
         if control is not None and control.hello:
-            self._serving = Serving(control, operate=operate, report=_LOG.warning)
+            admits = neighbours.admits_client
+            self._serving = Serving(control, operate=operate, report=_LOG.warning, admits=admits)
             transport.beside.append(self._serving.declare)
         await self.kernel.service(Links).reach.carry(transport)
 
@@ -127,6 +134,8 @@ class Network(KernelService):
         return {**report, "security": self._security} if self._security else report
 
     def stopped(self) -> None:
+        if self._neighbours is not None:
+            self._neighbours.close()
         if self._opening is not None:
             self._opening.cancel()
 
@@ -170,6 +179,12 @@ def _check_name(key: str, name: str) -> None:
     """ConfigurationError: it cannot be a part of a key of the engine."""
     if not _NAME.fullmatch(name):
         raise ConfigurationError(f"{key}: expected letters, digits, '_', '-' and '.', got {name!r:.80}")
+
+
+def endpoints_of(text: str) -> list[tuple[str, int]]:
+    """Host and port of each that is listed."""
+    parts = [endpoint.rpartition(":") for endpoint in _listed(text)]
+    return [(host.strip("[]"), int(port)) for host, _, port in parts]
 
 
 def _listed(text: str) -> list[str]:

@@ -29,6 +29,7 @@ class Presence:
         show: called with each kernel that others may see, and when it is to be seen no more.
         connects: whether this kernel is to connect to others: before it has, nobody can say that its name is taken.
         listens: whether others connect to it: those do not see each other, and hear from it who has their names.
+        admits: whether a kernel of a name may be there.
     """
 
     def __init__(
@@ -40,7 +41,9 @@ class Presence:
         *,
         connects: bool,
         listens: bool,
+        admits: Callable[[str], bool],
     ) -> None:
+        self._admits = admits
         self._engine, self._keys, self._kernel, self._show = engine, keys, kernel, show
         self._connects, self._listens = connects, listens
         self._loop = asyncio.get_running_loop()
@@ -89,6 +92,8 @@ class Presence:
         if self._closed or found is None or found[0] == self._name.own:
             return
         claim, owned = found
+        if not self._admits(claim.kernel):
+            return
         claims = self._said.setdefault(claim.host, {})
         tokens = claims.setdefault(claim, set())
         is_new = not tokens

@@ -3,36 +3,60 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import signal
+from pathlib import Path
 
 import click
 
 from aiorts import exits
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
-from aiorts_zenoh.network import NetworkSettings, engine_settings
+from aiorts_zenoh.neighbours import Neighbours
+from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings
+from aiorts_zenoh.security.access import ROUTER
+from aiorts_zenoh.security.tls import secured_by
 
 
 @click.command(short_help="Let the kernels of many hosts meet in one place.")
 @click.option("--listen", required=True, metavar="HOST:PORT[,...]", help="Where kernels and commands connect to.")
 @click.option("--connect", default="", metavar="HOST:PORT[,...]", help="Other routers.")
+@click.option(
+    "--certs",
+    "certificates",
+    type=click.Path(path_type=Path),
+    metavar="FOLDER",
+    help="Folder of certificates; --name picks the router's.",
+)
+@click.option("--name", default="router", show_default=True, help="Of the router, in its certificate.")
+@click.option("--domain", default="default", show_default=True, help="Whose kernels it carries, with certificates.")
 @click.option("--insecure-network", "insecure", is_flag=True, help="Plain TCP without certificates.")
-def router(listen: str, connect: str, insecure: bool) -> int:
+def router(listen: str, connect: str, certificates: Path | None, name: str, domain: str, insecure: bool) -> int:
     """Carry what kernels say to each other, until a signal ends it.
 
     Kernels connect to it (`aiorts run --connect`), and need no port of their own. It has no kernel itself, and keeps
-    nothing: when it is started anew, kernels find it and each other again.
+    nothing: when it is started anew, kernels find it and each other again. With certificates it lets each name through
+    with what its role allows alone.
     """
-    return asyncio.run(_route(NetworkSettings(listen=listen, connect=connect, insecure=insecure)))
+    settings = NetworkSettings(
+        listen=listen, connect=connect, domain=domain, certificates=certificates, insecure=insecure
+    )
+    return asyncio.run(_route(settings, name))
 
 
-async def _route(settings: NetworkSettings) -> int:
+async def _route(settings: NetworkSettings, name: str) -> int:
+    secured = secured_by(settings.certificates, name, (ROUTER,)) if settings.certificates else None
+    neighbours = Neighbours(endpoints_of(settings.connect), secured, logging.getLogger("aiorts.zenoh").warning)
     loop, ended, engine = asyncio.get_running_loop(), asyncio.Event(), Engine()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, ended.set)
-    await in_thread(lambda: engine.open({**engine_settings(settings), "mode": "router"}, Inbox(loop)))
+    own = {**engine_settings(settings, secured), "mode": "router"}
+    await in_thread(lambda: engine.open(own, Inbox(loop)))
     try:
+        neighbours.start()
+        await in_thread(lambda: neighbours.watch(engine, settings.domain))
         click.echo(f"aiorts router: listens at {settings.listen}", err=True)
         await ended.wait()
     finally:
+        neighbours.close()
         await in_thread(engine.close)
     return exits.DONE

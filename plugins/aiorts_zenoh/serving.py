@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgpack  # type: ignore[import-untyped]
 
 from aiorts.control import NEWEST, OLDEST, Control, Right, answer_in, framed, frames
-from aiorts.errors import AiortsError, ClosedError, ControlError, NoAnswerError
+from aiorts.errors import AiortsError, ClosedError, ControlError, DeniedError, NoAnswerError
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox
 from aiorts_zenoh.envelope import FRAME, read
@@ -36,10 +36,13 @@ class Serving:
         control: lets the clients in.
         operate: whether `ctl` is there at all.
         report: takes a text for the log, from any thread.
+        admits: whether a client of this name may look, or operate.
     """
 
-    def __init__(self, control: Control, *, operate: bool, report: Callable[[str], None]) -> None:
-        self._control, self._report = control, report
+    def __init__(
+        self, control: Control, *, operate: bool, report: Callable[[str], None], admits: Callable[[str, bool], bool]
+    ) -> None:
+        self._control, self._report, self._admits = control, report, admits
         self._branches = {INFO: Right.VIEW} | ({CTL: Right.OPERATE} if operate else {})
         self._sessions: dict[tuple[str, str, str], Carried] = {}
         """By branch, caller and session."""
@@ -113,8 +116,13 @@ class Serving:
             del self._sessions[name]
 
     async def _let_in(self, branch: str, caller: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        self._check(branch, caller)
         connected: socket.socket = self._control.admit(self._branches[branch], f"{caller}, another host")
         return await asyncio.open_unix_connection(sock=connected)
+
+    def _check(self, branch: str, caller: str) -> None:
+        if not self._admits(caller, branch == CTL):
+            raise DeniedError(f"{caller}: was revoked, or has no role in this kernel")
 
     def _present(self, branch: str, token: str, up: bool) -> None:
         carried = self._sessions.get((branch, *session_in(token)))
@@ -144,6 +152,7 @@ class Serving:
         """What the kernel says to one call, in a session of its own: "ok" and its value, or "error"."""
         hello = self._control.hello
         if operation == HELLO:
+            self._check(branch, caller)
             return {"ok": {**hello, "right": self._branches[branch].value}}
         arguments = answer_in(body) if body else {}
         call = {"id": 1, "op": operation, "epoch": hello.get("epoch"), "args": arguments}

@@ -83,6 +83,8 @@ class ZenohTransport:
         self._inbox: Inbox | None = None
         self.beside: list[Callable[[Engine, Keys], None]] = []
         """What is declared beside links, before others see this kernel; called in a thread."""
+        self.admits: Callable[[str], bool] = lambda name: True
+        """Whether a kernel of this name may be there."""
         self.kernel: KernelFace
         self.loop: asyncio.AbstractEventLoop
         self.keys: Keys
@@ -99,7 +101,9 @@ class ZenohTransport:
         self.keys = Keys(self.domain, own, time.time_ns(), self._machine)
         self._inbox = Inbox(self.loop)
         connects, listens = (bool(self._settings.get(f"{what}/endpoints")) for what in ("connect", "listen"))
-        self._presence = Presence(self.engine, self.keys, kernel, self._present, connects=connects, listens=listens)
+        self._presence = Presence(
+            self.engine, self.keys, kernel, self._present, connects=connects, listens=listens, admits=self.admits
+        )
         try:
             await in_thread(self._declare)
         except BaseException:

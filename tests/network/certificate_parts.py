@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from aiorts_zenoh.security.certificates import made_certificate
 from aiorts_zenoh.security.folder import Folder
 
 
@@ -14,3 +16,13 @@ def folder(path: Path, **roles: str) -> Folder:
     for name, role in roles.items():
         made.issue(name, role)
     return made
+
+
+def issue_later(made: Folder, name: str, days_from_now: float) -> None:
+    """Certify a name again, for a day that begins so many days from now."""
+    authority, key = (made.path / f"ca.{ending}" for ending in ("pem", "key"))
+    begins = datetime.now(UTC) + timedelta(days=days_from_now)
+    role, _ = made.names[name]
+    pair = made_certificate(authority.read_bytes(), key.read_bytes(), name, role, (), 1.0, begins)
+    for ending, data in zip(("pem", "key"), pair, strict=True):
+        (made.path / f"{name}.{ending}").write_bytes(data)

@@ -21,6 +21,8 @@ OPERATOR: Final = "operator"
 COMPONENT: Final = "component"
 ROUTER: Final = "router"
 ROLES: Final = (VIEWER, OPERATOR, COMPONENT, ROUTER)
+_DENIED: Final = "denied"
+"""The role of a name that was revoked: it hears that it was, and nothing else."""
 _ANY: Final = "*"
 _WORD: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 """What a certificate can name: one part of a key of the engine, of the 64 letters that a common name has."""
@@ -52,6 +54,9 @@ ROWS: Final = (
     # What a kernel tells others of names that they may not see.
     Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("told/*/{a}/*",)),
     Row(_KERNELS, _KERNELS, ("put",), ("told/*/{b}/*",)),
+    # That a name was revoked, to that name alone.
+    Row((*_ALL, _DENIED), _ALL, _WATCH, ("denied/{a}",)),
+    Row(_KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}",)),
     # What kernels ask each other.
     Row(_KERNELS, _KERNELS, ("declare_queryable",), ("svc/*/{a}/*/**",)),
     Row(_KERNELS, _KERNELS, ("query",), ("svc/*/{b}/*/{a}/**",)),
@@ -103,6 +108,10 @@ class Access:
         """Whether a kernel may have this name."""
         return self.roles.get(name) == COMPONENT
 
+    def is_client(self, name: str, operates: bool) -> bool:
+        """Whether a client of this name may look, or operate."""
+        return self.roles.get(name) in ((OPERATOR,) if operates else _LOOKERS)
+
     def fault(self, name: str) -> str:
         """Why a name may do nothing; "" when it may."""
         if name in self.denied:
@@ -136,8 +145,8 @@ def access_control(own: str, access: Access, base: str) -> dict[str, Any]:
     me = own, access.roles[own]
     rules: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
-    for name, role in access.roles.items():
-        other = name, role
+    for other in (*access.roles.items(), *((name, _DENIED) for name in sorted(access.denied))):
+        name, _ = other
         made = [
             *_rules(f"{name} in", "ingress", sends(other, me, base)),
             *_rules(f"{name} out", "egress", sends(me, other, base)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import secrets
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
@@ -61,7 +62,9 @@ class Facts:
 def made_authority(days: float = _AUTHORITY_DAYS) -> tuple[bytes, bytes]:
     """The certificate and the key of a new authority."""
     key = _new_key()
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "aiorts certificate authority")])
+    # Of a name of its own, so that another one is taken for another, and not for a damaged one.
+    word = f"aiorts authority {secrets.token_hex(4)}"
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, word)])
     builder = _builder(subject, subject, key, days)
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
     builder = builder.add_extension(_usage(signs=False), critical=True)
@@ -69,9 +72,15 @@ def made_authority(days: float = _AUTHORITY_DAYS) -> tuple[bytes, bytes]:
 
 
 def made_certificate(
-    authority: bytes, authority_key: bytes, name: str, role: str, addresses: Sequence[str], days: float
+    authority: bytes,
+    authority_key: bytes,
+    name: str,
+    role: str,
+    addresses: Sequence[str],
+    days: float,
+    begins: datetime | None = None,
 ) -> tuple[bytes, bytes]:
-    """The certificate and the key of a name."""
+    """The certificate and the key of a name, valid from now on or from when it begins."""
     issuer = _certificate(authority)
     signing = _key(authority_key)
     if signing.public_key() != issuer.public_key():
@@ -83,7 +92,7 @@ def made_certificate(
             x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, role),
         ]
     )
-    builder = _builder(subject, issuer.subject, key, days)
+    builder = _builder(subject, issuer.subject, key, days, begins)
     builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     builder = builder.add_extension(_usage(signs=True), critical=True)
     uses = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -142,9 +151,13 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: float
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    days: float,
+    begins: datetime | None = None,
 ) -> x509.CertificateBuilder:
-    now = datetime.now(UTC)
+    now = begins or datetime.now(UTC)
     builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key.public_key())
     builder = builder.serial_number(x509.random_serial_number())
     return builder.not_valid_before(now - _BEFORE).not_valid_after(now + timedelta(days=days))

@@ -1,0 +1,147 @@
+"""Who is connected by which certificate, and why one is not: said once in the log, at the end that is refused.
+
+The engine refuses without a word. What is not reached is looked into by a handshake (`security.probe`); of those that
+are connected, the engine tells the name in their certificate.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final
+
+from aiorts_zenoh.engine import Engine, in_thread
+from aiorts_zenoh.keys import Keys, base_of
+from aiorts_zenoh.security.probe import probe
+from aiorts_zenoh.security.tls import Secured
+
+_FIRST: Final = 1.5
+"""Seconds that a connection has to come about before it is looked into."""
+_AGAIN: Final = 10.0
+_SHOWS: Final = 5.0
+"""Seconds within which a kernel that is connected shows its token."""
+_SAID: Final = 1_000
+"""Different lines at the most."""
+
+
+class Neighbours:
+    """Watches the connections of one kernel.
+
+    Args:
+        endpoints: host and port of each that it connects to.
+        secured: its certificate, and who may do what; None: there are none.
+        report: takes a text for the log.
+    """
+
+    def __init__(
+        self, endpoints: Sequence[tuple[str, int]], secured: Secured | None, report: Callable[[str], None]
+    ) -> None:
+        self._endpoints, self._secured, self._report = endpoints, secured, report
+        self._links: dict[tuple[str, str], str] = {}
+        """The name of each that is connected, by the addresses of both ends."""
+        self._shown: set[str] = set()
+        """Names of kernels whose token was seen."""
+        self._said: set[str] = set()
+        self._held: list[object] = []
+        """Tokens for those that are denied: they end with what is returned."""
+        self._timers: list[asyncio.TimerHandle] = []
+        self._loop: asyncio.AbstractEventLoop
+        self._looking: asyncio.Task[None] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """In the certificates of those that are connected."""
+        return tuple(dict.fromkeys(self._links.values()))
+
+    def admits(self, name: str) -> bool:
+        """Whether a kernel of this name may be there; one that came past the engine's table is reported."""
+        self._shown.add(name)
+        if self._secured is None or self._secured.access.is_kernel(name):
+            return True
+        self._say(f"a kernel named {name!r} is not taken: {self._secured.access.fault(name) or 'it has another role'}")
+        return False
+
+    def admits_client(self, name: str, operates: bool) -> bool:
+        """Whether a client of this name may look, or operate."""
+        return self._secured is None or self._secured.access.is_client(name, operates)
+
+    def declare(self, engine: Engine, keys: Keys) -> None:
+        """Watch from now on. What the engine does here may wait for the network."""
+        self.watch(engine, keys.domain)
+
+    def watch(self, engine: Engine, domain: str) -> None:
+        """Watch from now on, in a domain."""
+        engine.neighbours(self._linked)
+        if self._secured is None:
+            return
+        base, own = base_of(domain), self._secured.identity.name
+        engine.presence(f"{base}/denied/{own}", self._denied)
+        self._held = [engine.hold(f"{base}/denied/{name}") for name in self._secured.access.denied]
+
+    def start(self) -> None:
+        """Look into what is not reached; on the loop."""
+        self._loop = asyncio.get_running_loop()
+        if self._endpoints:
+            self._looking = self._loop.create_task(self._look(), name="aiorts zenoh neighbours")
+
+    def close(self) -> None:
+        """Watch nothing any more."""
+        for timer in self._timers:
+            timer.cancel()
+        if self._looking is not None:
+            self._looking.cancel()
+
+    # -- those that are connected ----------------------------------------------------------------------------------
+
+    def _linked(self, name: str, source: str, target: str, up: bool) -> None:
+        if not up:
+            self._links.pop((source, target), None)
+            return
+        self._links[source, target] = name
+        if self._secured is None:
+            return
+        if fault := self._secured.access.fault(name):
+            self._say(f"{target.rpartition(':')[0]} is refused: {fault}")
+        elif self._secured.access.is_kernel(name) and name not in self._shown:
+            self._timers.append(self._loop.call_later(_SHOWS, self._shows_nothing, name, target))
+
+    def _shows_nothing(self, name: str, target: str) -> None:
+        if name not in self._shown and name in self._links.values():
+            self._say(
+                f"{target} is connected as {name!r}, and shows no kernel of that name: it has another name than its "
+                "certificate, or this kernel has no role there"
+            )
+
+    def _denied(self, token: str, up: bool) -> None:
+        if up:
+            self._say(f"the name {token.rpartition('/')[2]!r} was revoked: others take nothing from this kernel")
+
+    # -- those that are not ----------------------------------------------------------------------------------------
+
+    async def _look(self) -> None:
+        await asyncio.sleep(_FIRST)
+        while True:
+            found: dict[tuple[str, int], str] = {}
+            for endpoint in self._endpoints:
+                await in_thread(partial(self._probe, *endpoint, found))
+            for (host, port), why in found.items():
+                if why:
+                    self._say(f"{host}:{port} {why}")
+            await asyncio.sleep(_AGAIN)
+
+    def _probe(self, host: str, port: int, found: dict[tuple[str, int], str]) -> None:
+        reached = {target.partition("/")[2] for _, target in tuple(self._links)}
+        try:
+            addresses = {found[4][0] for found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
+        except OSError as error:
+            found[host, port] = f"is not reached: {error.strerror}"
+            return
+        if not any(f"[{one}]:{port}" in reached or f"{one}:{port}" in reached for one in addresses):
+            found[host, port] = probe(host, port, self._secured and self._secured.identity)
+
+    def _say(self, text: str) -> None:
+        if text not in self._said and len(self._said) < _SAID:
+            self._said.add(text)
+            self._report(f"zenoh: {text}")

@@ -1,0 +1,263 @@
+"""What is refused beyond the host, that it sees nothing, and that the end which is refused says why."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import shutil
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aiorts import Kernel, exits
+from aiorts.links import Links
+
+pytest.importorskip("zenoh")
+pytest.importorskip("cryptography")
+
+from aiorts_zenoh import Network
+from aiorts_zenoh.security.folder import Folder
+from aiorts_zenoh.security.probe import probe
+from network.certificate_parts import folder, issue_later
+from network.engine_parts import Heard, session, unchecked
+from network.network_parts import free_port
+
+NAMES = {"reader": "component", "writer": "component"}
+SYSTEM = """
+schema = 1
+[components.dump]
+type = "FlexiDump"
+[contexts.main]
+kind = "event"
+members = ["dump"]
+"""
+
+
+def nothing_wrong(theirs: Folder, ours: Folder) -> None:
+    pass
+
+
+def another_authority(theirs: Folder, ours: Folder) -> None:
+    shutil.rmtree(theirs.path)
+    folder(theirs.path, **NAMES)
+
+
+def expired(theirs: Folder, ours: Folder) -> None:
+    issue_later(theirs, "writer", -2.0)
+
+
+def not_yet_valid(theirs: Folder, ours: Folder) -> None:
+    issue_later(theirs, "writer", 1.0)
+
+
+def revoked(theirs: Folder, ours: Folder) -> None:
+    ours.revoke("writer")
+
+
+def of_another_name(theirs: Folder, ours: Folder) -> None:
+    for ending in ("pem", "key"):
+        (theirs.path / f"reader.{ending}").replace(theirs.path / f"writer.{ending}")
+
+
+def not_of_its_key(theirs: Folder, ours: Folder) -> None:
+    (theirs.path / "reader.key").replace(theirs.path / "writer.key")
+
+
+def readable(theirs: Folder, ours: Folder) -> None:
+    (theirs.path / "writer.key").chmod(0o644)
+
+
+Cause = Callable[[Folder, Folder], None]
+
+
+def pair(path: Path, cause: Cause) -> tuple[Folder, Folder]:
+    """Certificates of two machines; something is wrong with those of the second."""
+    ours = folder(path / "ours", **NAMES)
+    shutil.copytree(ours.path, path / "theirs")
+    theirs = Folder(path / "theirs")
+    cause(theirs, ours)
+    return ours, theirs
+
+
+# -- at its own start --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fault("E18")
+@pytest.mark.parametrize(
+    ("cause", "said"),
+    [
+        (expired, "writer.pem: has expired on "),
+        (not_yet_valid, "writer.pem: is not valid before "),
+        (of_another_name, "writer.pem: is for 'reader', not for 'writer'"),
+        (not_of_its_key, "writer.pem: does not go with its key"),
+        (readable, "writer.key: has mode 0644, so others can read the key; chmod 600 "),
+        (lambda theirs, ours: theirs.revoke("writer"), "'writer' was revoked"),
+        (lambda theirs, ours: shutil.copy(theirs.path / "reader.pem", theirs.path / "ca.pem"), "was not issued by"),
+        (lambda theirs, ours: (theirs.path / "writer.pem").unlink(), "'writer' has no certificate"),
+        (lambda theirs, ours: (theirs.path / "writer.pem").write_text("x"), "the certificate is none in PEM"),
+        (lambda theirs, ours: (theirs.path / "index.json").write_text("{"), "is no index of certificates"),
+    ],
+)
+def test_a_kernel_whose_certificate_is_not_to_be_used_is_not_started(tmp_path: Path, cause: Any, said: str) -> None:
+    _, theirs = pair(tmp_path, cause)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        (tmp_path / "system.toml").write_text(SYSTEM)
+        run = [sys.executable, "-m", "aiorts", "run", str(tmp_path / "system.toml"), "--name", "writer"]
+        network = ["--certs", str(theirs.path), "--connect", f"127.0.0.1:{listening.getsockname()[1]}"]
+        done = subprocess.run([*run, *network], capture_output=True, text=True, timeout=30.0, check=False)
+        assert (done.returncode, said in done.stderr) == (exits.REFUSED, True), done.stderr
+        assert "PRIVATE" not in done.stderr
+        listening.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            listening.accept()
+
+
+# -- at the other end --------------------------------------------------------------------------------------------------
+
+
+async def reader_at(address: str, certificates: Path) -> Kernel:
+    services = {"zenoh": {"listen": address, "host": "far", "certificates": certificates}}
+    kernel = await Kernel("reader", services=services).open()
+    await kernel.service(Network).opened()
+    return kernel
+
+
+@pytest.mark.fault("E18")
+@pytest.mark.parametrize("cause", [nothing_wrong, another_authority, expired, not_yet_valid, revoked])
+def test_who_is_refused_sees_nothing_whatever_its_own_end_checks(tmp_path: Path, cause: Cause) -> None:
+    ours, theirs = pair(tmp_path, cause)
+
+    async def main() -> tuple[Counter[str], int, str]:
+        address = f"127.0.0.1:{free_port()}"
+        kernel = await reader_at(address, ours.path)
+        try:
+
+            def thief() -> tuple[Counter[str], int, str]:
+                with session(theirs, "writer", guarded=False, connect=address) as opened:
+                    heard = Heard(opened)
+                    seen = opened.liveliness().declare_subscriber("aiorts/1/default/live/*/*/**", history=True)
+                    heard.wait(1, within=2.0)
+                    heard.counts["token"] += sum(1 for _ in iter(seen.try_recv, None))
+                why = probe("127.0.0.1", int(address.rpartition(":")[2]), unchecked(theirs, "writer"))
+                return heard.counts, heard.bytes, why
+
+            return await asyncio.to_thread(thief)
+        finally:
+            await kernel.aclose()
+
+    counts, size, why = asyncio.run(main())
+    if cause is nothing_wrong:
+        assert counts["token"] > 0, "this test would see it"
+        assert why == ""
+        return
+    assert (+counts, size) == (Counter(), 0)
+    said = {another_authority: "of another authority", expired: "has expired", not_yet_valid: "is not valid before"}
+    assert said.get(cause, "") in why
+
+
+@pytest.mark.fault("E18")
+@pytest.mark.parametrize(
+    ("cause", "at", "said"),
+    [
+        (another_authority, "127.0.0.1", "the certificate there is of another authority"),
+        (revoked, "127.0.0.1", "the name 'writer' was revoked: others take nothing from this kernel"),
+        (nothing_wrong, "127.0.0.2", "the certificate there is for other addresses; issue it with --address"),
+    ],
+)
+def test_the_kernel_that_is_refused_says_why(
+    tmp_path: Path, cause: Cause, at: str, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    ours, theirs = pair(tmp_path, cause)
+    refused_by(at, ours.path, {"certificates": theirs.path}, said, caplog)
+    if cause is revoked:
+        assert "tls/127.0.0.1 is refused: 'writer' was revoked" in caplog.text
+
+
+@pytest.mark.fault("E17")
+def test_a_kernel_in_plain_tcp_is_refused_and_says_why(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    ours = folder(tmp_path, **NAMES)
+    said = "speaks TLS, and takes those with certificates alone: give their folder (--certs)"
+    refused_by("127.0.0.1", ours.path, {"insecure": True}, said, caplog)
+
+
+def refused_by(at: str, ours: Path, security: dict[str, Any], said: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A kernel connects to another one, is refused, and says why."""
+
+    async def main() -> None:
+        address = f"{at}:{free_port()}"
+        reader = await reader_at(address, ours)
+        near = {"zenoh": {"connect": address, "host": "near", **security}}
+        try:
+            async with Kernel("writer", services=near) as writer:
+                async with asyncio.timeout(15.0):
+                    while said not in caplog.text:
+                        await asyncio.sleep(0.05)
+                assert (reader.service(Links).peers, writer.service(Links).peers) == ((), ())
+        finally:
+            await reader.aclose()
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(main())
+
+
+@pytest.mark.fault("E17")
+def test_plain_bytes_and_a_handshake_without_a_certificate_get_nothing_of_ours(tmp_path: Path) -> None:
+    ours = folder(tmp_path, **NAMES)
+
+    def plain(address: tuple[str, int]) -> bytes:
+        with socket.create_connection(address, 5.0) as connected:
+            connected.sendall(b"\x20\x00" + bytes(32))
+            return received(connected)
+
+    def unnamed(address: tuple[str, int]) -> bytes:
+        context = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+        with (
+            socket.create_connection(address, 5.0) as connected,
+            context.wrap_socket(connected, server_hostname="localhost") as secured,
+            pytest.raises(ssl.SSLError, match="certificate required"),
+        ):
+            return received(secured)
+        return b""
+
+    async def main() -> None:
+        port = free_port()
+        kernel = await reader_at(f"127.0.0.1:{port}", ours.path)
+        try:
+            for _ in range(20):
+                got = await asyncio.to_thread(plain, ("127.0.0.1", port))
+                assert got[:1] in (b"", b"\x15"), "an alert of TLS at the most"
+                assert len(got) <= 7
+                assert await asyncio.to_thread(unnamed, ("127.0.0.1", port)) == b""
+        finally:
+            await kernel.aclose()
+
+    asyncio.run(main())
+
+
+def received(connected: socket.socket) -> bytes:
+    got, until = b"", time.monotonic() + 5.0
+    while time.monotonic() < until:
+        try:
+            data = connected.recv(4096)
+        except ConnectionError:
+            return got
+        if not data:
+            return got
+        got += data
+    return got
+
+
+def test_the_probe_says_what_does_not_answer_and_what_is_no_tls(tmp_path: Path) -> None:
+    ours = folder(tmp_path, **NAMES)
+    own = unchecked(ours, "writer")
+    assert probe("127.0.0.1", free_port(), own) == "is not reached: Connection refused"
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        assert probe("127.0.0.1", silent.getsockname()[1], own, within=0.2).startswith("does not speak TLS")
