@@ -6,6 +6,7 @@ import asyncio
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +17,7 @@ from aiorts.types import TimedLong
 pytest.importorskip("zenoh")
 
 from aiorts_zenoh import Network
+from network.certificate_parts import folder
 from network.network_parts import free_port
 
 WAIT = 20.0
@@ -29,21 +31,25 @@ class Sink(Component):
     inp = InPort(TimedLong, length=1_000)
 
 
-def start(address: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "aiorts", "router", "--listen", address, "--insecure-network"]
+def start(address: str, *security: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "aiorts", "router", "--listen", address, *(security or ("--insecure-network",))]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     assert process.stderr.readline() == f"aiorts router: listens at {address}\n"
     return process
 
 
-def test_kernels_meet_in_a_router_and_again_after_it_was_killed() -> None:
+@pytest.mark.parametrize("certified", [False, True])
+def test_kernels_meet_in_a_router_and_again_after_it_was_killed(certified: bool, tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"
-    router = start(address)
+    folder(tmp_path, hub="router", reader="component", writer="component")
+    security = ("--certs", str(tmp_path), "--name", "hub") if certified else ()
+    given_too = {"certificates": tmp_path} if certified else {"insecure": True}
+    router = start(address, *security)
 
     async def main() -> None:
         nonlocal router
-        given = [{"zenoh": {"connect": address, "host": host, "insecure": True}} for host in ("far", "near")]
+        given = [{"zenoh": {"connect": address, "host": host, **given_too}} for host in ("far", "near")]
         async with Kernel("reader", services=given[0]) as reader, Kernel("writer", services=given[1]) as writer:
             await asyncio.gather(reader.service(Network).opened(), writer.service(Network).opened())
             sink, source = await reader.add(Sink("sink")), await writer.add(Source("source"))
@@ -61,7 +67,7 @@ def test_kernels_meet_in_a_router_and_again_after_it_was_killed() -> None:
                 if not last:
                     router.kill()
                     router.communicate(timeout=WAIT)
-                    router = start(address)
+                    router = start(address, *security)
             async with asyncio.timeout(WAIT):
                 while connector.statistics.in_flight:
                     await asyncio.sleep(0.01)
