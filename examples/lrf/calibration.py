@@ -47,13 +47,13 @@ class Calibration(Component):
         for match in self.sync.drain():
             if self.goal.state == "running":
                 self.gather(match)
+        if self.goal.state == "running" and self.goal.cancel_requested:
+            self.goal.cancelled()
 
     def gather(self, match: tuple[TimedPoint2D, TimedPoint2D, TimedPoint2D]) -> None:
         self.stamps.append(match[0].tm)
         self.tracks.append([complex(track.data.x, track.data.y) for track in match])
-        if self.goal.cancel_requested:
-            self.goal.cancelled()
-        elif len(self.stamps) < self.matches:
+        if len(self.stamps) < self.matches:
             self.goal.feedback(len(self.stamps))
         else:
             steps = np.diff(self.stamps)

@@ -15,6 +15,8 @@ CONFIG = RangerConfig(
     minAngle=radians(-120.0), maxAngle=radians(120.0), angularRes=radians(240.0 / (BEAMS - 1)), frequency=1e9 / PERIOD
 )
 ANGLES = np.linspace(CONFIG.minAngle, CONFIG.maxAngle, BEAMS)
+AT_ONCE = 32
+"""Scans in a cycle at the most, where it is late: for so many there is room in its connection."""
 
 
 class RangeFinder(Component):
@@ -30,7 +32,7 @@ class RangeFinder(Component):
         self.next = self.clock.time_ns() // PERIOD + 1
 
     async def on_execute(self) -> None:
-        for _ in range(min(32, self.clock.time_ns() // PERIOD + 1 - self.next)):
+        for _ in range(min(AT_ONCE, self.clock.time_ns() // PERIOD + 1 - self.next)):
             await self.scan.write(self.measure(self.next))
             self.next += 1
 

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -92,6 +94,9 @@ def main() -> int:
     parser.add_argument("--kill", choices=[*PROGRAMS])
     parser.add_argument("--network", action="store_true")
     options = parser.parse_args()
+    if options.network and (shutil.which("ip") is None or os.geteuid() != 0):
+        parser.error("--network makes network namespaces: that needs Linux, root and the command `ip`")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what was made is taken away all the same
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="lrf")))
         processes = Processes(folder, stack.enter_context(namespaces(HOSTS)) if options.network else {})
@@ -109,4 +114,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)

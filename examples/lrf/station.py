@@ -1,4 +1,4 @@
-"""Asks for the calibration, hands the poses to those that need them, and judges them; then the one map is drawn up."""
+"""Asks for the calibration, judges the poses and hands them to those that need them; then the one map is drawn up."""
 
 from __future__ import annotations
 
@@ -24,18 +24,26 @@ class Operator(Component):
     within = Param(0.005, gt=0.0, unit="m")
     within_degrees = Param(0.2, gt=0.0)
 
+    def on_activated(self) -> None:
+        self.poses: list[Pose2D] = []
+
     async def on_execute(self) -> None:
-        self.finish()  # it asks once
+        """Hands the poses out each time, so that a range finder that was started again has its own soon."""
+        if not self.poses:
+            self.poses = await self.calibrated()
+        for transform, pose in zip((self.west, self.north, self.east), self.poses, strict=True):
+            await transform.proxy.place(pose)
+
+    async def calibrated(self) -> list[Pose2D]:
         goal = await self.calibration.proxy.calibrate(POSES["west"])
         async for count in goal:
             if count % 100 == 0:
                 print(f"{count} matches", flush=True)
         poses = await goal.result()
-        for transform, pose in zip((self.west, self.north, self.east), poses, strict=True):
-            await transform.proxy.place(pose)
         wrong = [name for name, pose in zip(POSES, poses, strict=True) if not self.is_right(name, pose)]
         if wrong:
             self.kernel.request_stop(1)
+        return poses
 
     def is_right(self, name: str, pose: Pose2D) -> bool:
         """Print where it is, in digits that are the same wherever this runs, and how far that is from the truth."""

@@ -17,9 +17,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aiorts import Kernel
+from aiorts.errors import GoalCancelled, ServiceFailed
 from aiorts.guide.contents import FOLDER, page
 from aiorts.kernel.extensions.files import load_file
-from aiorts.types import Point2D, Pose2D
+from aiorts.system import build, load
+from aiorts.testing import Rig, simulate, simulated
+from aiorts.types import Point2D, Pose2D, TimedPoint2D
 from run_parts import here
 
 ROOT = Path(__file__).parents[2]
@@ -39,7 +43,7 @@ def poses(said: str) -> dict[str, tuple[float, ...]]:
 
 
 @pytest.fixture(scope="module")
-def simulated() -> str:
+def one_process() -> str:
     """What the run in one process says."""
     done = here("run", str(EXAMPLE / "system.toml"))
     assert (done.returncode, done.stderr) == (0, "")
@@ -87,13 +91,63 @@ def test_a_ray_goes_to_the_wall_or_to_the_walker_who_stands_before_it() -> None:
     assert near == pytest.approx([1.8, 2.0, 5.0], abs=1e-3)
 
 
+def point(tm: int, at: complex) -> TimedPoint2D:
+    return TimedPoint2D(tm, Point2D(at.real, at.imag))
+
+
+@simulated
+async def test_tracks_of_the_same_moments_make_a_calibration_and_what_lies_between_is_counted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    calibration = module("calibration").Calibration("calibration")
+    walked = {25: 0j, 50: 1 + 0j, 100: 1 + 2j, 125: 3 + 1j}
+    async with Rig(calibration) as rig:
+        await calibration.configure(matches=3)
+        rig.feed("west", *[point(tm, at) for tm, at in walked.items()])
+        goal = await rig.call("calibration.service", "calibrate", Pose2D(Point2D(1.0, 2.0), math.pi / 2))
+        rig.feed("north", *[point(tm, at * 1j) for tm, at in walked.items() if tm != 50])
+        rig.feed("east", *[point(tm, at - 1j) for tm, at in walked.items()])
+        await rig.tick(2)
+        _, north, east = await goal.result()
+    assert (north.position.x, north.position.y, north.heading) == pytest.approx((1.0, 2.0, 0.0), abs=1e-9)
+    assert (east.position.x, east.position.y, east.heading) == pytest.approx((0.0, 2.0, math.pi / 2), abs=1e-9)
+    assert capsys.readouterr().out == "calibrated from 3 matches; 2 scans in between were lost\n"
+
+
+@simulated
+async def test_a_calibration_is_cancelled_and_another_one_refused_while_it_runs() -> None:
+    async with Rig(module("calibration").Calibration("calibration")) as rig:
+        goal = await rig.call("calibration.service", "calibrate", Pose2D())
+        with pytest.raises(ServiceFailed, match="it calibrates already"):
+            await rig.call("calibration.service", "calibrate", Pose2D())
+        goal.cancel()
+        await rig.tick(2)
+        with pytest.raises(GoalCancelled):
+            await goal.result()
+
+
+@simulated
+async def test_a_transform_is_silent_until_its_configuration_set_has_the_pose() -> None:
+    transform = module("transform").Transform("transform")
+    async with Rig(transform) as rig:
+        rig.feed("track", point(1, 1 + 0j))
+        await rig.tick()
+        assert rig.received("mapped") == []
+        await rig.call("transform.placing", "place", Pose2D(Point2D(1.0, 2.0), math.pi / 2))
+        rig.feed("track", point(2, 1 + 0j))
+        await rig.tick()
+        assert transform.configuration.active == "calibrated"
+        (mapped,) = rig.received("mapped")
+        assert (mapped.tm, mapped.data.x, mapped.data.y) == (2, pytest.approx(1.0), pytest.approx(3.0))
+
+
 # -- in one process ----------------------------------------------------------------------------------------------------
 
 
-def test_in_one_process_every_pose_is_right(simulated: str) -> None:
-    assert SMOOTH in simulated
-    assert [*poses(simulated)] == ["west", "north", "east"]
-    assert re.search(r"^on one map: 300 points, [1-5]\.\d+ mm from the middle of the three", simulated, re.MULTILINE)
+def test_in_one_process_every_pose_is_right(one_process: str) -> None:
+    assert SMOOTH in one_process
+    assert [*poses(one_process)] == ["west", "north", "east"]
+    assert re.search(r"^on one map: 300 points, [1-5]\.\d+ mm from the middle of the three", one_process, re.MULTILINE)
 
 
 @pytest.mark.parametrize("change", ["operator.within=0.0001", "operator.within_degrees=0.001"])
@@ -102,7 +156,21 @@ def test_a_pose_that_is_not_right_is_said_and_ends_with_status_1(change: str) ->
     assert (done.returncode, "deg WRONG\n" in done.stdout) == (1, True), done.stdout
 
 
-def test_the_picture_of_the_guide_is_what_its_script_draws() -> None:
+def test_a_range_finder_that_has_lost_its_pose_is_given_it_again(capsys: pytest.CaptureFixture[str]) -> None:
+    async def main() -> tuple[int, str]:
+        async with Kernel() as kernel:
+            await build(kernel, load(EXAMPLE / "system.toml", ["map.matches=60"]))
+            transform = kernel.components["north_transform"]
+            while transform.configuration.active == "default":
+                await kernel.sleep(0.1)
+            await transform.configuration.activate("default")
+            return await kernel.wait_stop_requested(), transform.configuration.active
+
+    assert simulate(main()) == (0, "calibrated")
+    assert "on one map: 60 points" in capsys.readouterr().out
+
+
+def test_the_page_of_the_guide_has_the_picture_that_is_drawn_and_the_poses_that_are_found(one_process: str) -> None:
     done = subprocess.run(
         [sys.executable, str(EXAMPLE / "picture.py")], capture_output=True, text=True, timeout=60, check=True
     )
@@ -110,15 +178,17 @@ def test_the_picture_of_the_guide_is_what_its_script_draws() -> None:
     found = page("calibration")
     assert found is not None
     assert "](calibration.svg)" in found.text
+    for name, numbers in poses(one_process).items():
+        assert poses(found.text.partition("## When")[0])[name] == pytest.approx(numbers, abs=1e-9)
 
 
 # -- in several --------------------------------------------------------------------------------------------------------
 
 
-def test_four_processes_find_the_same_poses(simulated: str) -> None:
+def test_four_processes_find_the_same_poses(one_process: str) -> None:
     status, said = ran()
     assert (status, SMOOTH in said) == (0, True), said
-    for name, found in poses(simulated).items():
+    for name, found in poses(one_process).items():
         assert poses(said)[name] == pytest.approx(found, abs=1e-9)
 
 
@@ -147,10 +217,10 @@ def namespaces() -> None:
     subprocess.run(["ip", "netns", "del", name], check=True, timeout=10)
 
 
-def test_three_hosts_find_the_same_poses(simulated: str, namespaces: None) -> None:
+def test_three_hosts_find_the_same_poses(one_process: str, namespaces: None) -> None:
     status, said = ran("--network")
     assert (status, SMOOTH in said) == (0, True), said
-    for name, found in poses(simulated).items():
+    for name, found in poses(one_process).items():
         assert poses(said)[name] == pytest.approx(found, abs=1e-9)
 
 
