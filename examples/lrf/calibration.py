@@ -16,7 +16,7 @@ class Calibrating(Protocol):
     """What somebody asks for who knows where one range finder is."""
 
     async def calibrate(self, west: Pose2D) -> Goal[int, list[Pose2D]]:
-        """The poses of west, north and east, of which the first is known. Feedback: how many matches there are."""
+        """The poses of west, north and east, of which the first is known. Feedback: each hundred matches."""
         ...
 
 
@@ -53,13 +53,13 @@ class Calibration(Component):
     def gather(self, match: tuple[TimedPoint2D, TimedPoint2D, TimedPoint2D]) -> None:
         self.stamps.append(match[0].tm)
         self.tracks.append([complex(track.data.x, track.data.y) for track in match])
-        if len(self.stamps) < self.matches:
-            self.goal.feedback(len(self.stamps))
-        else:
+        if len(self.stamps) == self.matches:
             steps = np.diff(self.stamps)
             lost = round((steps / steps.min() - 1.0).sum())
             print(f"calibrated from {self.matches} matches; {lost} scans in between were lost", flush=True)
             self.goal.succeed(poses_of(np.array(self.tracks).T, self.origin))
+        elif len(self.stamps) % 100 == 0:
+            self.goal.feedback(len(self.stamps))
 
 
 def poses_of(tracks: npt.NDArray[np.complex128], first: Pose2D) -> list[Pose2D]:

@@ -37,8 +37,7 @@ class Operator(Component):
     async def calibrated(self) -> list[Pose2D]:
         goal = await self.calibration.proxy.calibrate(POSES["west"])
         async for count in goal:
-            if count % 100 == 0:
-                print(f"{count} matches", flush=True)
+            print(f"{count} matches", flush=True)
         poses = await goal.result()
         wrong = [name for name, pose in zip(POSES, poses, strict=True) if not self.is_right(name, pose)]
         if wrong:
