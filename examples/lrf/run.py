@@ -27,8 +27,7 @@ from namespaces import namespaces
 FOLDER = Path(__file__).parent
 HOSTS = {"west": "10.79.0.1", "north": "10.79.0.2", "east": "10.79.0.3"}
 MEETING = f"{HOSTS['west']}:7447"
-SECURITY = ("--insecure-network",)
-"""Goes with each way to other hosts."""
+AIORTS = (sys.executable, "-m", "aiorts")
 
 
 class Program(NamedTuple):
@@ -59,9 +58,9 @@ class Processes:
         host, arguments, network = PROGRAMS[name]
         sockets = self.folder / (host if self.hosts else "here")
         sockets.mkdir(mode=0o700, exist_ok=True)
-        command = [*self.hosts.get(host, []), sys.executable, "-m", "aiorts", "run", *arguments]
+        command = [*self.hosts.get(host, []), *AIORTS, "run", "--name", name, *arguments]
         if self.hosts and network:
-            command += ["--host", host, *network, *SECURITY]
+            command += ["--host", host, *network, "--certs", str(self.folder / "certs")]
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(sockets)}
         with (self.folder / f"{name}.log").open("a") as log:
             return subprocess.Popen(command, cwd=FOLDER, env=environment, stdout=subprocess.PIPE, stderr=log, text=True)
@@ -89,6 +88,16 @@ class Processes:
             process.wait(20)
 
 
+def certify(folder: Path) -> None:
+    """Make certificates for all that talk to other hosts; on machines of their own each would have its own alone."""
+    certs = (*AIORTS, "certs")
+    subprocess.run([*certs, "init", "--folder", folder], check=True, stdout=subprocess.DEVNULL)
+    for name, (host, _, network) in PROGRAMS.items():
+        if network:
+            issue = (*certs, "issue", name, "--role", "component", "--address", HOSTS[host], "--folder", folder)
+            subprocess.run(issue, check=True, stdout=subprocess.DEVNULL)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--kill", choices=[*PROGRAMS])
@@ -99,6 +108,8 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # what was made is taken away all the same
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="lrf")))
+        if options.network:
+            certify(folder / "certs")
         processes = Processes(folder, stack.enter_context(namespaces(HOSTS)) if options.network else {})
         stack.callback(processes.end)
         while line := processes.said():

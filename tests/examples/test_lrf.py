@@ -53,7 +53,7 @@ def one_process() -> str:
 def ran(*options: str) -> tuple[int, str]:
     """A run of the processes: exit status, what was said."""
     command = [sys.executable, str(EXAMPLE / "run.py"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
     return done.returncode, done.stdout + done.stderr
 
 
@@ -208,6 +208,7 @@ def test_one_that_is_killed_in_mid_calibration_is_started_again_and_the_poses_ar
 @pytest.fixture
 def namespaces() -> None:
     pytest.importorskip("zenoh")
+    pytest.importorskip("cryptography")
     if shutil.which("ip") is None or os.geteuid() != 0:
         pytest.skip("not run: network namespaces need `ip` and root")
     name = f"lrf-{os.getpid()}"
