@@ -29,7 +29,7 @@ HAVE: Final = 6
 BATCH: Final = 65_536
 """Bytes that the engine writes in one go; a message that does not fit into what is left of a batch begins another."""
 PIECES: Final = 64_000
-"""Bytes of a frame that goes in one message: with heads and key it fits into one batch."""
+"""Bytes of a frame that one batch has room for, with heads and key."""
 LONG: Final = 260_000
 """Bytes of a piece that fills four batches: what a message costs besides its bytes is paid a quarter as often."""
 LARGEST: Final = 64 << 20
@@ -40,6 +40,10 @@ _HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
 """A head, and the length of the only block."""
 _LENGTH: Final = struct.Struct("<I")
 _PLACE: Final = struct.Struct("<QQ")
+_FILLED: Final = 65_400
+"""Bytes of a message that go into one batch, at the least."""
+_SHORT: Final = 64_500
+"""Bytes of a message that goes into one batch, at the most."""
 
 
 Block: TypeAlias = bytes | memoryview | list[memoryview]
@@ -67,10 +71,10 @@ def message(kind: int, epoch: int, first: int, sent_ns: int, blocks: Sequence[Bl
 def cost(size: int) -> int:
     """What a message of so many bytes takes up of the engine's queue at the most, in bytes of its batches.
 
-    Of two batches in a row that short messages are in, more than one is full: else they would be in one. A long message
-    ends the batch before it, whatever is in that, and fills four.
+    Of two batches in a row that short messages are in, more than one is full: else they would be in one. A longer one
+    ends the batch before it, whatever is in that, and has those that it fills for itself.
     """
-    return 2 * size if size < LONG else 5 * BATCH
+    return 2 * size if size <= _SHORT else (1 - -size // _FILLED) * BATCH
 
 
 def size_of(blocks: Sequence[Block]) -> int:
@@ -96,7 +100,7 @@ def read(data: bytes) -> Message:
     return Message(kind, epoch, first, sent_ns, tuple(_blocks(view[_HEAD.size :], count)))
 
 
-def pieces(blocks: Sequence[bytes | memoryview]) -> Iterator[tuple[bytes, list[memoryview]]]:
+def pieces(blocks: Sequence[Block]) -> Iterator[tuple[bytes, list[memoryview]]]:
     """The blocks of the messages that carry a long frame, in order; nothing is copied."""
     total = _LENGTH.size + size_of(blocks)
     parts = (_LENGTH.pack(len(blocks)), *_with_lengths(blocks))

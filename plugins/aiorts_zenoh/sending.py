@@ -4,10 +4,11 @@ The engine has a queue of 16 batches of 64 KiB for each neighbour and priority. 
 and neither is to decide about a sample: so no more than a queue is under way to a neighbour, over all channels, and the
 rest waits here, where it is bounded and the link hears of it.
 
-The figures: what is under way costs at most UNDER_WAY, 11 batches, and one message more, 5 batches: 16 in all. `cost`
-says what a message takes up when nothing is written meanwhile, as for a neighbour that is stopped. Only what is not
-marked as express shares a batch with others: an express message has one of its own, so that 17 small ones would be one
-too many, and with nothing waiting the two are sent in the same time.
+The figures: what is under way costs at most ROOM, the 16 batches. `cost` says what a message takes up when nothing is
+written meanwhile, as for a neighbour that is stopped. A frame of up to 1 MiB, which is 17 batches, goes in one message
+where next to nothing is under way: the connection is idle then, and takes more than a batch though nobody reads: 4 MB
+on the loopback of Linux. Nothing is express: an express message has a batch of its own, so that 17 small ones would be
+one too many, and where nothing waits the two are sent in the same time.
 """
 
 from __future__ import annotations
@@ -16,11 +17,16 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from aiorts_zenoh.envelope import BATCH, FRAME, LOOK, PIECE, PIECES, Block, cost, message, pieces, size_of
+from aiorts_zenoh.envelope import BATCH, FRAME, LONG, LOOK, PIECE, PIECES, Block, cost, message, pieces, size_of
 
-UNDER_WAY: Final = 11 * BATCH
-"""What may be on its way to one kernel, by its cost, for another message to follow."""
-_TOLD: Final = UNDER_WAY // 8
+ROOM: Final = 16 * BATCH
+"""What may be on its way to one kernel, by its cost."""
+_ROOM_FOR_ANY: Final = ROOM - cost(LONG + 100)
+"""What may be for any message to follow."""
+_IDLE: Final = BATCH
+"""What may be for a frame of up to ALONE bytes to follow in one message."""
+ALONE: Final = 1_050_000
+_TOLD: Final = BATCH // 2
 """After what cost the other end says how far it is, without being asked."""
 _FULL: Final = 1 << 20
 """Bytes that wait at one channel beyond which it takes no more."""
@@ -36,7 +42,14 @@ class Budget:
     @property
     def has_room(self) -> bool:
         """Whether more may be sent."""
-        return self.used < UNDER_WAY
+        return self.used <= _ROOM_FOR_ANY
+
+    def takes(self, size: int) -> bool:
+        """Whether a frame of so many bytes may be sent in one message."""
+        return self.used <= _ROOM_FOR_ANY if size <= PIECES else self._takes_long(size)
+
+    def _takes_long(self, size: int) -> bool:
+        return self.used + cost(size + 100) <= ROOM or (size <= ALONE and self.used <= _IDLE)
 
     def look(self) -> None:
         """Ask at all channels how far the other kernel has come, unless it is about to say so by itself."""
@@ -78,16 +91,13 @@ class Sender:
     def send(self, blocks: Sequence[bytes | memoryview]) -> bool:
         """Send a frame, or keep it until there is room; False: too much waits."""
         size, budget = size_of(blocks), self._budget
-        if not self._queue and size <= PIECES and budget.used < UNDER_WAY:
+        if not self._queue and budget.takes(size):
             self._give(FRAME, blocks)
             return True
         if self._waits >= _FULL:
             self._refused = True
             return False
-        if size <= PIECES:
-            self._queue.append((FRAME, blocks))
-        else:
-            self._queue.extend((PIECE, piece) for piece in pieces(blocks))
+        self._queue.append((FRAME, blocks))
         self._waits += size
         while budget.has_room and self.send_next():
             pass
@@ -97,12 +107,23 @@ class Sender:
 
     def send_next(self) -> bool:
         """Send one message that waits; False: none does."""
-        if not self._queue:
+        queue = self._queue
+        if not queue:
             return False
-        kind, blocks = self._queue.popleft()
-        self._waits = self._waits - size_of(blocks) if self._queue else 0
+        kind, blocks = queue[0]
+        if kind == FRAME and not self._budget.takes(size_of(blocks)):
+            self._cut()
+        kind, blocks = queue.popleft()
+        self._waits = self._waits - size_of(blocks) if queue else 0
         self._give(kind, blocks)
         return True
+
+    def _cut(self) -> None:
+        """Have the first frame that waits sent in pieces."""
+        _, blocks = self._queue.popleft()
+        found = [*pieces(blocks)]
+        self._queue.extendleft((PIECE, piece) for piece in reversed(found))
+        self._waits += sum(map(size_of, found)) - size_of(blocks)
 
     def _give(self, kind: int, blocks: Sequence[Block]) -> None:
         data = message(kind, self._epoch, self._sent, self._now(), blocks)

@@ -444,11 +444,12 @@ class _ZenohChannel:
         if epoch != self._epoch:
             return False
         if kind <= PIECE:
-            if self._receiver.took(first, len(data)):
-                self._tell()
+            due = self._receiver.took(first, len(data))
             frame = blocks if kind == FRAME else self._whole.add(blocks)
             if frame:
                 self.events.on_frames(((frame[0], frame[1:]),))
+            if due and self.is_open:
+                self._tell()
             return False
         if kind == TAKEN:
             self.sender.came(first)
