@@ -206,7 +206,9 @@ def test_what_is_beyond_the_bounds_is_left_out_and_counted() -> None:
             while len(came) + left_out < 100:
                 await asyncio.sleep(0)
         inbox.put(came.append, 100, size=1 << 20)
-        await asyncio.sleep(0)
+        async with asyncio.timeout(5.0):
+            while came[-1] != 100:
+                await asyncio.sleep(0)
         return len(came), left_out, came[-1]
 
     assert asyncio.run(main()) == (65, 36, 100)
