@@ -118,7 +118,10 @@ def test_the_age_of_samples_of_another_machine_is_right_though_its_clock_is_wron
                     await asyncio.sleep(0.02)
                     stamps += [one.tm for one in sink.inp.drain()]
             assert list(reader.connectors) == [connector.name]  # the one that was asked for, with its options
-            assert await asyncio.to_thread(run_command, ["delay", "sink.inp", "--count", "1", "--json"]) == 0
+            assert (
+                await asyncio.to_thread(run_command, ["delay", "sink.inp", "--count", "1", "--timeout", "10", "--json"])
+                == 0
+            )
             return found, stamps
 
     with tempfile.TemporaryDirectory(prefix="ai") as folder:  # short: a socket's path has 107 letters
