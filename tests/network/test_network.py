@@ -20,7 +20,7 @@ from aiorts.types import TimedLong, TimedOctetSeq
 pytest.importorskip("zenoh")
 
 from aiorts_zenoh import Network, NetworkSettings
-from aiorts_zenoh.engine import Inbox
+from aiorts_zenoh.engine import Engine, Inbox
 from network.network_parts import free_port
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "roomba"
@@ -105,6 +105,39 @@ def test_two_kernels_of_two_hosts_lose_nothing() -> None:
             assert (ledger.written, ledger.delivered, ledger.unexplained) == (200, 200, 0)
 
     asyncio.run(main())
+
+
+def test_what_a_link_carries_decides_about_its_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[str, str]] = []
+    publisher = Engine.publisher
+
+    def noted(self: Engine, key: str, priority: str) -> Any:
+        found = publisher(self, key, priority)
+        made.append((key[-1], str(found.priority).rpartition(".")[2]))
+        return found
+
+    monkeypatch.setattr(Engine, "publisher", noted)
+
+    async def main() -> None:
+        address = f"127.0.0.1:{free_port()}"
+        far = {"zenoh": {"listen": address, "host": "far", "insecure": True}}
+        near = {"zenoh": {"connect": address, "host": "near", "insecure": True}}
+        async with Kernel("reader", services=far) as reader, Kernel("writer", services=near) as writer:
+            await asyncio.gather(reader.service(Network).opened(), writer.service(Network).opened())
+            sink, source = await reader.add(Sink("sink")), await writer.add(Source("source"))
+            for push in ("all", "new"):
+                connector = await writer.connect(source.out, "far/reader/sink.inp", push=push)
+                source.out.write_nowait(TimedOctetSeq(0, b""))
+                async with asyncio.timeout(20.0):
+                    while not connector.statistics.acknowledged:
+                        await asyncio.sleep(0.01)
+                await writer.disconnect(connector)
+            assert sink.inp.is_new
+
+    asyncio.run(main())
+    urgent = "INTERACTIVE_HIGH"
+    assert [name for end, name in made if end == "w"] == ["DATA", urgent, "DATA_LOW", urgent]
+    assert {name for end, name in made if end == "r"} == {urgent}
 
 
 @pytest.mark.fault("E01")
