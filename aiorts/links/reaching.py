@@ -55,6 +55,8 @@ class Reach:
         """The names of those kernels; they connect what this kernel tells them to."""
         self.peers: dict[Peer, Transport] = {}
         """The other kernels that are there, and what carries links to them."""
+        self._named: dict[str, dict[Peer, None]] = {}
+        """The same by their names, in the same order."""
         self._ways: dict[Peer, list[Transport]] = {}
         """All transports that reach each of them; the one that found it first carries its links."""
         self._closing = False
@@ -159,10 +161,15 @@ class Reach:
         ways = self._ways.setdefault(peer, [])
         (ways.append if up else ways.remove)(transport)
         before, now = self.peers.pop(peer, None), ways[0] if ways else None
+        named = self._named.setdefault(peer.kernel, {})
+        named.pop(peer, None)
         if now is None:
             del self._ways[peer]
         else:
             self.peers[peer] = now
+            named[peer] = None
+        if not named:
+            del self._named[peer.kernel]
         if before is not None and before is not now:
             self._tell(peer, False)
         if now is not None and before is not now:
@@ -172,8 +179,8 @@ class Reach:
         """The kernel of a path, if it is there."""
         found = [
             peer
-            for peer in self.peers
-            if peer.kernel == path.kernel and path.host.lower() in ("", "localhost", peer.host.lower())
+            for peer in self._named.get(path.kernel, ())
+            if path.host.lower() in ("", "localhost", peer.host.lower())
         ]
         return found[-1] if found else None
 

@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 from aiorts.errors import LinkError, MissingExtra, PluginError
+from aiorts_zenoh.gate import Gate
 
 LOWEST, HIGHEST = (1, 9), (1, 11)
 """Versions of the engine from the first to the one before the last."""
@@ -111,6 +112,8 @@ class Engine:
         self._tokens: dict[str, Any] = {}
         self._announcing = threading.Lock()
         self._closed = False
+        self.gate: Gate | None = None
+        """Which of what comes is taken; by default all."""
 
     def open(self, settings: Mapping[str, Any], inbox: Inbox) -> None:
         """Open the session. LinkError: the engine refuses, such as for a port that is taken, or is closed meanwhile.
@@ -148,8 +151,10 @@ class Engine:
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
-            data = sample.payload.to_bytes()
-            put(arrived, str(sample.key_expr), data, size=len(data))
+            where = str(sample.key_expr)
+            if self.gate is None or self.gate.message(where):
+                data = sample.payload.to_bytes()
+                put(arrived, where, data, size=len(data))
 
         self._kept.append(self._session.declare_subscriber(key, self._direct(came)))
 
@@ -158,9 +163,13 @@ class Engine:
         put = (inbox or self._inbox).put
 
         def came(query: Any) -> None:
-            body = b"" if query.payload is None else query.payload.to_bytes()
+            where = str(query.key_expr)
             beside = b"" if query.attachment is None else query.attachment.to_bytes()
-            put(asked, str(query.key_expr), body, beside, query, size=len(body) + len(beside))
+            if self.gate is not None and not self.gate.question(where, beside):
+                query.drop()
+                return
+            body = b"" if query.payload is None else query.payload.to_bytes()
+            put(asked, where, body, beside, query, size=len(body) + len(beside))
 
         self._kept.append(self._session.declare_queryable(key, self._direct(came), complete=True))
 
@@ -169,7 +178,9 @@ class Engine:
         put = (inbox or self._inbox).put
 
         def came(sample: Any) -> None:
-            put(present, str(sample.key_expr), sample.kind == self._zenoh.SampleKind.PUT)
+            token, up = str(sample.key_expr), sample.kind == self._zenoh.SampleKind.PUT
+            if self.gate is None or self.gate.token(token, up=up):
+                put(present, token, up)
 
         liveliness = self._session.liveliness()
         self._kept.append(liveliness.declare_subscriber(key, self._direct(came), history=True))

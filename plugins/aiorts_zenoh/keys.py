@@ -186,3 +186,17 @@ def peer_of(key: str) -> Peer | None:
         return checked_peer(host, name, int(start.split("-")[1] if parts[3] == "live" else start, 16))
     except (LinkError, ValueError, IndexError):
         return None
+
+
+def host_of(token: str) -> str | None:
+    """Whose name a token is for, by its host; None: it is none of a kernel."""
+    parts = token.split("/", 5)
+    return parts[4] if len(parts) > 5 and parts[3] == "live" else None
+
+
+def sender_of(key: str) -> str:
+    """Who sends at this key: host and kernel at a link, else a name alone, which is in the key for it."""
+    parts = key.split("/")
+    if len(parts) > 8 and parts[3] == "link":
+        return "/".join(parts[4:6] if parts[-1] == BY_WRITER else parts[6:8])
+    return parts[7] if len(parts) > 7 else parts[-1]

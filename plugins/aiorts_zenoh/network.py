@@ -123,14 +123,14 @@ class Network(KernelService):
             await asyncio.shield(self._opening)
 
     def report(self) -> Mapping[str, Any]:
-        """The host, the domain, how this kernel stands with its name, the kernels that are seen there, and messages
-        that found no room here."""
+        """The host, the domain, how this kernel stands with its name, the kernels that are seen there, messages
+        that found no room here, and who is cut off."""
         transport = self._transport
         if transport is None:
             return {}
         seen = [f"{peer.host}/{peer.kernel}" for peer in transport.peers]
         where = {"host": transport.host, "domain": transport.domain, "name": transport.standing}
-        report = {**where, "kernels": seen, "left_out": transport.left_out}
+        report = {**where, "kernels": seen, "left_out": transport.left_out, "cut_off": sorted(transport.cut_off)}
         return {**report, "security": self._security} if self._security else report
 
     def stopped(self) -> None:

@@ -6,8 +6,10 @@ import asyncio
 import hashlib
 import os
 import uuid
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +20,8 @@ from aiorts_zenoh.names import Claim, Name, Standing, seen
 
 _HEARD: Final = 100
 """Kernels that hear of the end of one whose name they have, at the most."""
+_REST: Final = 50e-6
+"""Seconds for each claim of a host name of several machines until all of them are looked at again."""
 _TICK: Final = 0.1
 """Seconds between two looks whether a name is owned by now, or free again."""
 
@@ -50,13 +54,17 @@ class Presence:
         self._name = Name(keys.claim, self._loop.time())
         self._said: dict[str, dict[Claim, set[bool]]] = {}
         """By host name: what is claimed, and of each the tokens that are there: of the claim, of its owner."""
-        self._shown: dict[str, set[Peer]] = {}
+        self._named: dict[tuple[str, str], set[Claim]] = {}
+        self._machines: dict[str, Counter[int]] = {}
+        """The same by host and kernel, and how many of each machine."""
+        self._shown: dict[str, dict[str, Peer]] = {}
         self._gave_way: dict[Claim, set[Claim]] = {}
         """Of each that is there: who heard of it here."""
         self._heard_of: set[Claim] = set()
         """What others have told of, and may not be seen here."""
-        self._due: set[str] = set()
-        """Host names to look at anew."""
+        self._due: set[tuple[str, str]] = set()
+        self._due_hosts: set[str] = set()
+        """Names to look at anew, and host names."""
         self._told: Standing | None = None
         self._telling = False
         self._timer: asyncio.TimerHandle | None = None
@@ -98,14 +106,30 @@ class Presence:
         tokens = claims.setdefault(claim, set())
         is_new = not tokens
         (tokens.add if up else tokens.discard)(owned)
+        if up and is_new:
+            self._named.setdefault((claim.host, claim.kernel), set()).add(claim)
+            self._machines.setdefault(claim.host, Counter())[claim.machine] += 1
         if not tokens:
-            del claims[claim]
-            self._hide(claim)
+            several = self._several(claim.host)
+            self._forget(claim, was_there=not is_new)
+            if several:
+                self._look_at_all(claim.host)
         elif up and claim.host == self._name.own.host:
             self._meets(claim, owned=owned, is_new=is_new)
-        self._look_at(claim.host)
+        self._look_at(claim.host, claim.kernel)
         if self._listens:
             self._pass_on(claim, token, up=up)
+
+    def _forget(self, claim: Claim, *, was_there: bool = True) -> None:
+        """A claim is there no more."""
+        del self._said[claim.host][claim]
+        if was_there:
+            self._named[claim.host, claim.kernel].remove(claim)
+            if not self._named[claim.host, claim.kernel]:
+                del self._named[claim.host, claim.kernel]
+            machines = self._machines[claim.host]
+            machines -= Counter([claim.machine])  # and what is 0 is no more in it
+        self._hide(claim)
 
     def _pass_on(self, claim: Claim, token: str, *, up: bool) -> None:
         """Tell those that this claim meets of it, and it of them; and who gave way to it, when it has gone."""
@@ -115,13 +139,20 @@ class Presence:
             if claim not in self._said.get(claim.host, ()):
                 del self._gave_way[claim]
             return
-        for other, tokens in self._said[claim.host].items():
-            if other != claim and claim.meets(other):
-                self._tell_of(token, up, other)
-                self._tell_of(self._keys.token_of(other, owned=True in tokens), up, claim)
-                for one, two in ((claim, other), (other, claim)):
-                    if len(heard := self._gave_way.setdefault(one, set())) < _HEARD:
-                        heard.add(two)
+        for other in self._rivals(claim):
+            tokens = self._said[claim.host][other]
+            self._tell_of(token, up, other)
+            self._tell_of(self._keys.token_of(other, owned=True in tokens), up, claim)
+            for one, two in ((claim, other), (other, claim)):
+                if len(heard := self._gave_way.setdefault(one, set())) < _HEARD:
+                    heard.add(two)
+
+    def _rivals(self, claim: Claim) -> list[Claim]:
+        """Those that cannot be seen beside it, not more than are told of each other."""
+        of_host = self._said[claim.host]
+        several = len(self._machines[claim.host]) > 1
+        among: Iterable[Claim] = of_host if several else self._named[claim.host, claim.kernel]
+        return list(islice((other for other in among if other != claim and claim.meets(other)), _HEARD))
 
     def _tell_of(self, token: str, up: bool, *to: Claim) -> None:
         for claim in to:
@@ -152,38 +183,75 @@ class Presence:
 
     def _hide(self, claim: Claim) -> None:
         """At once: what comes next may be the same kernel, linked anew."""
-        peer, shown = _peer(claim), self._shown.get(claim.host, set())
-        if peer in shown:
-            shown.remove(peer)
-            self._show(peer, False)
+        if self._shown.get(claim.host, {}).get(claim.kernel) == _peer(claim):
+            self._set(claim.host, {claim.kernel: None})
 
-    def _look_at(self, *hosts: str) -> None:
-        if not self._due:
-            self._loop.call_soon(self._look)
-        self._due.update(hosts)
+    def _several(self, host: str) -> bool:
+        """Whether several machines claim a host name."""
+        machines = set(self._machines.get(host, ()))
+        return len(machines | {self._name.own.machine} if host == self._name.own.host else machines) > 1
+
+    def _look_at(self, host: str, kernel: str) -> None:
+        """Look soon who has this name; where several machines have the host name, at all of it."""
+        if self._several(host):
+            self._look_at_all(host)
+        else:
+            if not self._due:
+                self._loop.call_soon(self._look)
+            self._due.add((host, kernel))
+
+    def _look_at_all(self, host: str) -> None:
+        if host not in self._due_hosts:
+            self._due_hosts.add(host)
+            self._loop.call_later(len(self._said.get(host, ())) * _REST, self._look_at_host, host)
 
     def _look(self) -> None:
         """Show who is to be seen now; once for all that has come at the same time."""
         due, self._due = self._due, set()
-        own, is_shown = self._name.own, self._name.is_shown
-        for host in () if self._closed else due:
-            claims = {claim: True in tokens for claim, tokens in self._said.get(host, {}).items()}
-            if host == own.host:
-                claims[own] = self._name.standing is Standing.OWNS
-            now = {_peer(claim) for claim in seen(claims).values() if claim != own} if is_shown else set()
-            before, self._shown[host] = self._shown.get(host, set()), now
-            if not claims:
-                del self._shown[host], self._said[host]
-            for peer in before - now:
-                self._show(peer, False)
-            for peer in now - before:
+        for host, kernel in due:
+            if not self._several(host):
+                found = seen(self._claims(host, self._named.get((host, kernel), ())))
+                self._set(host, {kernel: found.get(kernel)})
+
+    def _look_at_host(self, host: str) -> None:
+        self._due_hosts.discard(host)
+        found = seen(self._claims(host, self._said.get(host, ())))
+        self._set(host, {kernel: found.get(kernel) for kernel in {*self._shown.get(host, ()), *found}})
+
+    def _claims(self, host: str, among: Iterable[Claim]) -> dict[Claim, bool]:
+        """These, and whether they own their names; of its own host this kernel's, too."""
+        claims = {claim: True in self._said[host][claim] for claim in among}
+        own = self._name.own
+        return claims if host != own.host else {**claims, own: self._name.standing is Standing.OWNS}
+
+    def _set(self, host: str, kernels: Mapping[str, Claim | None]) -> None:
+        """Of these names of a host, these are to be seen."""
+        if self._closed:
+            return
+        shown, own = self._shown.setdefault(host, {}), self._name.own
+        for kernel, claim in kernels.items():
+            now = None if claim in (None, own) or not self._name.is_shown else claim
+            before, peer = shown.get(kernel), None if now is None else _peer(now)
+            if peer == before:
+                continue
+            if before is not None:
+                del shown[kernel]
+                self._show(before, False)
+            if peer is not None:
+                shown[kernel] = peer
                 self._show(peer, True)
+        if not shown:
+            del self._shown[host]
+        if not self._said.get(host, True):
+            del self._said[host]
+            self._machines.pop(host, None)
 
     # -- this kernel -----------------------------------------------------------------------------------------------
 
     def _changed(self) -> None:
         """This kernel stands otherwise with its name."""
-        self._look_at(*self._said, *self._shown)
+        for host in {*self._said, *self._shown}:
+            self._look_at_host(host)
         if not self._telling:
             self._telling = True
             self._kernel.run_in_background(self._tell(), "aiorts zenoh name")
@@ -207,7 +275,7 @@ class Presence:
             if before is Standing.CLAIMS:
                 self._name.unseen(now)
             for claim in self._heard_of & others.keys():  # who told of them is gone
-                del others[claim]
+                self._forget(claim)
             self._heard_of.clear()
         self._name.passed(others, now)
         if self.standing is not before:

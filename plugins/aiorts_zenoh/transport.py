@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -13,6 +14,7 @@ from aiorts.links import Caller, Channel, ChannelEvents, KernelFace, LinkOffer, 
 from aiorts_zenoh.clocks import ClockOffset
 from aiorts_zenoh.engine import Engine, Inbox, in_thread
 from aiorts_zenoh.envelope import FRAME, PIECE, TAKEN, Whole, message, read
+from aiorts_zenoh.gate import Gate
 from aiorts_zenoh.keys import BY_READER, BY_WRITER, Keys, asked
 from aiorts_zenoh.presence import Presence, this_machine
 from aiorts_zenoh.sending import Budget, Receiver, Sender
@@ -72,6 +74,11 @@ class ZenohTransport:
         self._comparing: asyncio.TimerHandle | None = None
         self._tells: list[Callable[[Peer, bool], None]] = []
         self._peers: dict[Peer, Budget] = {}
+        self._named: Counter[str] = Counter()
+        """The same, as host/kernel; the engine's threads look into it."""
+        self._bad: set[Peer] = set()
+        """Those that have sent what is no message, which is said once."""
+        self._gate: Gate
         self._channels: dict[str, _ZenohChannel] = {}
         """By the key under which the other end sends."""
         self._asked: dict[int, tuple[Peer, asyncio.Future[bytes]]] = {}
@@ -100,6 +107,7 @@ class ZenohTransport:
         own = Peer(self.host, kernel.name, kernel.epoch)
         self.keys = Keys(self.domain, own, time.time_ns(), self._machine)
         self._inbox = Inbox(self.loop)
+        self.engine.gate = self._gate = Gate(lambda name: name in self._named, self._say)
         connects, listens = (bool(self._settings.get(f"{what}/endpoints")) for what in ("connect", "listen"))
         self._presence = Presence(
             self.engine, self.keys, kernel, self._present, connects=connects, listens=listens, admits=self.admits
@@ -176,11 +184,27 @@ class ZenohTransport:
         """How this kernel stands with its name: claims, owns, withdrawn or refused."""
         return "" if self._presence is None else self._presence.standing.value
 
+    @property
+    def cut_off(self) -> Collection[str]:
+        """Who was beyond a limit, and is not heard for a while."""
+        return () if self._inbox is None else self._gate.cut_off
+
+    def _say(self, text: str) -> None:
+        """From any thread."""
+        if self._inbox is not None:
+            self._inbox.put(self.kernel.report, text)
+
     def _present(self, peer: Peer, up: bool) -> None:
         if up:
             self._peers[peer] = Budget()
+            self._named[f"{peer.host}/{peer.kernel}"] += 1
         else:
             del self._peers[peer]
+            name = f"{peer.host}/{peer.kernel}"
+            self._named[name] -= 1
+            if not self._named[name]:
+                del self._named[name]
+            self._bad.discard(peer)
             self._clocks.pop(peer, None)
         for tell in tuple(self._tells):
             tell(peer, up)
@@ -243,13 +267,23 @@ class ZenohTransport:
 
     def _arrived(self, key: str, data: bytes) -> None:
         channel = self._channels.get(key)
-        if channel is None or self._closed:
+        if self._closed:
             return
+        began = time.thread_time_ns()
         try:
+            if channel is None:
+                read(data)
+                return
             room = channel.arrived(data)
         except ValueError as error:
-            self.kernel.report(f"zenoh: {channel.peer.kernel} sent what is no message: {error}")
+            self._gate.was_bad(key)
+            if channel is not None and channel.peer not in self._bad:
+                self._bad.add(channel.peer)
+                self.kernel.report(f"zenoh: {channel.peer.kernel} sent what is no message: {error}")
             return
+        finally:
+            size = len(data) if channel is None else max(len(data), channel.came)
+            self._gate.took(key, size, time.thread_time_ns() - began)
         if room:
             self._pump(channel.peer)
 
@@ -429,6 +463,8 @@ class _ZenohChannel:
         self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns)
         self._receiver, self._whole = Receiver(), Whole()
         self.is_open = True
+        self.came = 0
+        """Bytes of the frame that came last."""
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:

@@ -1,0 +1,85 @@
+"""Whether what comes is of a peer that is cut off: the engine's threads look first. It may be called from any."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection
+from typing import Final
+
+from aiorts_zenoh.keys import host_of, sender_of
+from aiorts_zenoh.limits import NAMES, SLOW_NS, SLOW_NS_PER_BYTE, Limits, Names
+
+_NAMED: Final = 16
+"""Bytes before the name of who asks, in what goes beside a question."""
+
+
+class Gate:
+    """Lets in what comes from peers within their limits.
+
+    Args:
+        is_known: whether a kernel of this host and name is there; those that are not count as one by their name.
+        say: takes a text for the log.
+    """
+
+    def __init__(self, is_known: Callable[[str], bool], say: Callable[[str], None]) -> None:
+        self._is_known, self._say = is_known, say
+        self._limits, self._names = Limits(), Names()
+        self._lock = threading.Lock()
+
+    @property
+    def cut_off(self) -> Collection[str]:
+        """Who is cut off."""
+        with self._lock:
+            return tuple(self._limits.cut_off)
+
+    def message(self, key: str) -> bool:
+        """Whether a message is taken."""
+        if not self._limits.cut_off:
+            return True
+        with self._lock:
+            return self._limits.admits(self._who(sender_of(key)), time.monotonic())
+
+    def question(self, key: str, beside: bytes) -> bool:
+        """Whether a question is taken."""
+        said = beside[_NAMED:].decode(errors="replace")
+        caller = sender_of(key)
+        who = self._who(said if said.rpartition("/")[2] == caller else caller)
+        now = time.monotonic()
+        with self._lock:
+            if not self._limits.admits(who, now):
+                return False
+            return self._counted(who, "question", now)
+
+    def token(self, key: str, *, up: bool) -> bool:
+        """Whether a token that has come or gone is looked at."""
+        host = host_of(key)
+        if host is None:
+            return True
+        with self._lock:
+            taken, first = self._names.admits(host, key, up=up), False
+            if up and not taken:
+                first = self._names.is_first(host)
+        if first:
+            self._say(f"zenoh: {host} has {NAMES} names and more; the rest is not seen")
+        return taken
+
+    def was_bad(self, key: str) -> None:
+        """What came at this key was no message."""
+        with self._lock:
+            self._counted(self._who(sender_of(key)), "bad", time.monotonic())
+
+    def took(self, key: str, size: int, ns: int) -> None:
+        """The processor took so long for a message, of a frame of this size."""
+        if ns > SLOW_NS + size * SLOW_NS_PER_BYTE:
+            with self._lock:
+                self._counted(self._who(sender_of(key)), "slow", time.monotonic())
+
+    def _counted(self, who: str, what: str, now: float) -> bool:
+        if text := self._limits.count(who, what, now):
+            self._say(f"zenoh: {text}")
+        return self._limits.admits(who, now)
+
+    def _who(self, sender: str) -> str:
+        """The peer, by host and kernel where such a one is there."""
+        return sender if self._is_known(sender) else sender.rpartition("/")[2]

@@ -1,0 +1,121 @@
+"""How much one peer may ask of a kernel: who is beyond it is cut off for a while. It asks no clock and knows no engine.
+
+Amounts leak away in time: up to a limit all may come at once, and after that as much in each second as leaks. So what
+begins with many questions, such as a kernel with a thousand connectors, is no flood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Final, NamedTuple
+
+CUT_OFF: Final = 10.0
+"""Seconds for which nothing of a peer is heard."""
+NAMES: Final = 10_000
+"""Names of one host that are known at the same time."""
+_ALL_NAMES: Final = 100_000
+_PEERS: Final = 10_000
+"""Peers of which it is known how much they have asked."""
+_SAID: Final = 60.0
+"""Seconds in which a peer that is cut off again has no further line."""
+
+
+class Limit(NamedTuple):
+    """So many, in so many seconds."""
+
+    most: int
+    seconds: float
+    text: str
+
+
+LIMITS: Final[Mapping[str, Limit]] = {
+    "question": Limit(2_000, 10.0, "200 questions a second"),
+    "bad": Limit(100, 60.0, "100 messages a minute that are none"),
+    "slow": Limit(3, 60.0, "3 messages a minute that take longer to read than they may"),
+}
+"""By what is counted."""
+SLOW_NS: Final = 10_000_000
+"""Nanoseconds that the processor may take for a message; the collector of garbage may begin in one that is good."""
+SLOW_NS_PER_BYTE: Final = 10
+"""And for each byte of a long frame."""
+
+
+class Limits:
+    """What peers have asked, and who is cut off."""
+
+    def __init__(self) -> None:
+        self._levels: dict[tuple[str, str], tuple[float, float]] = {}
+        """By peer and what is counted: how much, and when."""
+        self._until: dict[str, float] = {}
+        self._said: dict[str, float] = {}
+
+    def admits(self, who: str, now: float) -> bool:
+        """Whether anything of this peer is heard."""
+        until = self._until.get(who)
+        if until is None:
+            return True
+        if now < until:
+            return False
+        del self._until[who]
+        return True
+
+    @property
+    def cut_off(self) -> Collection[str]:
+        """The peers that were beyond a limit, and have not been heard since."""
+        return self._until.keys()
+
+    def count(self, who: str, what: str, now: float) -> str:
+        """A peer has done one thing that is limited; what to say if it is cut off for it, else ""."""
+        limit = LIMITS[what]
+        level, at = self._levels.pop((who, what), (0.0, now))
+        level = max(0.0, level - (now - at) * limit.most / limit.seconds) + 1.0
+        if level <= limit.most:
+            self._levels[who, what] = level, now  # the last is the one that was heard last
+            if len(self._levels) > _PEERS:
+                del self._levels[next(iter(self._levels))]
+            return ""
+        self._until[who] = now + CUT_OFF
+        if len(self._until) > _PEERS:
+            del self._until[next(iter(self._until))]
+        before = self._said.pop(who, None)
+        self._said[who] = now
+        if len(self._said) > _PEERS:
+            del self._said[next(iter(self._said))]
+        if before is not None and now - before < _SAID:
+            return ""
+        return f"{who} is beyond {limit.text}, and is not heard for {CUT_OFF:g} s"
+
+
+class Names:
+    """The tokens that are known, of each host up to a limit."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, set[str]] = {}
+        self._count = 0
+        self._full: set[str] = set()
+
+    def admits(self, host: str, token: str, *, up: bool) -> bool:
+        """Whether a token that has come or gone is looked at."""
+        known = self._known.setdefault(host, set())
+        is_known = token in known
+        if up and not is_known:
+            if len(known) >= NAMES or self._count >= _ALL_NAMES:
+                if not known:
+                    del self._known[host]
+                return False
+            known.add(token)
+            self._count += 1
+        elif not up and is_known:
+            known.remove(token)
+            self._count -= 1
+        if not known:
+            del self._known[host]
+            self._full.discard(host)
+        return up or is_known
+
+    def is_first(self, host: str) -> bool:
+        """Whether it is to be said now that this host has too many names; once as long as it has any."""
+        if host in self._full or len(self._full) > _PEERS:
+            return False
+        self._full.add(host)
+        return True
