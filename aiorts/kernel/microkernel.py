@@ -33,7 +33,7 @@ from aiorts.kernel.loop.timers import sleep, timers_for
 from aiorts.kernel.pool import PoolMonitor
 from aiorts.kernel.ports import Port, PortDeclaration
 from aiorts.kernel.registry import Registry
-from aiorts.kernel.service import KernelService, notify, plan_service, report_fault
+from aiorts.kernel.service import KernelService, attach_services, notify, plan_service, report_fault
 from aiorts.model.names import check_name
 from aiorts.model.naming import NamePolicy
 from aiorts.model.numbering import Numbering
@@ -152,8 +152,7 @@ class Microkernel:
             self._remove_probe = add_probe(lambda: sum(one.runner.activity() for one in self._contexts.values()))
         embedding.enter(self, loop)
         try:
-            for plan in self._planned:
-                plan.attach(self)
+            attach_services(self, self._planned)
         except BaseException:
             await self.aclose()
             raise

@@ -66,6 +66,9 @@ class KernelService:
     """What can be set: a frozen dataclass whose fields all have a default (`setting`). Its `__post_init__` raises
     ConfigurationError for a value that is wrong, "KEY: expected ..., got ..."."""
 
+    last: ClassVar[bool] = False
+    """Whether it is configured after all others that are planned with it: it goes by what they were given."""
+
     table: Mapping[str, Any] | None = None
     """What the system itself says of it: its table of the system file, or in `Kernel(services=...)`; None where it has
     none."""
@@ -150,6 +153,12 @@ class ServicePlan(NamedTuple):
         service = kernel.service(self.kind)
         service.table = self.table
         service.configure(self.settings)
+
+
+def attach_services(kernel: Microkernel, plans: Iterable[ServicePlan]) -> None:
+    """Attach services to an open kernel, in this order, but for those that come last."""
+    for plan in sorted(plans, key=lambda plan: plan.kind.last):
+        plan.attach(kernel)
 
 
 def load_service(extension: Extension) -> type[KernelService]:

@@ -22,7 +22,7 @@ from aiorts.kernel.execution.cell import flattened
 from aiorts.kernel.execution.context import Context
 from aiorts.kernel.extensions.catalogue import Catalogue
 from aiorts.kernel.ports import Port
-from aiorts.kernel.service import ServicePlan
+from aiorts.kernel.service import ServicePlan, attach_services
 from aiorts.late import dataclass
 from aiorts.model.lifecycle import LifecycleState
 from aiorts.model.names import names_kernel
@@ -117,8 +117,7 @@ async def build(kernel: Kernel, system: SystemFile | Blueprint) -> None:
     planning = kernel.service(Planning)
     planning.clock = system.clock
     planning.exclusive |= {entry.name for entry in system.components.values() if entry.exclusive}
-    for service in plan.services.values():
-        service.attach(kernel)
+    attach_services(kernel, plan.services.values())
     with contextlib.ExitStack() as making:
         for attached in kernel.services:
             making.enter_context(attached.making())

@@ -58,7 +58,7 @@ class Processes:
         host, arguments, network = PROGRAMS[name]
         sockets = self.folder / (host if self.hosts else "here")
         sockets.mkdir(mode=0o700, exist_ok=True)
-        command = [*self.hosts.get(host, []), *AIORTS, "run", "--name", name, *arguments]
+        command = [*self.hosts.get(host, []), *AIORTS, "run", *arguments]
         if self.hosts and network:
             command += ["--host", host, *network, "--certs", str(self.folder / "certs")]
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(sockets)}

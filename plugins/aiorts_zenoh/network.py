@@ -85,6 +85,8 @@ class Network(KernelService):
 
     name = "zenoh"
     settings = NetworkSettings
+    last = True
+    """The name of the kernel, which picks its certificate, is given to others: links, control."""
 
     def __init__(self, kernel: Microkernel) -> None:
         super().__init__(kernel)

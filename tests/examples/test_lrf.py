@@ -53,7 +53,7 @@ def one_process() -> str:
 def ran(*options: str) -> tuple[int, str]:
     """A run of the processes: exit status, what was said."""
     command = [sys.executable, str(EXAMPLE / "run.py"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
     return done.returncode, done.stdout + done.stderr
 
 

@@ -56,6 +56,18 @@ def test_two_kernels_with_certificates_lose_nothing(tmp_path: Path) -> None:
     asyncio.run(main())
 
 
+def test_a_name_that_the_table_of_links_gives_picks_the_certificate(tmp_path: Path) -> None:
+    folder(tmp_path, robot="component")
+
+    async def main() -> None:
+        services = _services(f"127.0.0.1:{free_port()}", tmp_path, listens=True) | {"links": {"name": "robot"}}
+        async with Kernel("reader", services=services) as kernel:
+            await kernel.service(Network).opened()
+            assert kernel.service(Network).report()["security"] == "certificates"
+
+    asyncio.run(main())
+
+
 def test_a_kernel_of_another_authority_sees_nobody(tmp_path: Path) -> None:
     folder(tmp_path / "ours", reader="component", writer="component")
     folder(tmp_path / "theirs", reader="component", writer="component")

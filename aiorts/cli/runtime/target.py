@@ -33,7 +33,7 @@ from aiorts.kernel.declarations import declarations
 from aiorts.kernel.extensions.type_names import extension_of
 from aiorts.kernel.extensions.type_names import shown as in_quotes
 from aiorts.kernel.extensions.uninstalled import named_in_project
-from aiorts.kernel.service import plan_service
+from aiorts.kernel.service import attach_services, plan_service
 from aiorts.late import dataclass
 from aiorts.model.options import doubts
 from aiorts.planning import Setting, setting_alone
@@ -298,8 +298,7 @@ def _alone(
     plans = [plan_service(catalogue, *one) for one in _settings((name,), name, {}, services).items()]
 
     async def make(kernel: Kernel) -> None:
-        for plan in plans:
-            plan.attach(kernel)
+        attach_services(kernel, plans)
         try:
             component = await setting.create(kernel, cls, name)
         except BaseException as error:
