@@ -454,10 +454,10 @@ class _ZenohChannel:
         events: ChannelEvents,
         closed: Callable[[_ZenohChannel], None],
         priority: str,
-        unexpect: Callable[[], None],
+        ignore: Callable[[], None],
     ) -> None:
         self.peer, self.events = peer, events
-        self._epoch, self._closed, self._unexpect = epoch, closed, unexpect
+        self._epoch, self._closed, self._ignore = epoch, closed, ignore
         self._publisher = engine.publisher(key, priority)
         self._urgent = engine.publisher(key, "INTERACTIVE_HIGH")
         self.sender = Sender(budget, self._publisher.put, epoch, time.time_ns)
@@ -503,6 +503,6 @@ class _ZenohChannel:
         self.is_open = False
         self._closed(self)
         self.sender.close()
-        self._unexpect()
+        self._ignore()
         for publisher in (self._publisher, self._urgent):
             publisher.undeclare()
