@@ -109,6 +109,7 @@ EXPECTED = {
     "E16": "Releases that share a protocol work together; others are told which each speaks, on both sides.",
     "E21": "A client that floods, stalls or says nonsense is bounded in rate and memory; others are served.",
     "E22": "A thousand short sessions: no call of others fails, and nothing of them is left.",
+    "E26": "A port that is taken and an address that is not there are said before anything runs.",
     "F01": "A file that is no TOML: line, column and reason, within a second.",
     "F02": "YAML of others: no tags, few aliases, each key once; else it is not read.",
     "F03": "A misspelt key or section is told the one that was probably meant.",

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import platform
 import re
+import socket
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -99,6 +100,8 @@ class Network(KernelService):
     def configure(self, settings: NetworkSettings) -> None:
         host = settings.host or platform.node()
         _check_name("host", host)
+        for endpoint in _listed(settings.listen):
+            _check_free(endpoint)
         secured = _secured(settings, self.kernel.service(Links).reached_as)
         self._security = "certificates" if secured else "insecure: plain TCP" if settings.insecure else ""
         own, clock = engine_settings(settings, secured), self.kernel.clock
@@ -187,6 +190,19 @@ def endpoints_of(text: str) -> list[tuple[str, int]]:
     """Host and port of each that is listed."""
     parts = [endpoint.rpartition(":") for endpoint in _listed(text)]
     return [(host.strip("[]"), int(port)) for host, _, port in parts]
+
+
+def _check_free(endpoint: str) -> None:
+    """ConfigurationError: nothing can listen there, which is to be known before anything runs."""
+    host, _, port = endpoint.rpartition(":")
+    try:
+        found = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        family, kind, protocol, _, address = found[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what was there before may have just ended
+            probe.bind(address)
+    except OSError as error:
+        raise ConfigurationError(f"listen: {endpoint}: {error.strerror}; choose another port or address") from None
 
 
 def _listed(text: str) -> list[str]:

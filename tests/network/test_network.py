@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -13,7 +14,7 @@ from typing import Any
 import pytest
 
 from aiorts import Component, InPort, Kernel, OutPort
-from aiorts.errors import AiortsError, ConfigurationError, MissingExtra
+from aiorts.errors import ConfigurationError, MissingExtra
 from aiorts.links import Links
 from aiorts.types import TimedLong, TimedOctetSeq
 
@@ -258,10 +259,26 @@ def test_a_run_without_the_engine_says_what_to_install(monkeypatch: pytest.Monke
         asyncio.run(main())
 
 
-def test_what_the_engine_refuses_is_said() -> None:
+@pytest.mark.fault("E26")
+def test_an_address_that_is_not_of_this_machine_is_said_before_anything_runs() -> None:
     async def main() -> None:
-        async with Kernel("one", services={"zenoh": {"listen": "10.255.255.1:1", "insecure": True}}) as kernel:
-            with pytest.raises(AiortsError, match="zenoh: "):
-                await kernel.service(Network).opened()
+        async with Kernel("one", services={"zenoh": {"listen": "10.255.255.1:1", "insecure": True}}):
+            pass
 
-    asyncio.run(main())
+    with pytest.raises(ConfigurationError, match=r"listen: 10\.255\.255\.1:1: Cannot assign"):
+        asyncio.run(main())
+
+
+@pytest.mark.fault("E26")
+def test_a_port_that_is_taken_ends_the_run_with_2_before_anything_runs(tmp_path: Path) -> None:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        address = f"127.0.0.1:{other.getsockname()[1]}"
+        words = ["run", str(EXAMPLE / "odometry.toml"), "--listen", address, "--insecure-network"]
+        done = subprocess.run(
+            [sys.executable, "-m", "aiorts", *words], capture_output=True, text=True, check=False, timeout=30
+        )
+    assert (done.returncode, done.stdout) == (2, ""), done.stderr
+    assert f"listen: {address}: Address already in use" in done.stderr
+    assert "Traceback" not in done.stderr
