@@ -6,6 +6,7 @@ import ast
 import asyncio
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -26,7 +27,9 @@ from aiorts.types import TimedDouble, TimedLong
 
 pytest.importorskip("zenoh")
 
+from network import vector_parts
 from network.network_parts import free_port
+from network.test_router import start as start_router
 
 WAIT = 20.0
 NAME = f"robot-{os.getpid()}"
@@ -61,8 +64,12 @@ class Foreign:
 
     async def do(self, what: str, **given: object) -> Any:
         """What it answers when it is to do something; the loop goes on meanwhile, which may have to answer it."""
+        return await self.say(json.dumps({"do": what, **given}))
+
+    async def say(self, line: str) -> Any:
+        """What it answers to a line."""
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps({"do": what, **given}) + "\n")
+        self.process.stdin.write(f"{line}\n")
         self.process.stdin.flush()
         return await asyncio.to_thread(self.answer)
 
@@ -226,3 +233,73 @@ def test_it_lists_reads_writes_and_calls_a_kernel(foreign: Foreign) -> None:
             assert await received(foreign, 5) == [0, 1, 2, 3, 4]
 
     asyncio.run(run())
+
+
+def test_the_same_in_c(tmp_path: Path) -> None:
+    """A program in C that knows zenoh-pico and SPEC.md alone is linked, listed and operated, and does the same."""
+    found = shutil.which("pkg-config") and shutil.which("cc")
+    if not found or subprocess.run(["pkg-config", "--exists", "zenohpico"], check=False, timeout=10).returncode:
+        pytest.skip("not run: zenoh-pico is not installed (pkg-config zenohpico), or there is no C compiler")
+    flags = subprocess.run(
+        ["pkg-config", "--cflags", "--libs", "zenohpico"], capture_output=True, text=True, check=True, timeout=10
+    ).stdout.split()
+    program = tmp_path / "client"
+    source = ["-std=gnu11", "-O1", "-DZENOH_LINUX", "-o", str(program), str(PROGRAM.with_name("foreign_client.c"))]
+    subprocess.run(["cc", *source, *flags, "-lpthread"], check=True, timeout=60)
+    address = f"127.0.0.1:{free_port()}"
+    (kind,) = (one for one in vector_parts.types()["types"] if one["name"] == "TimedLong")
+    with start_router(address) as router:
+        try:
+            foreign = Foreign(str(program), address, "abroad", "stranger", kind["hash"], kind["layout"])
+            foreign.address = address
+            try:
+                asyncio.run(all_with(foreign))
+            finally:
+                foreign.close()
+        finally:
+            router.kill()
+
+
+async def all_with(foreign: Foreign) -> None:
+    """All that a program can do, with one that takes lines of words."""
+    here = f"here/{NAME}"
+    async with kernel_at(foreign.address) as kernel:
+        number, sink = await kernel.add(Number("number")), await kernel.add(Sink("sink"))
+        links = kernel.service(Links)
+        await until(lambda: links.peers, bool)
+        end = time.monotonic() + WAIT
+        while here not in (found := await foreign.say("list")):
+            assert time.monotonic() < end, found
+        assert await foreign.say(f"names {here}") == ["number", "sink"]
+        assert await foreign.say(f"set {here} number gain 3") == []
+        assert number.gain == 3
+        with pytest.raises(WiringError, match="types differ"):
+            await kernel.connect(number.other, "stranger/twin.inp")
+
+        written = await kernel.connect(number.out, "stranger/twin.inp", full="block", timeout=WAIT)
+        for value in range(2_000):
+            await number.out.write(TimedLong(value, value))
+        came: list[int] = []
+        while len(came) < 2_000:
+            assert time.monotonic() < end, len(came)
+            came += await foreign.say("received")
+        assert came == list(range(2_000))
+        await kernel.disconnect(written)
+
+        assert await foreign.say(" ".join(["write", here, f"{NAME}/sink.inp", *map(str, range(100))])) is None
+        assert [(await sink.inp.read(timeout=WAIT)).data for _ in range(100)] == list(range(100))
+        assert await foreign.say(f"read {here} {NAME}/number.out") == ""
+        await until(lambda: list(links.report().values()), lambda found: found == ["up", "up"])
+        for value in range(5):
+            await number.out.write(TimedLong(value, value))
+        came = []
+        while len(came) < 5:
+            came += await foreign.say("received")
+        assert came == [0, 1, 2, 3, 4]
+
+        await kernel.connect("abroad/stranger/twin.out", sink.inp, full="block")
+        await asyncio.to_thread(operate, foreign)
+        values = [(await sink.inp.read(timeout=WAIT)).data for _ in range(200)]
+        while values[-1] - values[-2] != 7:
+            values.append((await sink.inp.read(timeout=WAIT)).data)
+        assert {later - early for early, later in pairwise(values)} == {1, 7}
