@@ -29,6 +29,8 @@ class Names:
     """Components that have failed: in error, or finished with an error."""
     links: str = ""
     """The name by which links of other kernels reach it; "" where they cannot."""
+    notices: tuple[str, ...] = ()
+    """What is to be seen of it at once, such as that others reach it without certificates."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,6 +106,11 @@ class KernelService:
         """
         return {}
 
+    @property
+    def notice(self) -> str:
+        """What `aiorts ls` shows of it at once, such as that the kernel is not secured; "" for nothing."""
+        return ""
+
     def component_added(self, component: Component) -> None:
         """A component came in; its `on_initialize` has run."""
 

@@ -138,6 +138,10 @@ class Network(KernelService):
         report = {**where, "kernels": seen, "left_out": transport.left_out, "cut_off": sorted(transport.cut_off)}
         return {**report, "security": self._security} if self._security else report
 
+    @property
+    def notice(self) -> str:
+        return self._security if self._security.startswith("insecure") else ""
+
     def stopped(self) -> None:
         if self._neighbours is not None:
             self._neighbours.close()

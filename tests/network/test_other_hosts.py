@@ -111,7 +111,7 @@ def far(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Far]:
     run = Far(tmp_path, *getattr(request, "param", ("--allow-control", "-v")))
     until = time.monotonic() + WAIT
     try:
-        while run.do("ls")[1].split() != ["robot/", "counter"]:
+        while run.do("ls")[1].split() != ["robot/", "insecure:", "plain", "TCP", "counter"]:
             assert time.monotonic() < until, run.log.read_text()
         yield run
     finally:

@@ -32,6 +32,7 @@ def _names(session: Session, _: Nothing) -> Names:
         connectors=MappingProxyType({**wires, **calls}),
         in_error=tuple(name for name, one in kernel.components.items() if one.last_error is not None),
         links="" if far is None else far.open_as,
+        notices=tuple(one.notice for one in kernel.services if one.notice),
     )
 
 

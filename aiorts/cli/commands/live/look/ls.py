@@ -66,6 +66,7 @@ def _document(running: Running, shown: list[Named], *, ports: bool) -> dict[str,
         "pid": running.client.entry.pid,
         "state": names["state"],
         "links": running.links or None,
+        "notices": list(names.get("notices", ())),
         "components": [_component(names, name, inside.get(name)) for name in components],
         "contexts": [
             {"name": name, "members": members}
@@ -106,7 +107,8 @@ def _kernel(one: Named, *, long: bool, ports: bool) -> str:
     names, client = one.running.names, one.running.client
     links = one.running.links
     head = one.full if not long else f"{one.full}  process {client.entry.pid}, {names['state']}"
-    lines = [head if links in ("", one.running.name) else f"{head}  links: {links}"]
+    head = head if links in ("", one.running.name) else f"{head}  links: {links}"
+    lines = ["  ".join((head, *names.get("notices", ())))]
     rows = table([_row(names, component, long=long) for component in names["components"]])
     if not ports:
         return "\n".join(filter(None, (*lines, rows)))
