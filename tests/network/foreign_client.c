@@ -960,8 +960,9 @@ static void typed(char *line) {
         put_versions(&asking->body);
         put_text(&asking->body, words[2]);
         put_text(&asking->body, text_of("%s/twin.inp", kernel));
-        put_map(&asking->body, 1);
+        put_map(&asking->body, 2);
         put_pair(&asking->body, "subscription", "new");
+        put_pair(&asking->body, "push", "all");
         asking->what = REQUEST;
         ask(asking);
     } else if (!strcmp(words[0], "write")) {

@@ -280,6 +280,7 @@ async def all_with(foreign: Foreign) -> None:
         for value in range(2_000):
             await number.out.write(TimedLong(value, value))
         came: list[int] = []
+        end = time.monotonic() + WAIT
         while len(came) < 2_000:
             assert time.monotonic() < end, len(came)
             came += await foreign.say("received")
@@ -292,8 +293,9 @@ async def all_with(foreign: Foreign) -> None:
         await until(lambda: list(links.report().values()), lambda found: found == ["up", "up"])
         for value in range(5):
             await number.out.write(TimedLong(value, value))
-        came = []
+        came, end = [], time.monotonic() + WAIT
         while len(came) < 5:
+            assert time.monotonic() < end, came
             came += await foreign.say("received")
         assert came == [0, 1, 2, 3, 4]
 
