@@ -114,6 +114,9 @@ PROMISES = {
     "of a component is replaced while the system runs": (
         "reload/test_reloading.py::test_code_is_replaced_while_it_runs"
     ),
+    "range finders that are calibrated over the network": (
+        "examples/test_lrf.py::test_a_pose_that_is_not_right_is_said_and_ends_with_status_1"
+    ),
     "a recorded drive, a force-controlled arm": (
         "examples/test_manipulator.py::test_the_force_settles_and_the_brake_holds"
     ),
