@@ -114,9 +114,9 @@ class Client:
             raise WireError(f"{self.entry.address}: no hello; what listens there is no kernel of aiorts")
         agreed(hello.get("protocol"), hello.get("protocol"), self.entry.address)
         self.right = str(hello.get("right", ""))
-        self.entry = Entry(
-            self.entry.address, int(hello.get("pid", self.entry.pid)), str(hello.get("epoch", "")), self.entry.path
-        )
+        process = hello.get("pid")
+        process = process if type(process) is int else self.entry.pid
+        self.entry = Entry(self.entry.address, process, str(hello.get("epoch", "")), self.entry.path)
         self.hello = hello
 
     def close(self) -> None:

@@ -59,16 +59,19 @@ def change_all(wanted: Sequence[tuple[Running, Parts]], timeout: float) -> Outco
             return Outcome({}, one.name, str(error), unsure)
     kept: dict[str, Sequence[Mapping[str, Any]]] = {}
     failed, why, unsure = "", "", ()
-    for one, steps in changed:
+    for place, (one, steps) in enumerate(changed):
         try:
-            if steps:
-                done = one.client.call("decide", timeout, keep=True)
-                if not done["done"]:
-                    failed, why = one.name, done["rolled_back"]
-                    continue
-            kept[one.name] = steps
+            said = one.client.call("decide", timeout, keep=True) if steps else {"done": True}
         except AiortsError as error:
             failed, why, unsure = one.name, str(error), (*unsure, one.name)
+        else:
+            if said["done"]:
+                kept[one.name] = steps
+                continue
+            failed, why = one.name, str(said["rolled_back"])
+        if not any(kept.values()):  # nothing is kept yet, so that nothing need be
+            rest = [other.name for other, its in reversed(changed[place + 1 :]) if not _taken_back(other.client, its)]
+            return Outcome({}, failed, why, (*unsure, *rest))
     return Outcome(kept, failed, why, unsure)
 
 

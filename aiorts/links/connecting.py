@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from aiorts.errors import AiortsError, LinkError, WiringError, format_error
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 
 Link: TypeAlias = "WriterLink | ReaderLink"
 _LOG: Final = KernelLog()
+_report: Final = partial(_LOG.warning, "W-LINK: %s")
 _WINDOW_BYTES: Final = 8 << 20
 _ASK_SECONDS: Final = 2.0
 _FIRST_SECONDS: Final = 5.0
@@ -241,8 +243,9 @@ class Links(KernelService):
             LinkError: the transport cannot be opened.
             WiringError: as `Kernel.connect`, or the other kernel refused a connector; those of this call were ended.
         """
-        if any(isinstance(port, str) and self.is_far(port) for port in ports):
-            await self.opened()
+        for port in ports:
+            if isinstance(port, str) and self.is_far(port):
+                await self.reach.opened_for(Path.parse(port))
         made = await connect(*ports, **options)
         connectors = made.connectors if isinstance(made, Connection) else (made,)
         waits = [self._first[link] for one in connectors for link in self._links_of(one) if link in self._first]
@@ -476,6 +479,7 @@ class Links(KernelService):
             return self._not_now(link, answer)
         version = versions.agreed(peer.kernel, answer.protocol)
         agreed = replace(offer, protocol=(version, version), reader_epoch=answer.epoch, number=answer.number)
+        agreed = replace(agreed, reader=replace(offer.reader, host=peer.host))
         channel = await self.reach.carrier(peer).channel(agreed, link)
         if self._writers.get(connector) is not link:
             channel.close()
@@ -530,13 +534,15 @@ class Links(KernelService):
             return refusal("an offer", caller, error)
         if link is not None:
             self._answer_first(link, None)
-            agreed = replace(offer, reader_epoch=answer.epoch, number=answer.number)
+            writer = replace(offer.writer, host="" if caller.peer is None else caller.peer.host)
+            agreed = replace(offer, writer=writer, reader_epoch=answer.epoch, number=answer.number)
             self.run(self._join(link, agreed, caller.peer), "aiorts link")
         return sent(answer)
 
     def _accept(self, offer: LinkOffer, caller: Caller) -> tuple[Answer, ReaderLink | None]:
         check_theirs(offer.writer, caller)
-        key = (offer.writer.kernel, offer.link)
+        writer = replace(offer.writer, host=self.reach.host_of(caller.peer))
+        key = (f"{writer.host}/{writer.kernel}", offer.link)
         link = self._offers.get(key) or self._awaited(offer, caller)
         found: Any = None if link is None else self._awaits(link, caller)
         found = found or self.there(offer.reader, caller)
@@ -550,7 +556,7 @@ class Links(KernelService):
             raise WiringError(f"types differ: {said}")
         if link is None or not is_end(link.connector.in_, found):
             self._check_made(offer.writer)
-            link = self._new_reader(offer, found)
+            link = self._new_reader(replace(offer, writer=writer), found)
             self._made[offer.writer.kernel] += 1
         if key not in self._offers:
             for other in [other for other, one in self._offers.items() if one is link]:
@@ -609,14 +615,15 @@ class Links(KernelService):
             return found
         if not isinstance(found, OutPort):
             raise WiringError(f"{request.writer}: is no out-port")
+        full = replace(reader, host=self.reach.host_of(caller.peer))
         for connector, link in self._writers.items():
-            if is_end(connector.out, found) and str(self.far_of(link)) == request.reader:
+            if is_end(connector.out, found) and self.far_of(link) in (reader, full):
                 self._try(link)
                 return Answer()
         self._accepting = True
         try:
             self._check_made(reader)
-            self.kernel.connections.make((found, request.reader), request.options)
+            self.kernel.connections.make((found, str(full)), request.options)
             self._made[reader.kernel] += 1
         except AiortsError as error:
             raise WiringError(str(error)) from None
@@ -690,7 +697,3 @@ class Links(KernelService):
             name = f"{port.far.kernel}-{port.far.component}"[:MAX_NAME_LENGTH]
             return str(replace(port.far, host="", kernel=self.reached_as, component=name))
         return str(self.path_of(port))
-
-
-def _report(text: str) -> None:
-    _LOG.warning("W-LINK: %s", text)

@@ -90,12 +90,15 @@ class Ledgers:
     """Asks and answers what the links of one kernel count.
 
     Args:
-        writers: the writer's ends by connector. readers: the reader's ends by the writer's kernel and its name of the
-            link.
+        writers: the writer's ends by connector.
+        readers: the reader's ends by the writer's host and kernel, and its name of the link.
     """
 
     def __init__(
-        self, links: Kernels, writers: Mapping[Connector, WriterLink], readers: Mapping[tuple[str, str], ReaderLink]
+        self,
+        links: Kernels,
+        writers: Mapping[Connector, WriterLink],
+        readers: Mapping[tuple[str, str], ReaderLink],
     ) -> None:
         self._links, self._writers, self._readers = links, writers, readers
 
@@ -143,7 +146,11 @@ class Ledgers:
 
     async def _reported(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
-        link = None if caller.peer is None else self._readers.get((caller.peer.kernel, name))
+        link = (
+            None
+            if caller.peer is None
+            else self._readers.get((f"{self._links.reach.host_of(caller.peer)}/{caller.peer.kernel}", name))
+        )
         if link is None:
             raise LinkError(f"has no link {name!r:.80}")
         return _report(link).to_bytes()

@@ -97,7 +97,7 @@ class Reach:
 
     def open_for(self, path: Path) -> None:
         """Open what reaches the kernel of a path, if nothing has yet."""
-        if path.kernel not in self.carried:
+        if path.kernel not in self.carried and self.peer_of(path) is None:
             self.open_soon()
 
     async def opened(self) -> None:
@@ -183,6 +183,12 @@ class Reach:
             if path.host.lower() in ("", "localhost", peer.host.lower())
         ]
         return found[-1] if found else None
+
+    def host_of(self, peer: Peer | None) -> str:
+        """The host of a kernel that the general transport does not reach, where another may have its name; else ""."""
+        if peer is None or peer.kernel in self.carried or self.peers.get(peer) in (None, self._transport):
+            return ""
+        return peer.host
 
     def absent(self, path: Path) -> str:
         """Why the kernel of a path is not there: nobody has its name, or no kernel can be reached."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import getpass
 import os
 import platform
@@ -52,8 +53,17 @@ def at(
     --allow-control.
     """
     settings = NetworkSettings(connect=endpoints, domain=domain, certificates=certificates, insecure=insecure)
-    name = _UNNAMED.sub("-", caller or f"{getpass.getuser()}-{platform.node()}").strip("-.") or "somebody"
+    if not settings.connect.strip(", "):
+        raise click.UsageError("expected HOST:PORT, the place where the other host listens")
+    name = _UNNAMED.sub("-", caller or f"{_user()}-{platform.node()}").strip("-.") or "somebody"
     return asyncio.run(_at(settings, name, command))
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user without an entry, as in containers
+        return f"user{os.getuid()}"
 
 
 async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) -> int:
@@ -63,8 +73,8 @@ async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) 
         gateway = Gateway(
             Path(folder), ClientKeys(settings.domain, caller), {**engine_settings(settings, secured), **own}
         )
-        await gateway.open()
         try:
+            await gateway.open()
             return await _run(command, folder)
         finally:
             await gateway.close()
@@ -79,6 +89,11 @@ async def _run(command: tuple[str, ...], folder: str) -> int:
     loop = asyncio.get_running_loop()
     loop.add_signal_handler(signal.SIGINT, lambda: None)  # the command has it, too, and ends as it likes
     for number in (signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, child.send_signal, number)
+        loop.add_signal_handler(number, _pass_on, child, number)
     status = await child.wait()
     return status if status >= 0 else 128 - status
+
+
+def _pass_on(child: asyncio.subprocess.Process, number: int) -> None:
+    with contextlib.suppress(ProcessLookupError):  # it has ended
+        child.send_signal(number)

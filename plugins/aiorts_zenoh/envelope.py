@@ -35,6 +35,8 @@ LONG: Final = 260_000
 LARGEST: Final = 64 << 20
 """Bytes of a frame that anybody takes."""
 
+_MOST: Final = 2**63
+"""No number of bytes ever comes to this."""
 _HEAD: Final = struct.Struct("<BBHIQq")
 _HEAD_OF_ONE: Final = struct.Struct("<BBHIQqI")
 """A head, and the length of the only block."""
@@ -88,7 +90,7 @@ def read(data: bytes) -> Message:
     if size < _HEAD.size:
         raise ValueError(f"a message of {size} bytes")
     version, kind, count, epoch, first, sent_ns = _HEAD.unpack_from(data)
-    if version != VERSION or not FRAME <= kind <= HAVE:
+    if version != VERSION or not FRAME <= kind <= HAVE or first >= _MOST:
         raise ValueError(f"a message of version {version} and kind {kind}")
     view = memoryview(data)
     if (

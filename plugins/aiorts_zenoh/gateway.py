@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -37,7 +38,7 @@ class Gateway:
         self._folder, self._keys, self._settings = folder, keys, settings
         self._engine = Engine()
         self._operable: set[Peer] = set()
-        self._served: dict[Peer, tuple[Claim, asyncio.Server]] = {}
+        self._served: dict[Peer, tuple[Claim, asyncio.Task[None]]] = {}
         self._sessions: dict[str, tuple[Peer, Carried]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._inbox: Inbox
@@ -58,7 +59,7 @@ class Gateway:
         self._inbox = Inbox(asyncio.get_running_loop())
         await in_thread(self._declare)
         for token in self._found:
-            await self._add(token)
+            self._add(token, is_new=False)
         self._engine.presence(self._keys.tokens, self._present)
 
     def _declare(self) -> None:
@@ -67,13 +68,14 @@ class Gateway:
         for branch in (INFO, CTL):
             engine.subscribe(keys.answers(branch), self._arrived)
         self._found = engine.present(keys.tokens, _ANSWERS)
-        self._look_at(engine.gather(keys.every(CTL, HELLO), _ANSWERS))
+        self._find_operable(keys.every(CTL, HELLO))
 
-    def _look_at(self, answers: list[tuple[str, bytes]]) -> None:
-        for key, data in answers:
+    def _find_operable(self, key: str) -> None:
+        """Ask which kernels let this client operate them; in a thread."""
+        for at, data in self._engine.gather(key, _ANSWERS):
             try:
                 said = answer_in(data)["ok"]
-                if said["right"] == "operate" and (peer := peer_of(key)) is not None:
+                if said["right"] == "operate" and (peer := peer_of(at)) is not None:
                     self._operable.add(peer)
             except (WireError, LookupError, TypeError):
                 continue
@@ -91,24 +93,41 @@ class Gateway:
     # -- kernels ---------------------------------------------------------------------------------------------------
 
     def _present(self, token: str, up: bool) -> None:
+        peer = peer_of(token)
         if up:
-            self._run(self._add(token))
-        elif (peer := peer_of(token)) in self._served:
-            assert peer is not None  # noqa: S101 - it is one of those served
+            self._add(token, is_new=True)
+        elif peer is not None and peer in self._served:
             self._remove(peer)
 
-    async def _add(self, token: str) -> None:
+    def _add(self, token: str, *, is_new: bool) -> None:
         peer = peer_of(token)
         if peer is None or peer in self._served:
             return
+        for old in [one for one in self._served if (one.host, one.kernel) == (peer.host, peer.kernel)]:
+            self._remove(old)  # its end is not known here yet
         claim = Claim(f"{peer.host}/{peer.kernel}", f"{peer.epoch:016x}", self._folder)
-        server = await asyncio.start_unix_server(lambda *ends: self._run(self._carry(peer, *ends)), sock=claim.listener)
-        self._served[peer] = claim, server
+        self._served[peer] = claim, self._run(self._serve(peer, claim, is_new=is_new))
+
+    async def _serve(self, peer: Peer, claim: Claim, *, is_new: bool) -> None:
+        """Let commands of this host in, until the kernel goes."""
+        try:
+            if is_new:
+                await in_thread(partial(self._find_operable, self._keys.session(CTL, peer, HELLO)))
+            server = await asyncio.start_unix_server(
+                lambda *ends: self._run(self._carry(peer, *ends)), sock=claim.listener
+            )
+            try:
+                await asyncio.Event().wait()
+            finally:
+                server.close()
+        finally:
+            claim.listener.close()
 
     def _remove(self, peer: Peer) -> None:
-        claim, server = self._served.pop(peer)
+        claim, serving = self._served.pop(peer)
         claim.withdraw()
-        server.close()
+        serving.cancel()
+        self._operable.discard(peer)
         for whose, carried in tuple(self._sessions.values()):
             if whose == peer:
                 carried.close()
@@ -131,9 +150,11 @@ class Gateway:
     def _arrived(self, key: str, data: bytes) -> None:
         _, session = session_in(key)
         if (found := self._sessions.get(session)) is not None:
-            found[1].arrived(read(data))
+            with suppress(ValueError):  # it is no message, and nothing is lost with it
+                found[1].arrived(read(data))
 
-    def _run(self, coroutine: Any) -> None:
+    def _run(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(coroutine)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task

@@ -57,8 +57,10 @@ class Neighbours:
 
     def admits(self, name: str) -> bool:
         """Whether a kernel of this name may be there; one that came past the engine's table is reported."""
-        self._shown.add(name)
-        if self._secured is None or self._secured.access.is_kernel(name):
+        if self._secured is None:
+            return True
+        if self._secured.access.is_kernel(name):
+            self._shown.add(name)
             return True
         self._say(f"a kernel named {name!r} is not taken: {self._secured.access.fault(name) or 'it has another role'}")
         return False
@@ -105,6 +107,7 @@ class Neighbours:
         if fault := self._secured.access.fault(name):
             self._say(f"{target.rpartition(':')[0]} is refused: {fault}")
         elif self._secured.access.is_kernel(name) and name not in self._shown:
+            self._timers = [one for one in self._timers if one.when() > self._loop.time()]
             self._timers.append(self._loop.call_later(_SHOWS, self._shows_nothing, name, target))
 
     def _shows_nothing(self, name: str, target: str) -> None:
@@ -135,8 +138,9 @@ class Neighbours:
         reached = {target.partition("/")[2] for _, target in tuple(self._links)}
         try:
             addresses = {found[4][0] for found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)}
-        except OSError as error:
-            found[host, port] = f"is not reached: {error.strerror}"
+        except (OSError, UnicodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else "is no name of a host"
+            found[host, port] = f"is not reached: {why}"
             return
         if not any(f"[{one}]:{port}" in reached or f"{one}:{port}" in reached for one in addresses):
             found[host, port] = probe(host, port, self._secured and self._secured.identity)

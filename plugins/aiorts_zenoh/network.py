@@ -205,8 +205,9 @@ def _check_free(endpoint: str) -> None:
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what was there before may have just ended
             probe.bind(address)
-    except OSError as error:
-        raise ConfigurationError(f"listen: {endpoint}: {error.strerror}; choose another port or address") from None
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "is no name of a host"
+        raise ConfigurationError(f"listen: {endpoint}: {why}; choose another port or address") from None
 
 
 def _listed(text: str) -> list[str]:

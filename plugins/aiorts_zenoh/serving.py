@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import time
 from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -14,7 +15,8 @@ from aiorts.control import NEWEST, OLDEST, Control, Right, answer_in, framed, fr
 from aiorts.errors import AiortsError, ClosedError, ControlError, DeniedError, NoAnswerError
 from aiorts_zenoh.carried import Carried
 from aiorts_zenoh.engine import Engine, Inbox
-from aiorts_zenoh.envelope import FRAME, read
+from aiorts_zenoh.envelope import END, FRAME, LOOK, read
+from aiorts_zenoh.envelope import message as message_of
 from aiorts_zenoh.keys import CTL, HELLO, INFO, Keys, session_in
 
 if TYPE_CHECKING:
@@ -24,6 +26,9 @@ _ANSWERS: Final = 8 << 20
 """Bytes of an answer to a question that stands alone."""
 _ANSWER_SECONDS: Final = 30.0
 _SESSIONS: Final = 256
+_OF_ONE: Final = 128
+"""Sessions of one client's name."""
+_KEPT: Final = 4_096
 _STARTS: Final = 5.0
 
 
@@ -46,7 +51,14 @@ class Serving:
         self._branches = {INFO: Right.VIEW} | ({CTL: Right.OPERATE} if operate else {})
         self._sessions: dict[tuple[str, str, str], Carried] = {}
         """By branch, caller and session."""
+        self._there: set[tuple[str, str, str]] = set()
+        """Those whose clients are there."""
+        self._ended: dict[tuple[str, str, str], None] = {}
+        """Those that ended last."""
+        self._bad: set[str] = set()
+        """Who has sent what is no message, which is said once."""
         self._tasks: set[asyncio.Task[None]] = set()
+        self._closed = False
         self._engine: Engine
         self._keys: Keys
         self._loop: asyncio.AbstractEventLoop
@@ -61,6 +73,9 @@ class Serving:
         self._thread.start()
         if not self._ready.wait(_STARTS):
             raise ControlError("the thread that serves other hosts has not begun")
+        if self._closed:  # before it was there
+            self.close()
+            raise ControlError("this kernel ends")
         for branch in self._branches:
             engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox)
             engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox)
@@ -68,6 +83,7 @@ class Serving:
 
     def close(self) -> None:
         """End all sessions. The kernel has told their clients that it ends."""
+        self._closed = True
         if self._ready.is_set():
             self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join(_STARTS)
@@ -92,12 +108,23 @@ class Serving:
         try:
             message = read(data)
         except ValueError as error:
-            self._report(f"zenoh: {key} brought what is no message: {error}")
+            if self._engine.gate is not None:
+                self._engine.gate.was_bad(key)
+            if (caller := session_in(key)[0]) not in self._bad and len(self._bad) < _SESSIONS:
+                self._bad.add(caller)
+                self._report(f"zenoh: {caller} sent what is no message: {error}")
             return
         name = branch, *session_in(key)
         carried = self._sessions.get(name)
         if carried is None:
-            if message.first or message.kind != FRAME or len(self._sessions) >= _SESSIONS:
+            # Where what began it was lost, it is asked for how much of it has come; never of one that has ended.
+            begins = message.kind == FRAME and not message.first
+            if not begins and (message.kind != LOOK or name not in self._there or name in self._ended):
+                return
+            of_caller = sum(one[1] == name[1] for one in self._sessions)
+            if len(self._sessions) >= _SESSIONS or of_caller >= _OF_ONE:
+                no_more = message_of(END, message.epoch, 0, time.time_ns())
+                self._engine.put(self._keys.session(*name), no_more, urgent=branch == CTL)
                 return
             carried = self._sessions[name] = self._begin(name, message.epoch)
         carried.arrived(message)
@@ -110,10 +137,13 @@ class Serving:
     async def _carry(self, name: tuple[str, str, str], carried: Carried) -> None:
         try:
             await carried.run(*await self._let_in(*name[:2]))
-        except AiortsError as error:
+        except (AiortsError, OSError) as error:
             self._report(f"zenoh: {name[1]}: {error}")
         finally:
             del self._sessions[name]
+            self._ended[name] = None
+            if len(self._ended) > _KEPT:
+                del self._ended[next(iter(self._ended))]
 
     async def _let_in(self, branch: str, caller: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         self._check(branch, caller)
@@ -125,9 +155,13 @@ class Serving:
             raise DeniedError(f"{caller}: was revoked, or has no role in this kernel")
 
     def _present(self, branch: str, token: str, up: bool) -> None:
-        carried = self._sessions.get((branch, *session_in(token)))
-        if not up and carried is not None:
-            carried.close()
+        name = branch, *session_in(token)
+        if up and len(self._there) < _KEPT:
+            self._there.add(name)
+        elif not up:
+            self._there.discard(name)
+            if (carried := self._sessions.get(name)) is not None:
+                carried.close()
 
     def _run(self, coroutine: Coroutine[Any, Any, None]) -> None:
         task = self._loop.create_task(coroutine)
@@ -145,6 +179,8 @@ class Serving:
             answer = await self._call(branch, caller, operation, body)
         except AiortsError as error:
             answer = {"error": {"code": error.code, "text": str(error)}}
+        except OSError as error:  # no descriptor is left
+            answer = {"error": {"code": ControlError.code, "text": str(error)}}
         at = self._keys.call(branch, caller, operation)
         self._engine.reply(query, msgpack.packb(answer), good=True, key=at)
 

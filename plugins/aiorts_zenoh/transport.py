@@ -85,7 +85,7 @@ class ZenohTransport:
         """By the key under which the other end sends."""
         self._asked: dict[int, tuple[Peer, asyncio.Future[bytes]]] = {}
         self._last = 0
-        self._answers: dict[tuple[bytes, int], asyncio.Task[tuple[bool, bytes]]] = {}
+        self._answers: dict[tuple[str, bytes, int], asyncio.Future[tuple[bool, bytes]]] = {}
         """What was asked last, by who asks and its number: a question that comes twice is answered once."""
         self._looking: asyncio.TimerHandle | None = None
         self._closed = False
@@ -237,8 +237,9 @@ class ZenohTransport:
         Raises:
             LinkError: the other kernel is gone.
         """
-        writes = offer.writer.kernel == self.kernel.name
-        far, own = offer.reader if writes else offer.writer, self.keys.own
+        own = self.keys.own
+        writes = offer.writer.kernel == own.kernel and offer.writer.host in ("", own.host)
+        far = offer.reader if writes else offer.writer
         peer = self._peer_at(far.host, far.kernel)
         ends = (own, peer) if writes else (peer, own)
         # The reader has given the number: the same one may be that of another link with another kernel.
@@ -266,6 +267,8 @@ class ZenohTransport:
     def _forget(self, key: str, channel: _ZenohChannel) -> None:
         if self._channels.get(key) is channel:
             del self._channels[key]
+            if not self._closed:
+                self.loop.call_soon(self._pump, channel.peer)  # what it had under way is free for others
 
     def _arrived(self, key: str, data: bytes) -> None:
         channel = self._channels.get(key)
@@ -285,7 +288,9 @@ class ZenohTransport:
             return
         finally:
             if began:
-                size = len(data) if channel is None else max(len(data), channel.came)
+                size = len(data)
+                if channel is not None:
+                    size, channel.came = max(size, channel.came), 0
                 self._gate.took(key, size, time.thread_time_ns() - began)
         if room:
             self._pump(channel.peer)
@@ -403,15 +408,17 @@ class ZenohTransport:
     async def _answer(self, key: str, body: bytes, beside: bytes, query: Any) -> None:
         name, what = asked(key)
         who, number = beside[:8] + beside[16:], int.from_bytes(beside[8:16], "little")
-        task = self._answers.get((who, number))
-        if task is None:
-            task = self._answers[who, number] = asyncio.ensure_future(self._answer_of(name, what, body, who))
+        asking = name, who, number  # the name is in the key, where it cannot be another's
+        found = self._answers.get(asking)
+        if found is None:
+            found = self._answers[asking] = asyncio.ensure_future(self._answer_of(name, what, body, who))
             if len(self._answers) > _ASKED:
                 self._forget_answers()
-        good, data = await asyncio.shield(task)
+        good, data = await asyncio.shield(found)
         self.engine.reply(query, data, good=good)
-        if len(data) > _KEPT:
-            self._answers.pop((who, number), None)
+        if len(data) > _KEPT and self._answers.get(asking) is found:
+            self._answers[asking] = late = self.loop.create_future()
+            late.set_result((False, b"it was answered, and the answer was too long to be kept"))
 
     async def _answer_of(self, name: str, what: str, body: bytes, who: bytes) -> tuple[bool, bytes]:
         until = self.loop.time() + _MARGIN
@@ -467,7 +474,7 @@ class _ZenohChannel:
         self._receiver, self._whole = Receiver(), Whole()
         self.is_open = True
         self.came = 0
-        """Bytes of the frame that came last."""
+        """Bytes of the long frame that the last message made whole."""
 
     def send(self, head: bytes, parts: Sequence[memoryview] = ()) -> bool:
         if not self.is_open:
@@ -486,6 +493,8 @@ class _ZenohChannel:
             due = self._receiver.took(first, len(data))
             frame = blocks if kind == FRAME else self._whole.add(blocks)
             if frame:
+                if kind == PIECE:
+                    self.came = sum(map(len, frame))
                 self.events.on_frames(((frame[0], frame[1:]),))
             if due and self.is_open:
                 self._tell()

@@ -141,6 +141,47 @@ def test_what_a_link_carries_decides_about_its_priority(monkeypatch: pytest.Monk
     assert {name for end, name in made if end == "r"} == {urgent}
 
 
+async def _wait_for(links: Links, count: int) -> None:
+    async with asyncio.timeout(20.0):
+        while len(links.peers) < count:
+            await asyncio.sleep(0.01)
+
+
+def test_kernels_of_one_name_on_two_hosts_are_told_apart() -> None:
+    async def main() -> None:
+        address = f"127.0.0.1:{free_port()}"
+        far = {"zenoh": {"listen": address, "host": "hub", "insecure": True}}
+        near = [{"zenoh": {"connect": address, "host": host, "insecure": True}} for host in ("pc1", "pc2")]
+        async with (
+            Kernel("station", services=far) as station,
+            Kernel("robot", services=near[0]) as one,
+            Kernel("robot", services=near[1]) as two,
+        ):
+            sink = await station.add(Sink("sink"))
+            await _wait_for(station.service(Links), 2)
+            made = []
+            for number, robot in enumerate((one, two)):
+                await _wait_for(robot.service(Links), 2)
+                source = await robot.add(Source("source"))
+                made.append(
+                    (robot, await robot.connect(source.out, "hub/station/sink.inp", full="block", timeout=None))
+                )
+                for count in range(50):
+                    await source.out.write(TimedOctetSeq(1_000 * number + count, b""))
+            came = [(await sink.inp.read(timeout=20.0)).tm for _ in range(100)]
+            assert sorted(came) == [*range(50), *range(1_000, 1_050)]
+            for robot, connector in made:
+                ledger = await robot.service(Links).ledger(connector)
+                assert (ledger.written, ledger.delivered, ledger.unexplained) == (50, 50, 0)
+            peer_sink = await two.add(Sink("sink"))  # and one of them writes to the other
+            connector = await one.connect(one.components["source"].ports["out"], "pc2/robot/sink.inp")
+            await one.components["source"].ports["out"].write(TimedOctetSeq(7, b""))
+            assert (await peer_sink.inp.read(timeout=20.0)).tm == 7
+            assert (await one.service(Links).ledger(connector)).unexplained == 0
+
+    asyncio.run(main())
+
+
 @pytest.mark.fault("E01")
 def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Path) -> None:
     address, program = f"127.0.0.1:{free_port()}", Path(__file__).with_name("reading_program.py")

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -67,9 +68,13 @@ class Far:
         self.log = folder / "log.txt"
         self.folders = [tempfile.mkdtemp(prefix="ai") for _ in range(2)]
         run = [sys.executable, "-m", "aiorts", "run", str(folder / "system.toml"), "--name", "robot", *options]
-        network = ["--host", "far", "--listen", self.address, *self.security]
-        with self.log.open("w") as output:
-            self.process = subprocess.Popen([*run, *network], env=self._on(1), stdout=output, stderr=output)
+        self._run = [*run, "--host", "far", "--listen", self.address, *self.security]
+        self.begin()
+
+    def begin(self) -> None:
+        """Run it, anew where it runs."""
+        with self.log.open("a") as output:
+            self.process = subprocess.Popen(self._run, env=self._on(1), stdout=output, stderr=output)
 
     def _on(self, host: int) -> dict[str, str]:
         return os.environ | {"XDG_RUNTIME_DIR": self.folders[host]}
@@ -77,7 +82,12 @@ class Far:
     def start(self, *words: str, **options: Any) -> subprocess.Popen[str]:
         at = [sys.executable, "-m", "aiorts", "at", *self.client, self.address]
         return subprocess.Popen(
-            [*at, *words], env=self._on(0), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+            [*at, *words],
+            env=self._on(0) | {"SHELL": "/bin/sh"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            **options,
         )
 
     def do(self, *words: str) -> tuple[int, str, str]:
@@ -166,6 +176,39 @@ def test_what_a_command_began_ends_with_it_also_where_it_is_killed(far: Far) -> 
     while far.descriptors() > before:
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+def test_in_a_shell_a_kernel_that_is_started_anew_is_operated(far: Far) -> None:
+    with far.start(stdin=subprocess.PIPE) as shell:
+        assert shell.stdin is not None
+        assert shell.stdout is not None
+        aiorts = f"{sys.executable} -m aiorts"
+        try:
+            shell.stdin.write(f"{aiorts} conf counter step=2; echo first $?\n")
+            shell.stdin.flush()
+            assert "first 0" in _until(shell, "first")
+            far.process.kill()
+            far.process.wait(WAIT)
+            far.begin()
+            again = f"until {aiorts} conf counter step=5 2>&1; do sleep 0.2; done; echo second $?"
+            shell.stdin.write(f"{again}\n{aiorts} conf counter; exit\n")
+            shell.stdin.flush()
+            assert "second 0" in _until(shell, "second")
+            words = shell.communicate(timeout=WAIT)[0].split()
+            assert words[words.index("step") + 1] == "5"
+        finally:
+            shell.kill()
+
+
+def _until(shell: subprocess.Popen[str], word: str) -> str:
+    """The line of a shell's output that begins with a word; of one that never writes it the shell is ended."""
+    assert shell.stdout is not None
+    ending = threading.Timer(WAIT, shell.kill)
+    ending.start()
+    try:
+        return next((line for line in shell.stdout if line.startswith(word)), "")
+    finally:
+        ending.cancel()
 
 
 def test_a_loop_that_is_held_up_says_so(far: Far) -> None:

@@ -101,3 +101,15 @@ def test_messages_of_another_session_are_passed_over(kind: int) -> None:
     assert line.reader.arrived(read(message(kind, NUMBER + 1, 0, 1, [b"x"]))) == b""
     assert not line.reader.ended
     assert not line.to_writer
+
+
+def test_an_end_that_sends_more_than_it_may_is_not_kept_up_with() -> None:
+    line, came = Line(), 0
+    for number in range(1_000):
+        came += len(line.reader.arrived(read(message(FRAME, NUMBER, number * CHUNK, 1, [bytes(CHUNK)]))))
+    assert came <= WINDOW + 2 * CHUNK
+
+
+def test_a_number_that_no_end_ever_comes_to_is_no_message() -> None:
+    with pytest.raises(ValueError, match="a message of version 1 and kind 1"):
+        read(message(FRAME, NUMBER, 2**64 - 1, 1, [b"x"]))

@@ -118,7 +118,12 @@ def _together(
             check_steps(planned["steps"], file, (), choices, plugins)
             if planned["refused"]:
                 raise SystemFileError(f"{one.name}: {'; '.join(planned['refused'])}")
-        outcome = change_all(meant, timeout)
+        try:
+            outcome = change_all(meant, timeout)
+        except KeyboardInterrupt:
+            names = ", ".join(one.name for one, _ in meant)
+            click.echo(f"aiorts: interrupted: each of {names} has its system of before or the new one, whole", err=True)
+            raise
     if as_json:
         kept = {name: list(steps) for name, steps in outcome.kept.items()}
         say_json({"kept": kept, "failed": outcome.failed, "why": outcome.why, "unsure": list(outcome.unsure)})

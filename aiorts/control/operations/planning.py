@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from aiorts.model.wanted.entries import Wanted
     from aiorts.model.wanted.plan import Plan
 
-_DECIDED: Final = 30.0
-"""Seconds that a change waits for the decision; then it is taken back."""
+_DECIDED: Final = 120.0
+"""Seconds that a change waits for the decision, while others change theirs; then it is taken back."""
 _open: Final[WeakKeyDictionary[Session, tuple[asyncio.Future[str], asyncio.Task[Applied]]]] = WeakKeyDictionary()
 """The change of each session that is not decided."""
 
@@ -135,7 +135,8 @@ async def _change(session: Session, given: Target) -> _Answer:
     changing.add_done_callback(_observed)
     session.keep(partial(_settle, decided, "who wanted it has gone"))
     await asyncio.wait([changing, made], return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var] # of two kinds
-    _open[session] = decided, changing
+    if not changing.done():
+        _open[session] = decided, changing
     return _Answer(changing.result() if changing.done() else Applied(made.result(), done=False))
 
 

@@ -139,6 +139,8 @@ class Listener:
         allowed = right if self.right.allows(right) else self.right
         self._admitted.append(Connection(self, ours, allowed, where))
         self._wake()
+        if self._ended:  # meanwhile, so that nobody may take it in any more
+            ours.close()
         return theirs
 
     def end_sessions(self) -> None:

@@ -11,7 +11,8 @@ from __future__ import annotations
 import json
 import os
 import stat
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -50,11 +51,12 @@ class Folder:
 
     def init(self) -> None:
         """Make an authority, which certifies names from now on."""
-        if self._of(AUTHORITY, "pem").exists() or self._of(AUTHORITY, "key").exists():
-            raise ConfigurationError(f"{self.path}: has an authority already; choose another folder")
         from aiorts_zenoh.security.certificates import made_authority
 
-        self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with _reported():
+            if self._of(AUTHORITY, "pem").exists() or self._of(AUTHORITY, "key").exists():
+                raise ConfigurationError(f"{self.path}: has an authority already; choose another folder")
+            self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._write_pair(AUTHORITY, made_authority())
         self._write_index({}, ())
 
@@ -69,6 +71,10 @@ class Folder:
         check_word(name, "name")
         if name == AUTHORITY:
             raise ConfigurationError(f"name: {AUTHORITY!r} is the authority's own; choose another")
+        with self._held():
+            return self._issue(name, role, addresses, days)
+
+    def _issue(self, name: str, role: str, addresses: Sequence[str], days: float) -> Identity:
         roles, denied = self._index()
         if name in denied:
             raise ConfigurationError(f"name: {name!r} was revoked, and stays so; choose another name")
@@ -86,10 +92,11 @@ class Folder:
 
     def revoke(self, name: str) -> None:
         """Deny a name from now on: wherever this index is, its certificate is worth nothing."""
-        roles, denied = self._index()
-        if name not in roles:
-            raise ConfigurationError(f"name: {name!r:.80} has no certificate here; there are {_listed(roles)}")
-        self._write_index(roles, sorted({*denied, name}))
+        with self._held():
+            roles, denied = self._index()
+            if name not in roles:
+                raise ConfigurationError(f"name: {name!r:.80} has no certificate here; there are {_listed(roles)}")
+            self._write_index(roles, sorted({*denied, name}))
 
     # -- looking ---------------------------------------------------------------------------------------------------
 
@@ -115,7 +122,9 @@ class Folder:
         roles, denied = self._index()
         role = roles.get(name, "")
         found = Identity(name, role, self._of(name, "pem"), self._of(name, "key"), self._of(AUTHORITY, "pem"))
-        if not found.certificate.exists():
+        with _reported():
+            is_there = found.certificate.exists()
+        if not is_there:
             raise ConfigurationError(
                 f"{found.certificate}: {name!r} has no certificate; aiorts certs issue {name}; or take another name"
             )
@@ -136,6 +145,21 @@ class Folder:
     def _of(self, name: str, ending: str) -> Path:
         return self.path / f"{name}.{ending}"
 
+    @contextmanager
+    def _held(self) -> Iterator[None]:
+        """One process at a time changes the index: what one denies no other lets in again."""
+        self._index()
+        with _reported():
+            opened = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            with suppress(ImportError):  # not every system has it
+                import fcntl
+
+                fcntl.flock(opened, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(opened)
+
     def _index(self) -> tuple[dict[str, str], tuple[str, ...]]:
         path = self.path / _INDEX
         try:
@@ -146,6 +170,8 @@ class Folder:
                 check_word(name, "name")
         except FileNotFoundError:
             raise ConfigurationError(f"{path}: there is none; aiorts certs init --folder {self.path}") from None
+        except OSError as error:
+            raise ConfigurationError(f"{path}: {error.strerror}") from None
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigurationError(f"{path}: is no index of certificates: {error}") from None
         if not good:
@@ -171,6 +197,15 @@ class Folder:
             raise ConfigurationError(f"{path}: there is none") from None
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror}") from None
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    """ConfigurationError for what the system refuses."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigurationError(f"{error.filename}: {error.strerror}") from None
 
 
 def default_folder() -> Path:
