@@ -568,7 +568,8 @@ class Links(KernelService):
     def _awaited(self, offer: LinkOffer, caller: Caller) -> ReaderLink | None:
         """The reader's end that expects this offer, with the writer's host in its path or without."""
         hosts = ("",) if caller.peer is None else ("", caller.peer.host)
-        ends = [(str(replace(offer.writer, host=host)), str(offer.reader)) for host in hosts]
+        reader = str(replace(offer.reader, host=""))
+        ends = [(str(replace(offer.writer, host=host)), reader) for host in hosts]
         return next((self._expected[one] for one in ends if one in self._expected), None)
 
     def _awaits(self, link: ReaderLink, caller: Caller) -> InPort[Any] | None:
