@@ -55,7 +55,7 @@ def at(
     settings = NetworkSettings(connect=endpoints, domain=domain, certificates=certificates, insecure=insecure)
     if not settings.connect.strip(", "):
         raise click.UsageError("expected HOST:PORT, the place where the other host listens")
-    name = _UNNAMED.sub("-", caller or f"{_user()}-{platform.node()}").strip("-.") or "somebody"
+    name = _UNNAMED.sub("-", caller or f"{_user()}-{platform.node()}").strip("-.") or "client"
     return asyncio.run(_at(settings, name, command))
 
 

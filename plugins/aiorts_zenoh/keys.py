@@ -64,7 +64,7 @@ class Keys:
 
     def told(self, peer: Peer) -> str:
         """What a kernel hears of tokens that others see, and it may not: + or -, and the token."""
-        return f"{_VERSION}/{self.domain}/told/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
+        return f"{_VERSION}/{self.domain}/heard/{peer.host}/{peer.kernel}/{peer.epoch:016x}"
 
     @property
     def tokens(self) -> str:

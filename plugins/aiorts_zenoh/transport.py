@@ -278,22 +278,19 @@ class ZenohTransport:
         try:
             if channel is None:
                 read(data)
-                return
-            room = channel.arrived(data)
+            elif channel.arrived(data):
+                self._pump(channel.peer)
         except ValueError as error:
             self._gate.was_bad(key)
             if channel is not None and channel.peer not in self._bad:
                 self._bad.add(channel.peer)
                 self.kernel.report(f"zenoh: {channel.peer.kernel} sent what is no message: {error}")
-            return
         finally:
             if began:
                 size = len(data)
                 if channel is not None:
                     size, channel.came = max(size, channel.came), 0
                 self._gate.took(key, size, time.thread_time_ns() - began)
-        if room:
-            self._pump(channel.peer)
 
     def _pump(self, peer: Peer) -> None:
         budget = self._peers.get(peer)

@@ -101,7 +101,7 @@ QUESTIONS = {
     "benchmark my own code": "write-bench",
     "two processes": "connect-processes",
 }
-DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote", "network")
+DISTRIBUTION = ("distributed", "distribution", "multiprocess", "multiprocessing", "remote")
 
 
 @pytest.mark.parametrize("question", DISTRIBUTION)

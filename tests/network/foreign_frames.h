@@ -82,7 +82,7 @@ static int find_message(const uint8_t *bytes, size_t size, message_t *message) {
     return find_blocks(bytes + HEAD, size - HEAD, message->count, message->blocks);
 }
 
-static uint64_t cost_of(uint64_t size) { return size < 260000 ? 2 * size : 327680; }
+static uint64_t cost_of(uint64_t size) { return size <= 64500 ? 2 * size : (1 + (size + 65399) / 65400) * 65536; }
 
 /* Writes the head of a frame of a link; returns its size. */
 static size_t put_head(uint8_t *to, const head_t *head) {

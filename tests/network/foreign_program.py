@@ -58,7 +58,7 @@ def parsed(data: bytes) -> tuple[int, int, int, list[bytes]] | None:
 
 
 def cost(size: int) -> int:
-    return 2 * size if size < 260_000 else 327_680
+    return 2 * size if size <= 64_500 else (1 - -size // 65_400) * 65_536
 
 
 # -- links -------------------------------------------------------------------------------------------------------------

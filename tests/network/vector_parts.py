@@ -109,7 +109,7 @@ def envelopes() -> dict[str, Any]:
         ("one block", "FRAME", 0x01020304, 5, [b"ab"]),
         ("a head and two parts", "FRAME", 1, 2**40, [b"head", b"", pattern(9)]),
         ("an empty block", "FRAME", 1, 0, [b""]),
-        ("all is as large as it goes", "FRAME", 2**32 - 1, 2**64 - 1, [b"\xff"]),
+        ("all is as large as it goes", "FRAME", 2**32 - 1, 2**63 - 1, [b"\xff"]),
         ("how far the receiver is", "TAKEN", 7, 90_112, []),
         ("asks how far it is", "LOOK", 7, 720_896, []),
         ("nothing comes any more", "END", 7, 12, []),

@@ -15,8 +15,10 @@ from aiorts.testing import simulate
 EXAMPLES = Path(__file__).parents[2] / "examples"
 APART = (EXAMPLES / "manipulator/plant.toml", EXAMPLES / "roomba/isolated.toml")
 """With processes of components, which there are none of in virtual time."""
+OTHERS = EXAMPLES / "lrf/station.toml"
+"""With services of other kernels, of which there are none in virtual time."""
 FILES = sorted(
-    {path for path in EXAMPLES.rglob("*.toml") if path.name not in ("pyproject.toml", "replay.toml")} - {*APART}
+    {path for path in EXAMPLES.rglob("*.toml") if path.name not in ("pyproject.toml", "replay.toml")} - {*APART, OTHERS}
 )
 
 

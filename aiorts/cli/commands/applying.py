@@ -61,7 +61,7 @@ def apply(
     was refused and nothing was done. With --dry-run it is that of aiorts plan.
 
     Several words KERNEL=SYSTEM.toml change several kernels, all or none: they are kept when each has changed. A kernel
-    that is lost while all are told to keep it is named, and what was kept in the others.
+    that is lost while all are asked to keep it is named, and what was kept in the others.
     """
     pairs = [_pair(word, live) for word in words]
     if len(pairs) > 1:

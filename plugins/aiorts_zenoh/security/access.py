@@ -52,8 +52,8 @@ ROWS: Final = (
     Row(_ALL, _ALL, _WATCH, ("live/*/*/**",)),
     Row(_KERNELS, _ALL, ("liveliness_token",), ("live/*/{a}/**",)),
     # What a kernel tells others of names that they may not see.
-    Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("told/*/{a}/*",)),
-    Row(_KERNELS, _KERNELS, ("put",), ("told/*/{b}/*",)),
+    Row(_KERNELS, _KERNELS, ("declare_subscriber",), ("heard/*/{a}/*",)),
+    Row(_KERNELS, _KERNELS, ("put",), ("heard/*/{b}/*",)),
     # That a name was revoked, to that name alone.
     Row((*_ALL, _DENIED), _ALL, _WATCH, ("denied/{a}",)),
     Row(_KERNELS, (*_ALL, _DENIED), ("liveliness_token",), ("denied/{b}",)),
