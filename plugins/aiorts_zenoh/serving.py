@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgpack  # type: ignore[import-untyped]
 
@@ -182,7 +182,7 @@ class Serving:
         except OSError as error:  # no descriptor is left
             answer = {"error": {"code": ControlError.code, "text": str(error)}}
         at = self._keys.call(branch, caller, operation)
-        self._engine.reply(query, msgpack.packb(answer), good=True, key=at)
+        self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=at)
 
     async def _call(self, branch: str, caller: str, operation: str, body: bytes) -> dict[Any, Any]:
         """What the kernel says to one call, in a session of its own: "ok" and its value, or "error"."""
