@@ -11,7 +11,7 @@ pytest.importorskip("zenoh")
 from aiorts_zenoh.envelope import FRAME, LARGEST, LONG, LOOK, PIECE, PIECES, TAKEN, Whole, message, pieces, read
 
 BLOCKS = st.lists(st.binary(max_size=300), max_size=8)
-NUMBERS = {"epoch": st.integers(0, 2**32 - 1), "first": st.integers(0, 2**64 - 1)}
+NUMBERS = {"epoch": st.integers(0, 2**32 - 1), "first": st.integers(0, 2**63 - 1)}
 
 
 @given(st.sampled_from((FRAME, PIECE, TAKEN, LOOK)), NUMBERS["epoch"], NUMBERS["first"], BLOCKS)
