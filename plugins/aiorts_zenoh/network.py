@@ -120,6 +120,7 @@ class Network(KernelService):
             admits = neighbours.admits_client
             self._serving = Serving(control, operate=operate, report=_LOG.warning, admits=admits)
             transport.beside.append(self._serving.declare)
+            transport.last.append(self._serving.finish)
         await self.kernel.service(Links).reach.carry(transport)
 
     async def opened(self) -> None:

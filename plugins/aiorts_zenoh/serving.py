@@ -30,6 +30,7 @@ _OF_ONE: Final = 128
 """Sessions of one client's name."""
 _KEPT: Final = 4_096
 _STARTS: Final = 5.0
+_LAST_WORDS: Final = 1.5
 
 
 class Serving:
@@ -80,6 +81,12 @@ class Serving:
             engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox)
             engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox)
             engine.answer(keys.calls(branch), partial(self._asked, branch), self._inbox)
+
+    def finish(self) -> None:
+        """Wait until the kernel has ended all sessions and their clients have what was sent last, for a moment."""
+        until = time.monotonic() + _LAST_WORDS
+        while self._sessions and time.monotonic() < until:
+            time.sleep(0.005)
 
     def close(self) -> None:
         """End all sessions. The kernel has told their clients that it ends."""

@@ -92,6 +92,8 @@ class ZenohTransport:
         self._inbox: Inbox | None = None
         self.beside: list[Callable[[Engine, Keys], None]] = []
         """What is declared beside links, before others see this kernel; called in a thread."""
+        self.last: list[Callable[[], None]] = []
+        """What waits, for a moment, before the session ends; called in a thread."""
         self.admits: Callable[[str], bool] = lambda name: True
         """Whether a kernel of this name may be there."""
         self.kernel: KernelFace
@@ -158,9 +160,14 @@ class ZenohTransport:
         if self._inbox is not None:
             self._inbox.close()
         try:
-            await asyncio.wait_for(in_thread(self.engine.close), _CLOSES)
+            await asyncio.wait_for(in_thread(self._end), _CLOSES)
         except TimeoutError:
             self.kernel.report(f"zenoh: the session has not ended within {_CLOSES:g} s")
+
+    def _end(self) -> None:
+        for finish in self.last:
+            finish()
+        self.engine.close()
 
     # -- other kernels ---------------------------------------------------------------------------------------------
 
@@ -419,10 +426,10 @@ class ZenohTransport:
 
     async def _answer_of(self, name: str, what: str, body: bytes, who: bytes) -> tuple[bool, bytes]:
         until = self.loop.time() + _MARGIN
-        while (peer := self._who(name, who)) is None:
+        while (peer := self._who(name, who)) is None or not self._tells:
             if self.loop.time() > until:
                 return False, b"who asks is not known here"
-            await asyncio.sleep(_ASK_AGAIN)  # its token is on the way
+            await asyncio.sleep(_ASK_AGAIN)  # its token is on the way, or nobody here has heard of it yet
         if len(self._answers) > _ASKED:
             return False, b"too many questions at the same time"
         try:

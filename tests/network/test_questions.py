@@ -61,6 +61,7 @@ class Asking:
         self.transport = ZenohTransport("here", engine=engine_settings(settings))
         self.transport.answer("secret", self.answer)
         await self.transport.open(Face())
+        self.transport.presence(lambda _peer, _up: None)
         config = zenoh.Config()
         config.insert_json5("connect/endpoints", json.dumps([f"tcp/{address}"]))
         config.insert_json5("scouting/multicast/enabled", "false")
