@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any, Final
 
@@ -48,6 +48,17 @@ class Operation:
     def needed(self, arguments: Any) -> Right:
         """The right that a call with these arguments needs."""
         return self.right if self.demands is None else self.demands(arguments)
+
+
+def is_code(type_name: str) -> bool:
+    """Whether a type is read from a path, and not a name by which a plugin offers it."""
+    return ":" in type_name or type_name.endswith(".py")
+
+
+def converters_read(options: Mapping[str, Any]) -> list[str]:
+    """The converters among the options of a connector that are read from a path."""
+    every = {**options, **(options.get("openrtm") or {})}
+    return [str(value) for key, value in every.items() if key.endswith("convert") and ":" in str(value)]
 
 
 @dataclass(frozen=True, slots=True)

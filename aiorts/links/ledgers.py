@@ -146,11 +146,9 @@ class Ledgers:
 
     async def _reported(self, body: bytes, caller: Caller) -> bytes:
         (name,) = fields(body, (str,), longer=True)
-        link = (
-            None
-            if caller.peer is None
-            else self._readers.get((f"{self._links.reach.host_of(caller.peer)}/{caller.peer.kernel}", name))
-        )
+        peer = caller.peer
+        whose = "" if peer is None else f"{self._links.reach.host_of(peer)}/{peer.kernel}"
+        link = self._readers.get((whose, name))
         if link is None:
             raise LinkError(f"has no link {name!r:.80}")
         return _report(link).to_bytes()

@@ -97,7 +97,7 @@ class Reach:
 
     def open_for(self, path: Path) -> None:
         """Open what reaches the kernel of a path, if nothing has yet."""
-        if path.kernel not in self.carried and self.peer_of(path) is None:
+        if path.kernel not in self.carried:
             self.open_soon()
 
     async def opened(self) -> None:

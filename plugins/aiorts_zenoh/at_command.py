@@ -17,11 +17,13 @@ from typing import Final
 import click
 
 from aiorts.control import FURTHER
+from aiorts.errors import LinkError
 from aiorts_zenoh.gateway import Gateway
 from aiorts_zenoh.keys import ClientKeys
-from aiorts_zenoh.network import NetworkSettings, engine_settings
+from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings
 from aiorts_zenoh.security.access import OPERATOR, VIEWER
-from aiorts_zenoh.security.tls import secured_by
+from aiorts_zenoh.security.probe import probe
+from aiorts_zenoh.security.tls import Secured, secured_by
 
 _CONNECTS: Final = 3_000
 """Milliseconds within which the other host answers."""
@@ -74,10 +76,21 @@ async def _at(settings: NetworkSettings, caller: str, command: tuple[str, ...]) 
             Path(folder), ClientKeys(settings.domain, caller), {**engine_settings(settings, secured), **own}
         )
         try:
-            await gateway.open()
+            await _open(gateway, settings, secured)
             return await _run(command, folder)
         finally:
             await gateway.close()
+
+
+async def _open(gateway: Gateway, settings: NetworkSettings, secured: Secured | None) -> None:
+    """LinkError: nothing is reached, and why, as far as a look at each place says."""
+    try:
+        await gateway.open()
+    except LinkError as error:
+        identity = None if secured is None else secured.identity
+        places = [(f"{host}:{port}", probe(host, port, identity)) for host, port in endpoints_of(settings.connect)]
+        said = [f"{place} {why}" for place, why in places if why]
+        raise LinkError("; ".join(said) or str(error)) from None
 
 
 async def _run(command: tuple[str, ...], folder: str) -> int:

@@ -234,3 +234,10 @@ def test_a_program_without_aiorts_calls_by_one_question(far: Far) -> None:
         assert "ok" in call("ctl", "deactivate", component="counter")
         assert call("info", "names")["ok"]["components"]["counter"] == {"fast": "inactive"}
         assert call("info", "nothing")["error"]["code"] == "E-CONTROL"
+
+
+def test_a_place_where_nothing_listens_is_said() -> None:
+    at = [sys.executable, "-m", "aiorts", "at", "--insecure-network", f"127.0.0.1:{(port := free_port())}", "ls"]
+    done = subprocess.run(at, capture_output=True, text=True, check=False, timeout=WAIT)
+    assert (done.returncode, done.stdout) == (exits.FAILED, "")
+    assert f"E-LINK: 127.0.0.1:{port} is not reached: Connection refused" in done.stderr

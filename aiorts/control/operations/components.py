@@ -7,7 +7,7 @@ from dataclasses import field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from aiorts.control.operation import Operation, Right
+from aiorts.control.operation import Operation, Right, is_code
 from aiorts.control.operations.known import component_named, context_named
 from aiorts.control.session import Session
 from aiorts.control.values import Done
@@ -100,8 +100,7 @@ def _composite(session: Session, given: Membership) -> tuple[Composite, list[Any
 
 
 def _needed(given: Creation) -> Right:
-    """What is no name that a plugin offers is a path, and code is read from there."""
-    return Right.CODE if ":" in given.type or given.type.endswith(".py") else Right.OPERATE
+    return Right.CODE if is_code(given.type) else Right.OPERATE
 
 
 ROWS: Final = (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from aiorts.clock import SimulatedClock
-from aiorts.control.operation import Operation, Right
+from aiorts.control.operation import Operation, Right, converters_read, is_code
 from aiorts.control.protocol import Made
 from aiorts.control.session import Session
 from aiorts.errors import DeniedError, StateError
@@ -134,7 +134,8 @@ async def _change(session: Session, given: Target) -> _Answer:
     changing = kernel_task(loop, applying, "aiorts change")
     changing.add_done_callback(_observed)
     session.keep(partial(_settle, decided, "who wanted it has gone"))
-    await asyncio.wait([changing, made], return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var] # of two kinds
+    first: tuple[asyncio.Future[Any], ...] = changing, made
+    await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
     if not changing.done():
         _open[session] = decided, changing
     return _Answer(changing.result() if changing.done() else Applied(made.result(), done=False))
@@ -179,11 +180,10 @@ async def _allowed(session: Session, parts: tuple[str, ...]) -> Wanted:
 
 def _code_of(wanted: Wanted) -> Iterator[str]:
     """What code is read from for a system, as far as no package offers it by a name."""
-    yield from (one.type for one in wanted.components.values() if ":" in one.type or one.type.endswith(".py"))
+    yield from (one.type for one in wanted.components.values() if is_code(one.type))
     yield from map(str, wanted.plugin_paths)
     for one in wanted.connections:
-        options = {**one.options, **(one.options.get("openrtm") or {})}
-        yield from (str(value) for key, value in options.items() if key.endswith("convert") and ":" in str(value))
+        yield from converters_read(one.options)
 
 
 def _read(parts: tuple[str, ...]) -> Wanted:

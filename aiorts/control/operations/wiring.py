@@ -8,7 +8,7 @@ from dataclasses import field, replace
 from types import MappingProxyType
 from typing import Any, Final
 
-from aiorts.control.operation import Operation, Right
+from aiorts.control.operation import Operation, Right, converters_read
 from aiorts.control.operations.known import absent
 from aiorts.control.session import Session
 from aiorts.errors import AbsentError, LinkError, WiringError
@@ -151,10 +151,7 @@ def _wire(one: Any) -> Wire:
 
 
 def _needed(given: Wiring) -> Right:
-    """A converter that is a text may be a path, and code is read from there."""
-    options = {**given.options, **(given.options.get("openrtm") or {})}
-    paths = [value for key, value in options.items() if key.endswith("convert") and ":" in str(value)]
-    return Right.CODE if paths else Right.OPERATE
+    return Right.CODE if converters_read(given.options) else Right.OPERATE
 
 
 ROWS: Final = (

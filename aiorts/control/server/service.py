@@ -89,18 +89,7 @@ class Control(KernelService):
         self._listener = Listener(self.kernel, self._claim, right, hello)
 
     def admit(self, right: Right, where: str) -> socket.socket:
-        """Let in a client of another host, which its carrier has checked; from any thread.
-
-        Args:
-            right: what it may do, as far as clients of this kernel may.
-            where: where it is, for the log.
-
-        Returns:
-            The client's end of its connection.
-
-        Raises:
-            ControlError: nobody may look into this kernel, or it ends.
-        """
+        """See `Listener.admit`. ControlError: clients cannot look into this kernel, or it ends."""
         listener = self._listener
         if listener is None:
             raise ControlError(f"{self.kernel.name}: cannot be looked into")

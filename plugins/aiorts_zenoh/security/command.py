@@ -34,7 +34,7 @@ def certs() -> None:
     """
 
 
-@certs.command()
+@certs.command(short_help="Make a folder with an authority of its own.")
 @_FOLDER
 def init(folder: Folder) -> int:
     """Make a folder with an authority of its own."""
@@ -43,7 +43,7 @@ def init(folder: Folder) -> int:
     return exits.DONE
 
 
-@certs.command()
+@certs.command(short_help="Certify a name, or renew its certificate.")
 @click.argument("name")
 @click.option("--role", type=click.Choice(ROLES), default=None, help="What the name may do; needed at the first time.")
 @click.option(
@@ -65,7 +65,7 @@ def issue(name: str, role: str | None, addresses: tuple[str, ...], days: float, 
     return exits.DONE
 
 
-@certs.command("list")
+@certs.command("list", short_help="Show names, their roles, and until when.")
 @_FOLDER
 def list_(folder: Folder) -> int:
     """Show the names that have a certificate, what each may do, and until when."""
@@ -86,7 +86,7 @@ def _line(folder: Folder, name: str) -> str:
     return f"{name}  {role}  until {found.ends:%Y-%m-%d %H:%M} UTC  {' '.join(found.addresses)}"
 
 
-@certs.command()
+@certs.command(short_help="Look whether certificates can be used.")
 @click.argument("names", nargs=-1)
 @_FOLDER
 def check(names: tuple[str, ...], folder: Folder) -> int:
@@ -106,7 +106,7 @@ def check(names: tuple[str, ...], folder: Folder) -> int:
     return exits.FAILED if faults else exits.DONE
 
 
-@certs.command()
+@certs.command(short_help="Deny a name for good.")
 @click.argument("name")
 @_FOLDER
 def revoke(name: str, folder: Folder) -> int:
