@@ -1,7 +1,11 @@
-"""Kernels of other hosts over Zenoh: the transport of links between machines, and the service that switches it on.
+"""Kernels of other hosts over Zenoh: links between machines, who is there, commands for other machines, and security.
 
-`keys` says what is where, `envelope` what a message looks like, `sending` how much may be under way; none of them knows
-the engine. `engine` is all that does, `transport` puts them together, and `network` is the service `zenoh`.
+`engine` is all that knows the engine, and `network` is the service `zenoh`, which switches the rest on:
+
+- links: `transport`, with `envelope` (what a message looks like), `sending` (how much may be under way) and `clocks`;
+- who is there: `presence`, with `names` (who owns a name), `gate` and `limits` (who is cut off) and `neighbours`;
+- commands: `serving` is a kernel's end of a session, `gateway` that of `aiorts at`; `carried` and `stream` carry it;
+- `keys` says what lies where, and `security` who may send what. SPEC.md has all of it for other programs.
 """
 
 from __future__ import annotations
