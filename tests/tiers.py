@@ -1,7 +1,8 @@
 """Which tests are quick: those that `pytest` runs when nothing else is said. The rest are in the table SLOW.txt.
 
-Each line names a slow test and the quick one that keeps its promise; `first` says that nothing quicker does, and that
-the first case of the test itself is run with the quick ones. A test is slow when a case of it takes longer than LIMIT.
+Each line names a slow test and the quick one that keeps its promise. Where nothing quicker does, `first` says that the
+first case of the test itself is run with the quick ones, and `slow` that it is left to the slow tier: the quick tests
+are over in a minute or two. A test is slow when a case of it takes longer than LIMIT.
 Of a quick test with many cases one is quick, chosen by the name of the test: of every two tests that run on both loops
 about one has its quick case on either. Each case is run with one tier or the other.
 
@@ -34,6 +35,8 @@ ALWAYS = (
 """What whoever changes anything is to see at once, with all cases and however long it takes."""
 FIRST = "first"
 """Stands for the first case of the slow test itself."""
+ALONE = "slow"
+"""Stands for the slow test itself, in the slow tier."""
 
 
 def name_of(nodeid: str) -> str:

@@ -6,7 +6,11 @@ import pytest
 
 import tiers
 
-TABLE = {"tests/a.py::test_long": "tests/a.py::test_short", "tests/a.py::test_alone": tiers.FIRST}
+TABLE = {
+    "tests/a.py::test_long": "tests/a.py::test_short",
+    "tests/a.py::test_alone": tiers.FIRST,
+    "tests/a.py::test_left": tiers.ALONE,
+}
 
 
 @pytest.fixture(autouse=True)
@@ -15,8 +19,8 @@ def _table(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_of_a_test_that_nothing_quicker_replaces_the_first_case_is_quick() -> None:
-    cases = ["test_short", "test_long[1]", "test_alone[1]", "test_alone[2]", "test_alone[3]"]
-    assert tiers.are_slow(f"tests/a.py::{case}" for case in cases) == [False, True, False, True, True]
+    cases = ["test_short", "test_long[1]", "test_alone[1]", "test_alone[2]", "test_alone[3]", "test_left"]
+    assert tiers.are_slow(f"tests/a.py::{case}" for case in cases) == [False, True, False, True, True, True]
 
 
 def test_of_a_quick_test_with_many_cases_one_is_quick_but_all_of_what_is_always_to_be_seen() -> None:
