@@ -130,6 +130,10 @@ FEATURES = {
     127: "What happens on overflow and NaN is chosen",
     128: "A whole system simulated with the same result every time",
     130: "Written guarantees of order, delivery and lifecycle",
+    82: "A component has its place in a hierarchy of names: domain, host, kernel, name",
+    83: "What was killed or is cut off goes out of every list by itself",
+    91: "Kernels of many processes and hosts are operated from one place; programs in other languages take part",
+    97: "Who may look, operate or be linked is decided by certificates",
     # From 201 on: what no other system of the comparison offers, and so has no row there.
     201: "The interface of a running component changes and everyone sees it",
     202: "A missed deadline names who held the loop",

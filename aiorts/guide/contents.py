@@ -29,6 +29,7 @@ SECTIONS: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
                 "connect-hosts",
                 "calibration",
                 "secure-network",
+                "run-fleet",
                 "isolate-components",
                 "one-file",
             ),

@@ -78,6 +78,7 @@ async def test_a_name_that_is_held_is_refused_with_its_holder() -> None:
             await Kernel(services={"control": {"name": "held"}}).open()
 
 
+@pytest.mark.row(83)
 @pytest.mark.anyio
 async def test_what_a_killed_kernel_left_is_removed_by_the_next_reader() -> None:
     async with controlled("killed"):

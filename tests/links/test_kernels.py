@@ -490,6 +490,7 @@ async def test_new_new_has_the_newest_and_periodic_all_of_them(options: Any) -> 
         assert connector.statistics.balanced
 
 
+@pytest.mark.row(37)
 async def test_a_reader_may_pull() -> None:
     async with reachable("two") as two, Kernel("one") as one:
         source, sink = await one.add(Source()), await two.add(Sink())

@@ -71,6 +71,7 @@ def allows(sender: str, receiver: str, message: str, key: str) -> bool:
 NAMES = st.sampled_from([name for name in ROLES if name != "hub"])
 
 
+@pytest.mark.row(97)
 @given(NAMES, st.sampled_from(KERNELS), st.sampled_from(sorted(MESSAGES)), st.sampled_from((*ROLES, *FORGED)))
 def test_what_a_name_may_send_is_its_own_and_forged_names_are_not(
     sender: str, receiver: str, space: str, said: str
@@ -126,6 +127,7 @@ def send(opened: Any, message: str, key: str) -> Any:
     return None
 
 
+@pytest.mark.row(97)
 def test_of_a_thousand_forged_keys_the_engine_lets_none_through(tmp_path: Path) -> None:
     certificates = folder(tmp_path, **ROLES)
     address, chosen = f"127.0.0.1:{free_port()}", random.Random(20)

@@ -165,6 +165,7 @@ def operate(foreign: Foreign) -> None:
     assert "E-ABSENT" in at(foreign, "conf", "stranger/twon", "step=7")[1]
 
 
+@pytest.mark.row(91)
 def test_commands_list_and_operate_it(foreign: Foreign) -> None:
     operate(foreign)
     assert at(foreign, "deactivate", "twin") == (0, "")
@@ -200,6 +201,7 @@ def test_a_kernel_reads_of_it_and_writes_to_it(foreign: Foreign) -> None:
     asyncio.run(run())
 
 
+@pytest.mark.row(91)
 def test_it_lists_reads_writes_and_calls_a_kernel(foreign: Foreign) -> None:
     async def run() -> None:
         async with kernel_at(foreign.address) as kernel:

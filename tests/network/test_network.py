@@ -147,6 +147,7 @@ async def _wait_for(links: Links, count: int) -> None:
             await asyncio.sleep(0.01)
 
 
+@pytest.mark.row(82)
 def test_kernels_of_one_name_on_two_hosts_are_told_apart() -> None:
     async def main() -> None:
         address = f"127.0.0.1:{free_port()}"
@@ -182,6 +183,7 @@ def test_kernels_of_one_name_on_two_hosts_are_told_apart() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.row(83)
 @pytest.mark.fault("E01")
 def test_a_reader_that_is_killed_is_missed_at_once_and_linked_again(tmp_path: Path) -> None:
     address, program = f"127.0.0.1:{free_port()}", Path(__file__).with_name("reading_program.py")

@@ -128,6 +128,7 @@ def far(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Far]:
         run.close()
 
 
+@pytest.mark.row(91)
 def test_all_is_seen_and_operated_as_on_this_host(far: Far) -> None:
     status, said, _ = far.do("ls", "--json")
     (kernel,) = json.loads(said)["kernels"]

@@ -39,6 +39,7 @@ def start(address: str, *security: str) -> subprocess.Popen[str]:
     return process
 
 
+@pytest.mark.row(56)
 @pytest.mark.parametrize("certified", [False, True])
 def test_kernels_meet_in_a_router_and_again_after_it_was_killed(certified: bool, tmp_path: Path) -> None:
     address = f"127.0.0.1:{free_port()}"

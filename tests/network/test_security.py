@@ -98,6 +98,7 @@ class SecuredFar(Far):
         return self.do(*words)
 
 
+@pytest.mark.row(97)
 def test_a_viewer_looks_and_an_operator_controls(tmp_path: Path) -> None:
     roles = {"robot": "component", "arm": "component", "anna": "viewer", "otto": "operator"}
     folder(tmp_path / "certs", **roles)
