@@ -104,6 +104,7 @@ EXPECTED = {
     "E06": "A stopped peer: all samples arrive, or what is lost is counted; the writer's loop goes on.",
     "E08": "Loss, reordering, duplicates and delays of a transport: each sample is there once, in order.",
     "E09": "Two kernels of one name: the second is refused.",
+    "E10": "What is larger than the other end takes is left out, or refused at the sender; what comes next arrives.",
     "E12": "Connections that come to nothing hold up no kernel that has a certificate.",
     "E13": "A msgpack bomb is refused by its structure, in milliseconds and little memory.",
     "E14": "The head of an array that lies is refused before any memory is taken for it.",

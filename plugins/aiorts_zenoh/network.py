@@ -29,6 +29,25 @@ if TYPE_CHECKING:
 _LOG: Final = logging.getLogger("aiorts.zenoh")
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,252}")
 """One part of a key: of a host that calls itself otherwise the user says the name."""
+LEASE: Final = 2.5
+"""Seconds without a word after which a connection is over; each end says something four times as often."""
+_HARDENED: Final[Mapping[str, Any]] = {
+    "transport/link/tx/lease": int(LEASE * 1_000),
+    # Who connects and says nothing has a place for a second. There are so many places that others find one.
+    "transport/unicast/accept_timeout": 1_000,
+    "transport/unicast/accept_pending": 2_000,
+    "transport/unicast/max_sessions": 256,  # more machines meet in a router
+    # By itself the engine would put together, in memory, what says that it has 1 GiB.
+    "transport/link/rx/max_message_size": 16 << 20,
+    "transport/shared_memory/enabled": False,
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "adminspace": {"enabled": False, "permissions": {"read": False, "write": False}},
+    "plugins_loading/enabled": False,
+    # Questions of aiorts say themselves how long they wait; this is for those of others that pass through here.
+    "queries_default_timeout": 2_000,
+}
+"""What nobody who reaches the engine is to find open, or to hold up for long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +190,7 @@ def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -
     protocol = "tls" if secured else "tcp"
     security = tls_settings(secured, base_of(settings.domain)) if secured else {"transport/link/protocols": ["tcp"]}
     return {
+        **_HARDENED,
         **security,
         "mode": "client" if is_client else "peer",
         "listen/endpoints": [f"{protocol}/{endpoint}" for endpoint in _listed(settings.listen)],
@@ -178,9 +198,6 @@ def engine_settings(settings: NetworkSettings, secured: Secured | None = None) -
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 1_000, "period_increase_factor": 2},
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/shared_memory/enabled": False,
         **{f"transport/link/tx/queue/size/{one}": 16 for one in ("interactive_high", "data", "data_low")},
     }
 

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import signal
 from pathlib import Path
+from typing import Final
 
 import click
 
@@ -15,6 +16,9 @@ from aiorts_zenoh.neighbours import Neighbours
 from aiorts_zenoh.network import NetworkSettings, endpoints_of, engine_settings
 from aiorts_zenoh.security.access import ROUTER
 from aiorts_zenoh.security.tls import secured_by
+
+_SESSIONS: Final = 10_000
+"""Connections at the most: a fleet meets here."""
 
 
 @click.command(short_help="Let the kernels of many hosts meet in one place.")
@@ -49,7 +53,7 @@ async def _route(settings: NetworkSettings, name: str) -> int:
     loop, ended, engine = asyncio.get_running_loop(), asyncio.Event(), Engine()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, ended.set)
-    own = {**engine_settings(settings, secured), "mode": "router"}
+    own = {**engine_settings(settings, secured), "mode": "router", "transport/unicast/max_sessions": _SESSIONS}
     await in_thread(lambda: engine.open(own, Inbox(loop)))
     try:
         neighbours.start()
