@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -32,6 +33,7 @@ class Carried:
         self._news = asyncio.Event()
         """Something has come."""
         self._closed = asyncio.Event()
+        self._writer: asyncio.StreamWriter | None = None
 
     def arrived(self, message: Message) -> None:
         """A message of the other end has come."""
@@ -43,8 +45,24 @@ class Carried:
         """The other end is gone: end the local connection."""
         self._closed.set()
 
+    def end(self) -> None:
+        """Pass on nothing any more, and have the other end know that it is over."""
+        if self._writer is not None:
+            with contextlib.suppress(OSError):  # it has ended
+                self._writer.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
+
+    async def refuse(self, data: bytes) -> None:
+        """Have the other end know with these bytes why there is no session."""
+        self._stream.send(data)
+        looking = asyncio.ensure_future(self._look())
+        try:
+            await self._end()
+        finally:
+            looking.cancel()
+
     async def run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Carry what comes from either side to the other, until one ends."""
+        self._writer = writer
         ways = self._out(reader), self._in(writer), self._look(), self._closed.wait()
         tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(one) for one in ways]
         try:
@@ -64,10 +82,13 @@ class Carried:
                 while not stream.has_room:
                     await self._next_news()
                 stream.send(data)
-        stream.end()
+        await self._end()
+
+    async def _end(self) -> None:
+        self._stream.end()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_REST):
-                while not stream.is_through:
+                while not self._stream.is_through:
                     await self._next_news()
 
     async def _in(self, writer: asyncio.StreamWriter) -> None:

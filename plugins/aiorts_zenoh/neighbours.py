@@ -1,5 +1,7 @@
 """Who is connected by which certificate, and why one is not: said once in the log, at the end that is refused.
 
+Names that are revoked while this runs are denied from then on: the folder of certificates is looked into all the time.
+
 The engine refuses without a word. What is not reached is looked into by a handshake (`security.probe`); of those that
 are connected, the engine tells the name in their certificate.
 """
@@ -14,7 +16,9 @@ from typing import Final
 
 from aiorts_zenoh.engine import Engine, in_thread
 from aiorts_zenoh.keys import Keys, base_of
+from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.probe import probe
+from aiorts_zenoh.security.revoking import EVERY, Revoking
 from aiorts_zenoh.security.tls import Secured
 
 _FIRST: Final = 1.5
@@ -44,11 +48,15 @@ class Neighbours:
         self._shown: set[str] = set()
         """Names of kernels whose token was seen."""
         self._said: set[str] = set()
+        self._hold: Callable[[str], None] = lambda name: None
+        """Tells a name that it is denied; may wait for the network."""
         self._held: list[object] = []
         """Tokens for those that are denied: they end with what is returned."""
+        self.denies: list[Callable[[str], None]] = []
+        """Called with each name that is revoked while this runs."""
         self._timers: list[asyncio.TimerHandle] = []
         self._loop: asyncio.AbstractEventLoop
-        self._looking: asyncio.Task[None] | None = None
+        self._tasks: list[asyncio.Task[None]] = []
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -80,20 +88,27 @@ class Neighbours:
             return
         base, own = base_of(domain), self._secured.identity.name
         engine.presence(f"{base}/denied/{own}", self._denied)
-        self._held = [engine.hold(f"{base}/denied/{name}") for name in self._secured.access.denied]
+        self._hold = lambda name: self._held.append(engine.hold(f"{base}/denied/{name}"))
+        for name in self._secured.access.denied:
+            self._hold(name)
 
     def start(self) -> None:
         """Look into what is not reached; on the loop."""
         self._loop = asyncio.get_running_loop()
         if self._endpoints:
-            self._looking = self._loop.create_task(self._look(), name="aiorts zenoh neighbours")
+            self._tasks.append(self._loop.create_task(self._look(), name="aiorts zenoh neighbours"))
+        if self._secured is not None:
+            revoking = Revoking(
+                Folder(self._secured.identity.certificate.parent), self._secured.access.denied, self._say
+            )
+            self._tasks.append(self._loop.create_task(self._watch_index(revoking), name="aiorts zenoh revoked"))
 
     def close(self) -> None:
         """Watch nothing any more."""
         for timer in self._timers:
             timer.cancel()
-        if self._looking is not None:
-            self._looking.cancel()
+        for task in self._tasks:
+            task.cancel()
 
     # -- those that are connected ----------------------------------------------------------------------------------
 
@@ -120,6 +135,25 @@ class Neighbours:
     def _denied(self, token: str, up: bool) -> None:
         if up:
             self._say(f"the name {token.rpartition('/')[2]!r} was revoked: others take nothing from this kernel")
+
+    async def _watch_index(self, revoking: Revoking) -> None:
+        while True:
+            new: list[str] = []
+            await in_thread(lambda: new.extend(sorted(revoking.look())))  # noqa: B023 - it is awaited here
+            for name in new:
+                await self._deny(name)
+            await asyncio.sleep(EVERY)
+
+    async def _deny(self, name: str) -> None:
+        assert self._secured is not None  # noqa: S101 - there is no index without certificates
+        self._secured = self._secured._replace(access=self._secured.access.without((name,)))
+        if name == self._secured.identity.name:
+            self._denied(name, True)
+        else:
+            self._say(f"{name!r} was revoked: its links are cut, and nothing of it is taken any more")
+        for deny in self.denies:
+            deny(name)
+        await in_thread(partial(self._hold, name))
 
     # -- those that are not ----------------------------------------------------------------------------------------
 

@@ -128,6 +128,7 @@ class Network(KernelService):
         self._neighbours = Neighbours(endpoints_of(settings.connect), secured, _LOG.warning)
         self._transport.beside.append(self._neighbours.declare)
         self._transport.admits = self._neighbours.admits
+        self._neighbours.denies.append(self._transport.deny)
         self._neighbours.start()
         opening = self._open(self._transport, self._neighbours, operate=settings.allow_control)
         self._opening = asyncio.get_running_loop().create_task(opening, name="aiorts zenoh")
@@ -138,6 +139,7 @@ class Network(KernelService):
         if control is not None and control.hello:
             admits = neighbours.admits_client
             self._serving = Serving(control, operate=operate, report=_LOG.warning, admits=admits)
+            neighbours.denies.append(self._serving.deny)
             transport.beside.append(self._serving.declare)
             transport.last.append(self._serving.finish)
         await self.kernel.service(Links).reach.carry(transport)

@@ -87,6 +87,13 @@ class Presence:
         self._name.unseen(self._loop.time())
         self._changed()
 
+    def forget(self, kernel: str) -> None:
+        """A name is not admitted any more: who has it is gone."""
+        for host, name in [one for one in self._named if one[1] == kernel]:
+            for claim in tuple(self._named[host, name]):
+                self._forget(claim)
+            self._look_at(host, name)
+
     def close(self) -> None:
         """Tell nothing any more."""
         self._closed = True

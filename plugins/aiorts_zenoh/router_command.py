@@ -48,19 +48,33 @@ def router(listen: str, connect: str, certificates: Path | None, name: str, doma
 
 
 async def _route(settings: NetworkSettings, name: str) -> int:
-    secured = secured_by(settings.certificates, name, (ROUTER,)) if settings.certificates else None
-    neighbours = Neighbours(endpoints_of(settings.connect), secured, logging.getLogger("aiorts.zenoh").warning)
-    loop, ended, engine = asyncio.get_running_loop(), asyncio.Event(), Engine()
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, ended.set)
+    first = True
+    while not ended.is_set():
+        await _route_until(ended, settings, name, say=first)
+        first = False
+    return exits.DONE
+
+
+async def _route_until(ended: asyncio.Event, settings: NetworkSettings, name: str, *, say: bool) -> None:
+    """Carry until it is ended, or a name is revoked: the engine takes its table of names at its start alone."""
+    secured = secured_by(settings.certificates, name, (ROUTER,)) if settings.certificates else None
+    neighbours = Neighbours(endpoints_of(settings.connect), secured, logging.getLogger("aiorts.zenoh").warning)
+    engine, loop, due = Engine(), asyncio.get_running_loop(), asyncio.Event()
+    neighbours.denies.append(lambda _: due.set())
     own = {**engine_settings(settings, secured), "mode": "router", "transport/unicast/max_sessions": _SESSIONS}
     await in_thread(lambda: engine.open(own, Inbox(loop)))
+    waits = [loop.create_task(one.wait()) for one in (ended, due)]
     try:
         neighbours.start()
         await in_thread(lambda: neighbours.watch(engine, settings.domain))
-        click.echo(f"aiorts router: listens at {settings.listen}", err=True)
-        await ended.wait()
+        if say:
+            click.echo(f"aiorts router: listens at {settings.listen}", err=True)
+        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
     finally:
+        for wait in waits:
+            wait.cancel()
         neighbours.close()
         await in_thread(engine.close)
-    return exits.DONE

@@ -58,6 +58,8 @@ class Serving:
         """Those that ended last."""
         self._bad: set[str] = set()
         """Who has sent what is no message, which is said once."""
+        self._refused: set[str] = set()
+        """Why there was no session, each said once."""
         self._tasks: set[asyncio.Task[None]] = set()
         self._closed = False
         self._engine: Engine
@@ -81,6 +83,16 @@ class Serving:
             engine.subscribe(keys.sessions(branch), partial(self._arrived, branch), self._inbox)
             engine.presence(keys.session_tokens(branch), partial(self._present, branch), self._inbox)
             engine.answer(keys.calls(branch), partial(self._asked, branch), self._inbox)
+
+    def deny(self, caller: str) -> None:
+        """End the sessions of a client that is not admitted any more; from any thread."""
+        if self._ready.is_set() and not self._closed:
+            self._loop.call_soon_threadsafe(self._end_of, caller)
+
+    def _end_of(self, caller: str) -> None:
+        for name, carried in tuple(self._sessions.items()):
+            if name[1] == caller:
+                carried.end()
 
     def finish(self) -> None:
         """Wait until the kernel has ended all sessions and their clients have what was sent last, for a moment."""
@@ -145,7 +157,10 @@ class Serving:
         try:
             await carried.run(*await self._let_in(*name[:2]))
         except (AiortsError, OSError) as error:
-            self._report(f"zenoh: {name[1]}: {error}")
+            if (text := f"zenoh: {name[1]}: {error}") not in self._refused and len(self._refused) < _SESSIONS:
+                self._refused.add(text)
+                self._report(text)
+            await carried.refuse(framed(_said(error)))
         finally:
             del self._sessions[name]
             self._ended[name] = None
@@ -159,7 +174,7 @@ class Serving:
 
     def _check(self, branch: str, caller: str) -> None:
         if not self._admits(caller, branch == CTL):
-            raise DeniedError(f"{caller}: was revoked, or has no role in this kernel")
+            raise DeniedError(f"{caller!r} was revoked, or has no role in this kernel")
 
     def _present(self, branch: str, token: str, up: bool) -> None:
         name = branch, *session_in(token)
@@ -184,10 +199,8 @@ class Serving:
         *_, caller, operation = key.split("/")
         try:
             answer = await self._call(branch, caller, operation, body)
-        except AiortsError as error:
-            answer = {"error": {"code": error.code, "text": str(error)}}
-        except OSError as error:  # no descriptor is left
-            answer = {"error": {"code": ControlError.code, "text": str(error)}}
+        except (AiortsError, OSError) as error:
+            answer = _said(error)
         at = self._keys.call(branch, caller, operation)
         self._engine.reply(query, cast("bytes", msgpack.packb(answer)), good=True, key=at)
 
@@ -208,6 +221,12 @@ class Serving:
             raise NoAnswerError(f"{operation}: no answer within {_ANSWER_SECONDS:g} s") from None
         finally:
             writer.close()
+
+
+def _said(error: AiortsError | OSError) -> dict[str, Any]:
+    """The answer where there is none; OSError: no descriptor is left."""
+    code = error.code if isinstance(error, AiortsError) else ControlError.code
+    return {"error": {"code": code, "text": str(error)}}
 
 
 async def _answer_in(reader: asyncio.StreamReader) -> dict[Any, Any]:

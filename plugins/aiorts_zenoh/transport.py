@@ -198,6 +198,11 @@ class ZenohTransport:
         """Who was beyond a limit, and is not heard for a while."""
         return () if self._inbox is None else self._gate.cut_off
 
+    def deny(self, name: str) -> None:
+        """Take kernels of this name, which is not admitted any more, as gone."""
+        if self._presence is not None:
+            self._presence.forget(name)
+
     def _say(self, text: str) -> None:
         """From any thread."""
         if self._inbox is not None:

@@ -104,6 +104,10 @@ class Access:
                     raise ConfigurationError(f"access: {name!r} is {roles[name]} and {role}; a name has one role")
         return cls.of_names(roles, denied)
 
+    def without(self, names: Iterable[str]) -> Access:
+        """The same, with further names that are denied."""
+        return Access.of_names(self.roles, self.denied.union(names))
+
     def is_kernel(self, name: str) -> bool:
         """Whether a kernel may have this name."""
         return self.roles.get(name) == COMPONENT

@@ -110,12 +110,10 @@ def check(names: tuple[str, ...], folder: Folder) -> int:
 @click.argument("name")
 @_FOLDER
 def revoke(name: str, folder: Folder) -> int:
-    """Deny NAME for good: kernels that start with this index take nothing from it.
+    """Deny NAME for good: kernels and routers with this index take nothing from it, also those that run.
 
-    Copy index.json to the other machines, and start their kernels again.
+    Copy index.json to the other machines; what runs there goes by it within two seconds.
     """
     folder.revoke(name)
-    click.echo(
-        f"{name}: revoked; copy {folder.path / 'index.json'} to the other machines, and start their kernels again"
-    )
+    click.echo(f"{name}: revoked; copy {folder.index} to the other machines, where it holds within two seconds")
     return exits.DONE

@@ -112,6 +112,11 @@ class Folder:
         return tuple(name for name, (_, denied) in self.names.items() if not denied and self._of(name, "pem").exists())
 
     @property
+    def index(self) -> Path:
+        """The file of roles and denied names."""
+        return self.path / _INDEX
+
+    @property
     def access(self) -> Access:
         """The roles of all names, and those that are denied."""
         roles, denied = self._index()
@@ -161,7 +166,7 @@ class Folder:
             os.close(opened)
 
     def _index(self) -> tuple[dict[str, str], tuple[str, ...]]:
-        path = self.path / _INDEX
+        path = self.index
         try:
             data = json.loads(_content(path))
             roles, denied = data["roles"], data["revoked"]
@@ -180,7 +185,7 @@ class Folder:
 
     def _write_index(self, roles: Mapping[str, str], denied: Sequence[str]) -> None:
         text = json.dumps({"roles": dict(sorted(roles.items())), "revoked": list(denied)}, indent=1) + "\n"
-        _put(self.path / _INDEX, text.encode(), 0o644)
+        _put(self.index, text.encode(), 0o644)
 
     def _write_pair(self, name: str, pair: tuple[bytes, bytes]) -> None:
         certificate, key = pair
