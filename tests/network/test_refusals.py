@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import shutil
 import socket
@@ -12,6 +13,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +25,15 @@ from aiorts.links import Links
 pytest.importorskip("zenoh")
 pytest.importorskip("cryptography")
 
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
+from cryptography.x509.oid import NameOID
+
 from aiorts_zenoh import Network
 from aiorts_zenoh.security.folder import Folder
 from aiorts_zenoh.security.probe import probe
-from network.certificate_parts import folder, issue_later
+from network.certificate_parts import folder, issue_later, issue_for
 from network.engine_parts import Heard, session, unchecked
 from network.network_parts import free_port
 
@@ -75,6 +82,34 @@ def readable(theirs: Folder, ours: Folder) -> None:
     (theirs.path / "writer.key").chmod(0o644)
 
 
+def short_rsa(theirs: Folder, ours: Folder) -> None:
+    issue_for(theirs, "writer", rsa.generate_private_key(65_537, 1_024))
+
+
+def short_curve(theirs: Folder, ours: Folder) -> None:
+    issue_for(theirs, "writer", ec.generate_private_key(ec.SECP224R1()))
+
+
+def short_authority(theirs: Folder, ours: Folder) -> None:
+    """The authority signs itself anew with a short key."""
+    key = rsa.generate_private_key(65_537, 1_024)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "weak")])
+    now = datetime.now(UTC)
+    builder = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    builder = builder.serial_number(1).not_valid_before(now).not_valid_after(now + timedelta(days=1))
+    own = builder.sign(key, hashes.SHA256())
+    (theirs.path / "ca.pem").write_bytes(own.public_bytes(serialization.Encoding.PEM))
+    form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    (theirs.path / "ca.key").write_bytes(key.private_bytes(*form))
+    issue_for(theirs, "writer", ec.generate_private_key(ec.SECP256R1()))
+
+
+def without_a_role(theirs: Folder, ours: Folder) -> None:
+    index = json.loads(ours.index.read_bytes())
+    del index["roles"]["writer"]
+    ours.index.write_text(json.dumps(index))
+
+
 Cause = Callable[[Folder, Folder], None]
 
 
@@ -99,6 +134,9 @@ def pair(path: Path, cause: Cause) -> tuple[Folder, Folder]:
         (of_another_name, "writer.pem: is for 'reader', not for 'writer'"),
         (not_of_its_key, "writer.pem: does not go with its key"),
         (readable, "writer.key: has mode 0644, so others can read the key; chmod 600 "),
+        (short_rsa, "writer.pem: has a key that is too short: RSA with 1024 bits, of at least 2048"),
+        (short_curve, "writer.pem: has a key that is too short: an elliptic curve with 224 bits, of at least 256"),
+        (short_authority, "writer.pem: has a key that is too short: of the authority, RSA with 1024 bits"),
         (lambda theirs, ours: theirs.revoke("writer"), "'writer' was revoked"),
         (lambda theirs, ours: shutil.copy(theirs.path / "reader.pem", theirs.path / "ca.pem"), "was not issued by"),
         (lambda theirs, ours: (theirs.path / "writer.pem").unlink(), "'writer' has no certificate"),
@@ -131,7 +169,9 @@ async def reader_at(address: str, certificates: Path) -> Kernel:
 
 
 @pytest.mark.fault("E18")
-@pytest.mark.parametrize("cause", [nothing_wrong, another_authority, expired, not_yet_valid, revoked])
+@pytest.mark.parametrize(
+    "cause", [nothing_wrong, another_authority, expired, not_yet_valid, revoked, without_a_role, short_rsa, short_curve]
+)
 def test_who_is_refused_sees_nothing_whatever_its_own_end_checks(tmp_path: Path, cause: Cause) -> None:
     ours, theirs = pair(tmp_path, cause)
 
@@ -160,6 +200,7 @@ def test_who_is_refused_sees_nothing_whatever_its_own_end_checks(tmp_path: Path,
         return
     assert (+counts, size) == (Counter(), 0)
     said = {another_authority: "of another authority", expired: "has expired", not_yet_valid: "is not valid before"}
+    said |= dict.fromkeys((short_rsa, short_curve), "has a key that is too short")
     assert said.get(cause, "") in why
 
 
@@ -179,6 +220,23 @@ def test_the_kernel_that_is_refused_says_why(
     refused_by(at, ours.path, {"certificates": theirs.path}, said, caplog)
     if cause is revoked:
         assert "tls/127.0.0.1 is refused: 'writer' was revoked" in caplog.text
+
+
+@pytest.mark.fault("E18")
+def test_a_name_without_a_role_is_refused_and_that_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    ours, theirs = pair(tmp_path, without_a_role)
+    refused_by("127.0.0.1", ours.path, {"certificates": theirs.path}, "is refused: 'writer' has no role here", caplog)
+
+
+@pytest.mark.fault("E18")
+@pytest.mark.parametrize("gone", ["writer.pem", "writer.key", "ca.pem"])
+def test_a_file_of_its_own_that_has_gone_is_named(tmp_path: Path, gone: str) -> None:
+    ours = folder(tmp_path, **NAMES)
+    own = unchecked(ours, "writer")
+    (tmp_path / gone).unlink()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        why = probe("127.0.0.1", listening.getsockname()[1], own)
+    assert why == f"is not reached: the certificate of this end: {tmp_path / gone}: there is none"
 
 
 @pytest.mark.fault("E17")

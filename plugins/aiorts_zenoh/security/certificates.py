@@ -16,15 +16,18 @@ try:
     from cryptography import x509
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.asymmetric import ec, rsa
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 except ImportError:
     raise MissingExtra("certificates", "cryptography", "zenoh") from None
 
+PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 _AUTHORITY_DAYS: Final = 3_650
 _BEFORE: Final = timedelta(minutes=5)
 """How far the clock of another machine may be behind this one's when a certificate is new."""
 _LOOPBACK: Final = ("localhost", "127.0.0.1", "::1")
+_LEAST: Final = ((rsa.RSAPublicKey, "RSA", 2_048), (ec.EllipticCurvePublicKey, "an elliptic curve", 256))
+"""Bits of a key, by its kind."""
 _HOST: Final = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*")
 
 
@@ -40,6 +43,8 @@ class Facts:
     certified: bool
     """Whether this authority has certified it."""
     fits_key: bool
+    weak: str
+    """The key that is too short, here or of the authority; "" when none is."""
 
     def fault(self, name: str, role: str) -> str:
         """What is wrong with it as the certificate of a name with a role ("" is any); "" when nothing is."""
@@ -50,6 +55,8 @@ class Facts:
             return "was not issued by the authority of this folder (ca.pem)"
         if not self.fits_key:
             return "does not go with its key"
+        if self.weak:
+            return f"has a key that is too short: {self.weak}; aiorts certs makes longer ones"
         if now < self.begins:
             return f"is not valid before {self.begins:%Y-%m-%d %H:%M} UTC"
         if now > self.ends:
@@ -79,13 +86,14 @@ def made_certificate(
     addresses: Sequence[str],
     days: float,
     begins: datetime | None = None,
+    key: PrivateKey | None = None,
 ) -> tuple[bytes, bytes]:
-    """The certificate and the key of a name, valid from now on or from when it begins."""
+    """The certificate and the key of a name, valid from now on or from when it begins; by default the key is new."""
     issuer = _certificate(authority)
     signing = _key(authority_key)
     if signing.public_key() != issuer.public_key():
         raise ConfigurationError("ca.key: does not go with ca.pem")
-    key = _new_key()
+    key = key or _new_key()
     subject = x509.Name(
         [
             x509.NameAttribute(NameOID.COMMON_NAME, name),
@@ -118,6 +126,7 @@ def facts(certificate: bytes, key: bytes, authority: bytes) -> Facts:
         _addresses(found),
         certified,
         _key(key).public_key() == found.public_key(),
+        _weak(found) or (_weak(issuer) and f"of the authority, {_weak(issuer)}"),
     )
 
 
@@ -128,13 +137,21 @@ def _new_key() -> ec.EllipticCurvePrivateKey:
     return ec.generate_private_key(ec.SECP256R1())
 
 
-def _key(data: bytes) -> ec.EllipticCurvePrivateKey:
+def _weak(certificate: x509.Certificate) -> str:
+    key = certificate.public_key()
+    for kind, word, least in _LEAST:
+        if isinstance(key, kind):
+            return "" if key.key_size >= least else f"{word} with {key.key_size} bits, of at least {least}"
+    return ""  # Ed25519 and the like have one size
+
+
+def _key(data: bytes) -> PrivateKey:
     try:
         found = serialization.load_pem_private_key(data, None)
     except (ValueError, TypeError):
         found = None
-    if not isinstance(found, ec.EllipticCurvePrivateKey):
-        raise ConfigurationError("the key is none of an elliptic curve in PEM without a passphrase")
+    if not isinstance(found, PrivateKey):
+        raise ConfigurationError("the key is none of RSA or an elliptic curve in PEM without a passphrase")
     return found
 
 
@@ -145,7 +162,7 @@ def _certificate(data: bytes) -> x509.Certificate:
         raise ConfigurationError("the certificate is none in PEM") from None
 
 
-def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
+def _pem_of(key: PrivateKey) -> bytes:
     form = serialization.PrivateFormat.PKCS8
     return key.private_bytes(serialization.Encoding.PEM, form, serialization.NoEncryption())
 
@@ -153,7 +170,7 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 def _builder(
     subject: x509.Name,
     issuer: x509.Name,
-    key: ec.EllipticCurvePrivateKey,
+    key: PrivateKey,
     days: float,
     begins: datetime | None = None,
 ) -> x509.CertificateBuilder:
@@ -178,7 +195,7 @@ def _usage(*, signs: bool) -> x509.KeyUsage:
     )
 
 
-def _signed(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> bytes:
+def _signed(builder: x509.CertificateBuilder, key: PrivateKey) -> bytes:
     return builder.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
 
 

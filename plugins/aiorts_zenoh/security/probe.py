@@ -56,12 +56,15 @@ def probe(host: str, port: int, identity: Identity | None, within: float = _WITH
 
 def _handshake(connected: socket.socket, host: str, identity: Identity | None) -> str:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    try:
-        if identity is None:
-            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-        else:
+    if identity is None:
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    else:
+        try:
             context.load_verify_locations(identity.authority)
             context.load_cert_chain(identity.certificate, identity.key)
+        except OSError as error:  # of TLS as well: one is gone, or worth nothing
+            return f"is not reached: the certificate of this end: {_own_fault(identity) or error.strerror}"
+    try:
         with context.wrap_socket(connected, server_hostname=host) as secured:
             secured.settimeout(_ALERT_WITHIN)
             said = _alert(secured)
